@@ -51,7 +51,7 @@ from cogsplat.tools.workflow.inputs import (
 @click.argument("reference", type=INPUT, metavar="A")
 @click.argument("other", type=INPUT, metavar="B")
 @cameras_option("Without it, eval_cameras.json beside A, all of it; else planned views.")
-@eval_every_option(8, "Compare on the")
+@eval_every_option(8, "compare in it alone; 0 compares in all.")
 @click.option(
     "--by-object",
     is_flag=True,

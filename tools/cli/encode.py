@@ -227,7 +227,7 @@ _GROUPS: Final = {
 )
 @jitter_option
 @top_k_option(None)
-@eval_every_option(0, "Keep from scoring, and measure in, the")
+@eval_every_option(0, "do not score in it, measure in it.")
 @click.option(
     "--measure",
     is_flag=True,

@@ -25,8 +25,8 @@ from cogsplat.tools.terminal.options import (
     json_option,
     quality_option,
     quiet_option,
-    taught_by_option,
     threads_option,
+    training_images_option,
     training_seed_option,
 )
 from cogsplat.tools.terminal.output import name_of, say, say_json, size_text, table
@@ -94,10 +94,10 @@ _MOST_SPLATS: Final = 100_000
     help="Training steps of each level; a view teaches in each.  "
     f"[default: {_STEPS}, or {_GROWING_STEPS} where SCENE is points]",
 )
-@taught_by_option
+@training_images_option
 @quality_option("Nominal PSNR of what is stored, as in encode.")
 @training_seed_option
-@eval_every_option(0, "Keep from training, and measure in, the")
+@eval_every_option(0, "do not train in it, measure in it.")
 @format_option(["cogs"], "Without it, a name that says another format is refused.")
 @background_option
 @partial_option

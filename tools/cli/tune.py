@@ -28,8 +28,8 @@ from cogsplat.tools.terminal.options import (
     preview_option,
     quiet_option,
     target_psnr_option,
-    taught_by_option,
     threads_option,
+    training_images_option,
     training_seed_option,
 )
 from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
@@ -108,7 +108,7 @@ _GROUPS: Final = {
     help="Train until so much time is over, at most 12 times the usual number of steps. Without "
     "it, that number is fixed, and the result is the same on every run.",
 )
-@taught_by_option
+@training_images_option
 @click.option(
     "--keep",
     type=click.FloatRange(0, 1, min_open=True),
@@ -132,7 +132,7 @@ _GROUPS: Final = {
 )
 @preview_option
 @training_seed_option
-@eval_every_option(0, "Keep from training the")
+@eval_every_option(0, "do not train in it.")
 @click.option(
     "--ply",
     type=PATH,

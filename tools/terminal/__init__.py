@@ -1,1 +1,1 @@
-"""Options, parsed values, printed output and progress bars that commands share."""
+"""Command-line options, their values, printed output and progress bars."""

@@ -188,7 +188,7 @@ def _flush() -> None:
 
 def _drop_output() -> None:
     """Discard the buffer of standard output, so that the interpreter's exit does not fail on it."""
-    # In-memory outputs have neither descriptor nor buffer.
+    # An output in memory has no descriptor, and its buffer cannot fail.
     with suppress(OSError, ValueError, AttributeError):
         descriptor = sys.stdout.fileno()
         null = os.open(os.devnull, os.O_WRONLY)

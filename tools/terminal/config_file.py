@@ -22,7 +22,7 @@ OptionValue = bool | str | list[str]
 
 
 def config_option() -> click.Option:
-    """Return the option ``--config``, which sets the defaults of all other options."""
+    """Return the option ``--config``, which names a file of default values."""
     return click.Option(
         ["--config"],
         type=PATH,

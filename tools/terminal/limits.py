@@ -1,4 +1,4 @@
-"""``--limits``: what reading may cost, for every command that reads."""
+"""``--limits``: bounds on memory and counts, for every command that reads."""
 
 from __future__ import annotations
 
@@ -30,25 +30,25 @@ def limits_option(command: Command) -> Command:
         callback=_keep,
         expose_value=False,
         metavar="NAME=N,…",
-        help="What reading may cost: memory=2GiB, splats=10M, cameras=100k, and expansion=256, "
-        "bytes of memory for a byte of the file. Beyond them exit status 5.",
+        help="Limits on what is read: memory=2GiB, splats=10M, cameras=100k, and expansion=256 "
+        "bytes of memory per byte of the file. Exit status 5 beyond a limit.",
     )(command)
 
 
 def current_limits() -> Limits:
-    """Return the limits that the running command was given, or the defaults."""
+    """Return the limits of the running command, or the defaults."""
     context = click.get_current_context(silent=True)
     found = context.meta.get(_KEY) if context else None
     return found if isinstance(found, Limits) else Limits()
 
 
 def limits_of(text: str) -> Limits:
-    """Read ``memory=2GiB,splats=10M``; what is not named keeps its default.
+    """Parse limits such as ``memory=2GiB,splats=10M``; other limits keep their defaults.
 
     Raises
     ------
     click.BadParameter
-        A name that is no limit, one given twice, or a value that is no number.
+        An unknown name, a name given twice, or a value that is no number.
     """
     limits = Limits()
     seen: set[str] = set()
@@ -71,11 +71,13 @@ def limits_of(text: str) -> Limits:
 
 
 def _keep(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    """Store the parsed limits with the running command."""
     if value is not None:
         context.meta[_KEY] = limits_of(value)
 
 
 def _count(text: str) -> int:
+    """Parse a count such as ``10M``."""
     match = _COUNT.fullmatch(text)
     if not match:
         raise click.BadParameter(f"{text!r}, {_EXPECTED}")

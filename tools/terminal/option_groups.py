@@ -1,4 +1,4 @@
-"""Help of a command with many options: the most used ones, or all of them in groups."""
+"""Help of a command with many options: the most used options, or all options in groups."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ HELP_ALL: Final = "cogsplat.help_all"
 
 
 class GroupedCommand(click.Command):
-    """A command whose ``--help`` shows its most used options, and ``--help-all`` all of them.
+    """A command whose ``--help`` shows the most used options, and ``--help-all`` every option.
 
     The command also gets the option ``--config``, so that the other options can stand in a file.
 

@@ -1,4 +1,4 @@
-"""Command-line options that several commands share."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .values import byte_count, chunk_range, colour, object_labels
 
 Command = TypeVar("Command", bound=Callable[..., object])
 
-# Beyond any machine's cores; systems refuse to start tens of thousands.
+# More than any machine has cores; operating systems refuse to start tens of thousands.
 _MOST_THREADS: Final = 1024
 
 
@@ -34,20 +34,20 @@ def json_option(command: Command) -> Command:
 
 
 def force_option(command: Command) -> Command:
-    """Add ``--force``; `standard_streams.OutputPath` asks for it, so that it is read first."""
-    return click.option("--force", is_flag=True, is_eager=True, help="Replace what exists.")(
+    """Add ``--force``, parsed first because `standard_streams.OutputPath` reads it."""
+    return click.option("--force", is_flag=True, is_eager=True, help="Replace existing files.")(
         command
     )
 
 
 def quiet_option(command: Command) -> Command:
-    """Add ``--quiet``; `standard_streams.InputPath` asks for it, so that it is read first."""
+    """Add ``--quiet``, parsed first because `standard_streams.InputPath` reads it."""
     return click.option(
         "--quiet",
         "-q",
         is_flag=True,
         is_eager=True,
-        help="Neither progress nor summary; errors and warnings.",
+        help="Print errors and warnings only.",
     )(command)
 
 
@@ -58,14 +58,14 @@ def threads_option(command: Command) -> Command:
         type=click.IntRange(0, _MOST_THREADS),
         default=0,
         metavar="N",
-        help="Threads; 0 (default) takes all cores. The result does not depend on it.",
+        help="Number of threads, 0 (default) for all cores. It does not change the result.",
     )(command)
 
 
 def device_option(what: str) -> Callable[[Command], Command]:
-    """Add ``--device``; `what` begins its help text. Without the device, the command ends here."""
+    """Return the option ``--device``; `what` begins its help. A missing device ends the command."""
 
-    def there(context: click.Context, parameter: click.Parameter, device: str) -> str:
+    def require_device(context: click.Context, parameter: click.Parameter, device: str) -> str:
         if device == "cuda":
             cuda_device()
         return device
@@ -75,9 +75,9 @@ def device_option(what: str) -> Callable[[Command], Command]:
         type=click.Choice(DEVICES),
         default=DEVICES[0],
         show_default=True,
-        callback=there,
-        help=f"{what} cuda takes a CUDA device and the extra train (gsplat); results differ by "
-        "rounding, from run to run too.",
+        callback=require_device,
+        help=f"{what} cuda needs a CUDA device and the extra train (gsplat); results differ by "
+        "rounding, also between runs.",
     )
 
 
@@ -86,31 +86,31 @@ def scheduler_option(command: Command) -> Command:
     return click.option(
         "--scheduler",
         metavar="ADDRESS|local",
-        help="Have the workers of this Dask scheduler do the work, such as tcp://10.0.0.1:8786; "
-        "local starts --threads processes here. The result does not depend on it.",
+        help="Dask scheduler whose workers do the work, such as tcp://10.0.0.1:8786; local starts "
+        "--threads processes on this machine. It does not change the result.",
     )(command)
 
 
 def cameras_option(without: str) -> Callable[[Command], Command]:
-    """Add ``--cameras``; `without` is the help text on what happens without it."""
+    """Return the option ``--cameras``; `without` ends its help, on what happens without it."""
     return click.option(
         "--cameras",
         type=PATH,
         metavar="PATH",
-        help="A cameras.json or transforms.json, a COLMAP folder, or a .cogs that cameras were "
-        f"stored in. {without}",
+        help="Cameras: a cameras.json or transforms.json, a COLMAP folder, or a .cogs with stored "
+        f"cameras. {without}",
     )
 
 
-def eval_every_option(default: int, verb: str) -> Callable[[Command], Command]:
-    """Add ``--eval-every``; `verb` begins its help text."""
+def eval_every_option(default: int, use: str) -> Callable[[Command], Command]:
+    """Return the option ``--eval-every``; `use` ends its help, on what held-out cameras are for."""
     return click.option(
         "--eval-every",
         type=click.IntRange(min=0),
         default=default,
         metavar="N",
         show_default=True,
-        help=f"{verb} cameras with index % N == 0.",
+        help=f"Hold out every N-th camera, from the first: {use}",
     )
 
 
@@ -121,8 +121,8 @@ def ssim_border_option(command: Command) -> Command:
         type=click.Choice(SSIM_BORDERS),
         default=SSIM_BORDERS[0],
         show_default=True,
-        help="SSIM over the pixels whose window lies inside the picture (Wang et al. 2004), or "
-        "over all, padded with zeros, as 3DGS measures it.",
+        help="Pixels that SSIM counts: those whose window lies inside the picture (Wang et al. "
+        "2004), or all, padded with zeros (3DGS).",
     )(command)
 
 
@@ -134,12 +134,12 @@ def background_option(command: Command) -> Command:
         default="black",
         show_default=True,
         metavar="R,G,B",
-        help="Colour behind the splats, each 0 to 1; black and white are known.",
+        help="Colour behind the splats, components 0 to 1; or black or white.",
     )(command)
 
 
 def quality_option(what: str) -> Callable[[Command], Command]:
-    """Add ``--quality``; `what` is the help text."""
+    """Return the option ``--quality``; `what` is its help."""
     return click.option(
         "--quality",
         type=click.FloatRange(MIN_QUALITY_DB, MAX_QUALITY_DB),
@@ -151,7 +151,7 @@ def quality_option(what: str) -> Callable[[Command], Command]:
 
 
 def target_psnr_option(what: str) -> Callable[[Command], Command]:
-    """Add ``--target-psnr``; `what` is the help text."""
+    """Return the option ``--target-psnr``; `what` is its help."""
     return click.option(
         "--target-psnr",
         type=click.FloatRange(MIN_PSNR_DB, MAX_QUALITY_DB),
@@ -160,14 +160,14 @@ def target_psnr_option(what: str) -> Callable[[Command], Command]:
     )
 
 
-def taught_by_option(command: Command) -> Command:
+def training_images_option(command: Command) -> Command:
     """Add ``--images`` of commands that train."""
     return click.option(
         "--images",
         type=PATH,
         metavar="DIR",
-        help="Photos named as the cameras are: train against them. Without it the renders of "
-        "SCENE teach.",
+        help="Folder of photos named like the cameras: the ground truth of training. Without it, "
+        "renders of SCENE are.",
     )(command)
 
 
@@ -179,7 +179,7 @@ def training_seed_option(command: Command) -> Command:
         default=0,
         show_default=True,
         metavar="N",
-        help="Decides in which order the views teach.",
+        help="Seed of the order of the training views.",
     )(command)
 
 
@@ -199,17 +199,17 @@ def jitter_option(command: Command) -> Command:
     return click.option(
         "--no-jitter",
         is_flag=True,
-        help="Score the cameras as they are, without copies that step back and turn.",
+        help="Score the given cameras only, without copies moved back and turned.",
     )(command)
 
 
 def top_k_option(default: int | None) -> Callable[[Command], Command]:
-    """Return what adds ``--top-k``.
+    """Return the option ``--top-k``.
 
     Parameters
     ----------
     default : int or None
-        None where all weights of at least `contribution.LEAST_WEIGHT` count without it.
+        Weights per pixel; None for all weights of at least `contribution.LEAST_WEIGHT`.
     """
     return click.option(
         "--top-k",
@@ -217,7 +217,7 @@ def top_k_option(default: int | None) -> Callable[[Command], Command]:
         default=default,
         show_default="all of at least 0.01" if default is None else True,
         metavar="K",
-        help="Weights that count in a pixel, the largest ones; 0 for all.",
+        help="Count the K largest weights of each pixel, 0 for all.",
     )
 
 
@@ -226,12 +226,13 @@ def compensate_option(command: Command) -> Command:
     return click.option(
         "--compensate",
         is_flag=True,
-        help="Make up for chunks that are not there: larger, more opaque splats, as the file says.",
+        help="Apply prefix compensation: enlarge splats and raise opacities in place of missing "
+        "chunks.",
     )(command)
 
 
 def part_options(command: Command) -> Command:
-    """Add ``--chunks --splats --bytes --object --sh``, which select a part of a COGS file."""
+    """Add ``--chunks --splats --bytes --object --sh``, which select a part of a scene."""
     options = [
         click.option(
             "--chunks", type=chunk_range, metavar="A:B", help="Chunks A to B-1 of a COGS file."
@@ -241,28 +242,28 @@ def part_options(command: Command) -> Command:
             "least_splats",
             type=click.IntRange(min=0),
             metavar="N",
-            help="Whole chunks until there are at least N splats.",
+            help="The first chunks that hold at least N splats.",
         ),
         click.option(
             "--bytes",
             "size",
             type=byte_count,
             metavar="N|P%",
-            help="What is complete in the first bytes: 65536, 64KiB, 1.5MB or 20%.",
+            help="The chunks that are complete in the first bytes: 65536, 64KiB, 1.5MB or 20%.",
         ),
         click.option(
             "--object",
             "objects",
             type=object_labels,
             metavar="N,…",
-            help="Chunks of these objects alone; 0 is what belongs to none.",
+            help="Chunks of these objects; 0 for splats of no object.",
         ),
         click.option(
             "--sh",
             "sh_degree",
             type=click.IntRange(0, MAX_SH_DEGREE),
             metavar="0..3",
-            help="Highest SH degree.",
+            help="SH degree to read, at most the degree of the scene.",
         ),
     ]
     for option in reversed(options):

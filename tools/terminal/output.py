@@ -22,14 +22,14 @@ from .standard_streams import hold_back, is_output_taken, with_streams_named
 Json = Mapping[str, object]
 
 WARNINGS: Final = "cogsplat.warnings"
-"""Where a click context keeps the warnings of a command, for its JSON object."""
+"""Key of a click context under which the warnings of a command wait for its JSON object."""
 
 _LABEL_WIDTH: Final = 10
 _TABLE_WIDTH: Final = 200
 
 
 def say(text: str) -> None:
-    """Print a line to standard output, or to standard error where the former is for a file.
+    """Print a line to standard output, or to standard error if a file goes to standard output.
 
     Control characters, and characters that the encoding lacks, are escaped.
     """
@@ -37,11 +37,12 @@ def say(text: str) -> None:
 
 
 def note(text: str) -> None:
-    """Print a line to standard error, as `say` does."""
+    """Print a line to standard error, escaped as by `say`."""
     _print(printable(with_streams_named(text)), to_error=True)
 
 
 def _print(text: str, *, to_error: bool | None = None) -> None:
+    """Print a line; None chooses standard error if a file goes to standard output."""
     to_error = is_output_taken() if to_error is None else to_error
     stream = sys.stderr if to_error else sys.stdout
     encoding = getattr(stream, "encoding", None) or "utf-8"
@@ -49,36 +50,36 @@ def _print(text: str, *, to_error: bool | None = None) -> None:
 
 
 def say_json(value: Json) -> None:
-    """Print one JSON object, with the command's warnings where there are any.
+    """Print one JSON object, with the warnings of the command under ``warnings``.
 
-    Where the command writes into an object store, it is printed once that has taken everything.
+    A command that writes to an object store prints it after the upload.
     """
     context = click.get_current_context(silent=True)
-    told = context.meta.get(WARNINGS) if context else None
-    whole = {**value, "warnings": told} if told else value
+    texts = context.meta.get(WARNINGS) if context else None
+    whole = {**value, "warnings": texts} if texts else value
     text = json.dumps(whole, indent=2, allow_nan=False)
     if not hold_back(text):
         click.echo(text)
 
 
 def facts(*rows: tuple[str, str]) -> None:
-    """Print labelled lines; those with an empty value are left out."""
+    """Print lines of a label and a text; lines with an empty text are left out."""
     for label, text in rows:
         if text:
             say(f"  {label:<{_LABEL_WIDTH}} {text}")
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> None:
-    """Print rows in columns, numbers flush right.
+    """Print a table.
 
     Parameters
     ----------
     columns : sequence of str
         Headings.
     rows : sequence of sequence of str
-        Cells.
+        Texts of the cells.
     left : int
-        So many columns, counted from the first, are flush left.
+        Number of leading columns aligned left; the others are aligned right.
     """
     grid = Table(box=None, pad_edge=False, padding=(0, 1, 0, 1), header_style="dim")
     for index, column in enumerate(columns):
@@ -86,17 +87,17 @@ def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 
     for row in rows:
         grid.add_row(*(Text(printable(cell)) for cell in row))
     terminal = sys.stdout is not None and sys.stdout.isatty()
-    # Into a string, so that all output goes through one place and meets a closed pipe there.
+    # Into a string, because `_print` alone handles a closed pipe.
     page = io.StringIO()
-    # Wider than any table here: a narrow terminal wraps lines, which loses no digit.
+    # Wider than any table, so that a narrow terminal wraps lines and loses no digit.
     Console(file=page, force_terminal=terminal, width=_TABLE_WIDTH, highlight=False).print(grid)
     for line in page.getvalue().splitlines():
-        # The escapes in it are our own.
+        # Cells are escaped already; the colours of the headings must stay.
         _print(f" {line.rstrip()}")
 
 
 def size_text(size_bytes: int) -> str:
-    """Return a byte count as text: 812 B, 64.0 KiB, 1.31 MiB."""
+    """Return a byte count as text, such as 812 B, 64.0 KiB or 1.31 MiB."""
     if size_bytes < 1 << 10:
         return f"{size_bytes} B"
     for unit, scale in (("KiB", 1 << 10), ("MiB", 1 << 20)):
@@ -106,25 +107,26 @@ def size_text(size_bytes: int) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """Return a number with its noun: ``1 chunk``, ``12,000 splats``."""
+    """Return a count with its noun, such as ``1 chunk`` or ``12,000 splats``."""
     return f"{count:,} {noun}" + ("" if count == 1 else "s")
 
 
 def title_of(path: Path, *, in_folder: bool = False) -> str:
-    """Return what pages and charts call a file: its name, or that of the stream it stands for.
+    """Return the title of a file in pages and charts: its name, or the name of its stream.
 
     Parameters
     ----------
     path : Path
+        A file, or the temporary file of a stream.
     in_folder : bool
-        Whether the name of its folder comes before its own.
+        Whether the name of the folder precedes the name of the file.
     """
-    named = name_of(path)
-    if named != os.fspath(path):
-        return named
+    shown = name_of(path)
+    if shown != os.fspath(path):
+        return shown
     return f"{path.absolute().parent.name}/{path.name}" if in_folder else path.name
 
 
 def name_of(path: Path) -> str:
-    """Return a path as the user gave it, or the name of the stream that it stands for."""
+    """Return a path as the user gave it: the path itself, a URL, or the name of a stream."""
     return with_streams_named(os.fspath(path))

@@ -1,4 +1,4 @@
-"""Names of outputs: one that says another format than what is written is refused."""
+"""Names of output files: their formats, and refusal of a name of another format."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ PNG: Final = (".png",)
 NPY: Final = (".npy",)
 HTML: Final = (".html", ".htm")
 
-# Extensions that mean something else to other programs; a name with none of them says nothing.
+# Extensions of other kinds of files. A name with no known extension is accepted for any format.
 _DOCUMENTS: Final = (
     *(".jpg", ".jpeg", ".webp", ".gif", ".bmp", ".tif", ".tiff", ".exr", ".svg", ".pdf", ".mp4"),
     *(".json", ".csv", ".txt", ".md", ".npz", ".zip", ".gz", ".rad", ".usd", ".usda", ".usdz"),
 )
-_MEANINGFUL: Final = (
+_KNOWN: Final = (
     *COGS,
     *PNG,
     *NPY,
@@ -35,23 +35,23 @@ _MEANINGFUL: Final = (
 )
 
 
-def format_option(names: Sequence[str], what: str) -> Callable[[Command], Command]:
-    """Add ``--format``; `what` says what the name of the output decides without it."""
+def format_option(names: Sequence[str], without: str) -> Callable[[Command], Command]:
+    """Return the option ``--format``; `without` ends its help, on what happens without it."""
     return click.option(
         "--format",
         "format_name",
         type=click.Choice(tuple(names)),
-        help=f"Write this format whatever the output is called. {what}",
+        help=f"Format of the output. {without}",
     )
 
 
 def scene_format(path: Path, format_name: str | None) -> Format:
-    """Return the foreign format to write, by the name given or else by the output's extension.
+    """Return the format to write, other than COGS: by `format_name`, else by the extension.
 
     Raises
     ------
     click.UsageError
-        There is none of that name or extension, or it is not written.
+        The name or extension is unknown, or the format is only read.
     """
     try:
         return format_to_write(path, format_name)
@@ -60,12 +60,12 @@ def scene_format(path: Path, format_name: str | None) -> Format:
 
 
 def written_bytes(path: Path, format_: Format) -> int:
-    """Return the bytes of a foreign scene just written, files beside `path` included.
+    """Return the size in bytes of a scene that was written, with the files it refers to.
 
     Raises
     ------
     StorageError
-        They cannot be looked at.
+        A file cannot be examined.
     """
     total = 0
     for part in format_.files(path) if format_.files else [path]:
@@ -82,33 +82,38 @@ def check_name(path: Path, extensions: Sequence[str], *, insisted: bool = False)
     path : Path
         The output.
     extensions : sequence of str
-        Of the format, in lower case with their dots.
+        Extensions of the format, in lower case with their dots.
     insisted : bool
-        Whether the user named the format, too.
+        Whether the user named the format as well, which accepts any name.
 
     Raises
     ------
     click.UsageError
-        It does; a name that says nothing is taken.
+        The extension belongs to another format.
     """
     name = path.name.lower()
     if insisted or name.endswith(tuple(extensions)):
         return
-    said = [extension for extension in _MEANINGFUL if name.endswith(extension)]
-    if said:
+    found = [extension for extension in _KNOWN if name.endswith(extension)]
+    if found:
         raise click.UsageError(
-            f"{path}: its name says {max(said, key=len)}, expected a name that ends in "
+            f"{path}: the name ends in {max(found, key=len)}, expected a name that ends in "
             f"{' or '.join(extensions)}"
         )
 
 
 def check_distinct(*paths: Path | None) -> None:
-    """Refuse outputs of one command that are one file, links followed.
+    """Refuse two outputs of one command that are the same file, links followed.
+
+    Parameters
+    ----------
+    *paths : Path or None
+        Outputs; None for an output that is not written.
 
     Raises
     ------
     click.UsageError
-        Two are; None stands for an output that is not asked for.
+        Two paths name one file.
     """
     seen: dict[str, Path] = {}
     for path in paths:
@@ -116,4 +121,4 @@ def check_distinct(*paths: Path | None) -> None:
             continue
         other = seen.setdefault(os.path.realpath(path), path)
         if other is not path:
-            raise click.UsageError(f"{path}: is {other}, another output, expected two files")
+            raise click.UsageError(f"{path}: is the output {other} as well, expected two files")

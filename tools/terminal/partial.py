@@ -1,4 +1,4 @@
-"""``--partial``: take a COGS file that has not arrived whole, for every command that reads one."""
+"""``--partial``: accept a truncated COGS file, for every command that reads one."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ def partial_option(command: Command) -> Command:
         is_flag=True,
         callback=_keep,
         expose_value=False,
-        help="Take a COGS file of which only the first bytes are there, as while it is being "
-        "downloaded: the chunks that are complete.",
+        help="Accept a COGS file of which only the first bytes are there, and read its complete "
+        "chunks.",
     )(command)
 
 
 def partial_accepted() -> bool:
-    """Whether the running command was told to take files that have not arrived whole."""
+    """Whether the running command accepts truncated files."""
     context = click.get_current_context(silent=True)
     return bool(context and context.meta.get(_KEY))
 
 
 def _keep(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+    """Store the flag with the running command."""
     context.meta[_KEY] = value

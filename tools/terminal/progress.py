@@ -25,14 +25,15 @@ from rich.progress import (
 
 from cogsplat.codec.progress import OverallProgress, StageCost, TimedProgress
 
-# Logs stay readable: a stage writes no more often than this, seconds.
+# Least time between two lines of one stage in a log, s.
 _LINE_EVERY: Final = 2.0
 
-# The one task that stands for the whole work.
+# Description of the task that stands for the whole work.
 _WHOLE: Final = ""
 
 
 def _columns(steps: ProgressColumn) -> tuple[ProgressColumn, ...]:
+    """Return the columns of a bar; `steps` is the last one."""
     return (
         TextColumn("  {task.description:<15}"),
         BarColumn(),
@@ -47,14 +48,13 @@ def _columns(steps: ProgressColumn) -> tuple[ProgressColumn, ...]:
 class Stages(TimedProgress):
     """A `codec.progress.Progress` that prints: bars on a terminal, plain lines elsewhere.
 
-    A context manager, which times the stages as `TimedProgress` says. Each stage has a bar of its
-    own until `plan` says what all of them cost; then one bar, which names the stage, shows the
-    percentage of the whole work and the time that is left of it.
+    A context manager that times the stages (`TimedProgress`). Each stage has its own bar. After
+    `plan`, one bar shows the current stage, the share of the whole work and the remaining time.
 
     Parameters
     ----------
     shown : bool
-        Whether anything is written, always to standard error.
+        Whether progress is printed, to standard error.
     """
 
     def __init__(self, *, shown: bool = True) -> None:
@@ -77,7 +77,7 @@ class Stages(TimedProgress):
         return self
 
     def plan(self, costs: Sequence[StageCost]) -> None:
-        """Show one bar for all that is left to do, with what its stages are expected to cost."""
+        """Show one bar for the remaining work, given the expected costs of its stages."""
         self._whole = OverallProgress(costs)
         if self._bars:
             for task in self._tasks.values():
@@ -96,7 +96,7 @@ class Stages(TimedProgress):
             self._bars.stop()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """Report that `done` of `total` steps of a stage are through."""
+        """Report that `done` of `total` steps of a stage are finished."""
         super().__call__(stage, done, total)
         if self._whole:
             self._whole(stage, done, total)
@@ -113,7 +113,8 @@ class Stages(TimedProgress):
             self._write_line(stage, done, total)
 
     def _write_line(self, stage: str, done: int, total: int) -> None:
-        # One step tells nothing while it goes on, and is in the summary when it is over.
+        """Print a line about a stage, at most one in `_LINE_EVERY` seconds."""
+        # A stage of one step has no progress to print; its time is in the summary.
         if total <= 1:
             return
         now = time.monotonic()
@@ -125,34 +126,35 @@ class Stages(TimedProgress):
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Report the block as a stage of one step."""
+        """Report the code block as a stage of one step."""
         self(name, 0, 1)
         yield
         self(name, 1, 1)
 
     @property
     def share(self) -> float | None:
-        """Share of the whole work that is done; None until `plan` has said what that is."""
+        """Share of the whole work that is finished, 0 to 1; None before `plan`."""
         return None if self._whole is None else self._whole.share
 
     @property
     def total_seconds(self) -> float:
-        """Time of all stages."""
+        """Seconds of all stages together."""
         return sum(self.seconds.values())
 
     def line(self) -> str:
-        """Say how long it took, stage by stage, those above a twentieth of a second."""
+        """Return the total seconds as text, and the seconds of each stage above 0.05 s."""
         parts = [f"{name} {spent:.1f}" for name, spent in self.seconds.items() if spent >= 0.05]
         return f"{self.total_seconds:.1f} s" + (f": {', '.join(parts)}" if parts else "")
 
     def rounded(self) -> dict[str, float]:
-        """Return the seconds of each stage, to milliseconds, as JSON output holds them."""
+        """Return the seconds of each stage, rounded to milliseconds, for JSON output."""
         return _rounded(self.seconds)
 
     def cpu_rounded(self) -> dict[str, float]:
-        """Return the processor seconds of each stage in the same way."""
+        """Return the processor seconds of each stage, rounded to milliseconds."""
         return _rounded(self.cpu_seconds)
 
 
 def _rounded(seconds: Mapping[str, float]) -> dict[str, float]:
+    """Return seconds rounded to milliseconds."""
     return {name: round(spent, 3) for name, spent in seconds.items()}

@@ -1,4 +1,4 @@
-"""Options of commands that write a scene: what of it, and those that one format alone knows."""
+"""Options of commands that write a scene: format, extra attributes, and details of formats."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ Command = TypeVar("Command", bound=Callable[..., object])
 
 @dataclass(frozen=True)
 class SceneWriting:
-    """How a scene is written.
+    """Values of the options of `writing_options`.
 
     Parameters
     ----------
     format_name : str or None
-        As ``--format`` names it; None where the name of the output says which.
+        Value of ``--format``; None to choose by the extension of the output.
     absolute : bool
-        For PLY: centres as doubles, the origin added.
+        Whether a PLY holds centres as doubles with the scene's origin added.
     spz_precision : str or None
-        For SPZ: one of `PRECISIONS`; None where nothing was asked for.
+        One of `PRECISIONS` for an SPZ; None for the default.
     spz_version : int or None
-        For SPZ: one of `VERSIONS`; None where nothing was asked for.
+        One of `VERSIONS` for an SPZ; None for the default.
     extras : bool
-        Whether attributes are written that nothing draws.
+        Whether attributes without effect on the picture are written.
     """
 
     format_name: str | None = None
@@ -43,13 +43,12 @@ class SceneWriting:
     extras: bool = True
 
     def require(self, out: Path, name: str) -> None:
-        """Refuse what the format to be written does not know.
+        """Refuse options of another format than the one to be written, `name`.
 
         Raises
         ------
         click.UsageError
-            ``--absolute`` and `name` is not PLY, which alone holds doubles; ``--spz-precision`` or
-            ``--spz-version`` and `name` is not SPZ.
+            ``--absolute`` without PLY, or ``--spz-precision`` or ``--spz-version`` without SPZ.
         """
         if self.absolute and name != "ply":
             raise click.UsageError(f"--absolute with {out} as {name}, expected a PLY")
@@ -64,21 +63,21 @@ def no_extras_option(command: Command) -> Command:
     return click.option(
         "--no-extras",
         is_flag=True,
-        help="Leave out what the splats carry beside what is drawn: labels, normals and so on.",
+        help="Leave out attributes that do not affect the picture, such as labels and normals.",
     )(command)
 
 
 def writing_options(
-    names: Sequence[str], what: str
+    names: Sequence[str], without: str
 ) -> Callable[[Callable[..., object]], Callable[..., object]]:
-    """Add ``--format``, ``--no-extras`` and what one format knows, given as `writing`.
+    """Return the options ``--format --no-extras --absolute --spz-…``, passed on as ``writing``.
 
     Parameters
     ----------
     names : sequence of str
-        Formats that ``--format`` may name.
-    what : str
-        What the name of the output decides without it.
+        Values of ``--format``.
+    without : str
+        End of the help of ``--format``, on what happens without it.
     """
 
     def decorate(command: Callable[..., object]) -> Callable[..., object]:
@@ -97,24 +96,24 @@ def writing_options(
             return command(writing=chosen, **others)
 
         options = [
-            format_option(names, what),
+            format_option(names, without),
             click.option(
                 "--absolute",
                 is_flag=True,
-                help="For a PLY: centres as doubles in world coordinates, the scene's origin "
-                "added.",
+                help="For a PLY: store centres as doubles in world coordinates, the scene's "
+                "origin added.",
             ),
             click.option(
                 "--spz-precision",
                 type=click.Choice(PRECISIONS),
-                help="For an SPZ: fine (default) stores the centres of small scenes in finer steps "
-                "than other programs do; usual stores them in the same, for a smaller file.",
+                help="For an SPZ: steps of the centres in small scenes. fine (default) is finer "
+                "than in other programs; usual is as in other programs, for a smaller file.",
             ),
             click.option(
                 "--spz-version",
                 type=click.Choice([str(version) for version in VERSIONS]),
-                help="For an SPZ: 4 (default), or 3 or 2 for programs that read no newer ones. "
-                "Version 2 stores rotations more coarsely.",
+                help="For an SPZ: format version. 4 is the default; older programs need 3 or 2, "
+                "and 2 stores rotations more coarsely.",
             ),
             no_extras_option,
         ]

@@ -1,7 +1,7 @@
-"""``-`` in place of a file: a scene from standard input, a result to standard output.
+"""Standard input and output, and URLs, in place of files on the command line.
 
-Readers ask for any part of a file at any time and writers give a file its name when it is complete,
-so that both streams go through a temporary folder. Messages speak of the streams, not of it.
+Readers need any part of a file at any time, and writers rename a complete file. Streams and
+fetched files therefore lie in a temporary folder. Messages name the stream or the URL instead.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from cogsplat.formats.network.urls import HTTP_SCHEMES, is_url, redacted, scheme
 from .progress import Stages
 
 STREAM: Final = "-"
-"""What stands for a stream in place of a path."""
+"""The argument for standard input or output."""
 
 AS_JSON: Final = "cogsplat.json"
-"""Where a click context keeps whether ``--json`` was given."""
+"""Key of a click context under which the flag ``--json`` is kept."""
 
 _KEY: Final = "cogsplat.streams"
 
-# Of the name of a URL's file, so many characters: what a file system takes in any case.
+# Characters of a file's name that are kept of a URL; every file system accepts this length.
 _LONGEST_NAME: Final = 64
 
 _INPUT: Final = "standard input"
@@ -40,15 +40,15 @@ _OUTPUT: Final = "standard output"
 
 
 class InputPath(click.Path):
-    """A file to read; ``-`` is what arrives on standard input, which is read to its end.
+    """Parameter type of a file to read, of standard input as ``-``, or of a URL.
 
-    A URL stands for a file as well, which is fetched; how far that is, is shown unless ``--quiet``
-    or ``--json`` is given.
+    Standard input is read to its end and a URL is fetched, with progress unless ``--quiet`` or
+    ``--json`` is given.
 
     Parameters
     ----------
     by_ranges : bool
-        Whether the command reads what it needs of a URL itself, through `url_of`.
+        Whether the command itself reads ranges of a URL, through `url_of`.
     """
 
     def __init__(self, *, by_ranges: bool = False) -> None:
@@ -61,7 +61,7 @@ class InputPath(click.Path):
         param: click.Parameter | None,
         ctx: click.Context | None,
     ) -> Path:
-        """Return the path, that of a temporary file for ``-`` and for a URL."""
+        """Return the path of the file, a temporary one for ``-`` and for a URL."""
         streams = _streams(ctx)
         if streams is not None and ctx is not None and is_url(value):
             quiet = bool(ctx.params.get("quiet") or ctx.meta.get(AS_JSON))
@@ -72,10 +72,9 @@ class InputPath(click.Path):
 
 
 class NamedPath(click.Path):
-    """A file or folder that no stream can stand for; ``-`` is refused.
+    """Parameter type of a file or folder; ``-`` is refused.
 
-    Whether it exists is asked when it is opened, so that its absence is an error of input (exit
-    code 4) and not of usage.
+    Its absence is found when it is opened, and is then an error of input (exit code 4).
     """
 
     def convert(
@@ -84,17 +83,17 @@ class NamedPath(click.Path):
         param: click.Parameter | None,
         ctx: click.Context | None,
     ) -> Path:
-        """Return the path.
+        """Return the path of the file or folder.
 
         Raises
         ------
         click.BadParameter
-            It is ``-``.
+            The argument is ``-``.
         """
         if os.fspath(value) == STREAM:
             self.fail(
-                f"{STREAM} for a stream, expected the name of a file or folder: {STREAM} stands "
-                f"only for a scene to read and for the result (./{STREAM} is a file of that name)",
+                f"{STREAM} for a stream, expected the name of a file or folder: {STREAM} is only "
+                f"for the scene and the result (./{STREAM} is a file of that name)",
                 param,
                 ctx,
             )
@@ -102,15 +101,15 @@ class NamedPath(click.Path):
 
 
 class OutputPath(click.Path):
-    """A file to write; with ``-`` it goes to standard output once it is complete.
+    """Parameter type of a file to write, of standard output as ``-``, or of an object's URL.
 
-    The address of an object in a store stands for a file as well, which is sent there once the
-    command is done, with all files that were written beside it.
+    A complete file is copied to standard output, or to the object store with all files of its
+    folder.
 
     Parameters
     ----------
     suffix : str
-        Of the file that stands for standard output; it says a format where none is named.
+        Extension of the temporary file for standard output, which names its format.
     """
 
     def __init__(self, suffix: str = "") -> None:
@@ -123,12 +122,12 @@ class OutputPath(click.Path):
         param: click.Parameter | None,
         ctx: click.Context | None,
     ) -> Path:
-        """Return the path, that of a temporary file for ``-`` and for an object."""
+        """Return the path of the file, a temporary one for ``-`` and for an object."""
         streams = _streams(ctx)
         if streams is not None and ctx is not None and is_url(value):
             if scheme_of(str(value)) in HTTP_SCHEMES:
                 self.fail(
-                    f"{redacted(str(value))}: web servers take no files, expected the name of a "
+                    f"{redacted(str(value))}: web servers accept no files, expected the name of a "
                     "file, or of an object such as s3://bucket/key",
                     param,
                     ctx,
@@ -142,22 +141,22 @@ class OutputPath(click.Path):
 
 
 INPUT: Final = InputPath()
-"""The type of a scene to read."""
+"""Parameter type of a scene to read."""
 
 INPUT_BY_RANGES: Final = InputPath(by_ranges=True)
-"""The type of a scene of which a command reads what it needs, where it is on a network."""
+"""Parameter type of a scene that a command reads by ranges from a network."""
 
 PATH: Final = NamedPath(path_type=Path)
-"""The type of every other file and folder."""
+"""Parameter type of every other file and folder."""
 
 
 class StandardStreams:
-    """The streams of a command, and the files that stand for them.
+    """Temporary files of a command for its streams, fetched URLs and objects to upload.
 
     Parameters
     ----------
     folder : Path
-        Where those files lie.
+        Temporary folder that holds the files.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -173,12 +172,12 @@ class StandardStreams:
         self._ended = False
 
     def receive(self) -> Path:
-        """Read standard input to its end, into a file.
+        """Read standard input to its end; return the path of the file that holds it.
 
         Raises
         ------
         click.UsageError
-            It is a terminal, or was asked for twice.
+            Standard input is a terminal, or two arguments name it.
         """
         if self._input is not None:
             raise click.UsageError("- for two scenes, expected one on standard input")
@@ -191,30 +190,30 @@ class StandardStreams:
         return self._input
 
     def fetch(self, url: str, *, later: bool, quiet: bool = False) -> Path:
-        """Return the file that stands for a URL.
+        """Return the path of the temporary file for a URL.
 
         Parameters
         ----------
         url : str
         later : bool
-            Whether it is fetched only when `fetched` asks for it.
+            Whether the file is fetched by `fetched` only.
         quiet : bool
-            Whether nothing is written while it is fetched.
+            Whether fetching prints no progress.
 
         Raises
         ------
         CogsplatError
-            It cannot be fetched.
+            The URL cannot be fetched.
         """
-        path = self._standing_for(url, f"url{len(self._urls)}")
+        path = self._path_for(url, f"url{len(self._urls)}")
         self._urls[path] = url
         if quiet:
             self._quiet.add(path)
         return path if later else self.fetched(path)
 
-    def _standing_for(self, url: str, folder: str) -> Path:
-        """Return the path of a file in a new folder that is named as that of a URL."""
-        # Its own name, since extensions say formats.
+    def _path_for(self, url: str, folder: str) -> Path:
+        """Return the path of a file in a new folder, named like the file of a URL."""
+        # The name is kept because its extension names the format.
         name = PurePosixPath(urlsplit(url).path).name or "scene"
         (self._folder / folder).mkdir()
         path = self._folder / folder / name[-_LONGEST_NAME:]
@@ -222,23 +221,23 @@ class StandardStreams:
         return path
 
     def fetched(self, path: Path) -> Path:
-        """Return a path, of which the file is there if it stands for a URL."""
+        """Return a path after fetching its file, if it is the file of a URL."""
         if path in self._urls and not path.exists():
             with Stages(shown=path not in self._quiet) as stages:
                 download(self._urls[path], path, progress=stages)
         return path
 
     def url_of(self, path: Path) -> str | None:
-        """Return the URL that a path stands for, where the file was not fetched; None otherwise."""
+        """Return the URL of a path that is not fetched yet; None for any other path."""
         return None if path.exists() else self._urls.get(path)
 
     def promise(self, suffix: str) -> Path:
-        """Return the file to write that goes to standard output.
+        """Return the path of the temporary file that is copied to standard output.
 
         Raises
         ------
         click.UsageError
-            Standard output is a terminal, or was asked for twice.
+            Standard output is a terminal, or two arguments name it.
         """
         if self._output is not None:
             raise click.UsageError("- for two outputs, expected one on standard output")
@@ -249,53 +248,54 @@ class StandardStreams:
         return self._output
 
     def promise_object(self, url: str, *, force: bool) -> Path:
-        """Return the file to write that goes to an object store.
+        """Return the path of the temporary file that is uploaded to an object store.
 
         Parameters
         ----------
         url : str
+            Address of the object.
         force : bool
-            Whether an object that is there may be replaced.
+            Whether an existing object may be replaced.
 
         Raises
         ------
         TargetExistsError
-            There is one. Exit code 2.
+            The object exists. Exit code 2.
         CogsplatError
-            The store cannot be asked.
+            The store does not answer.
         """
         output = ObjectOutput(url)
         if not force:
-            # Before the work that would fill it.
+            # Checked before the command starts its work.
             output.require_absent()
         self._force = force
-        path = self._standing_for(url, f"object{len(self._objects)}")
+        path = self._path_for(url, f"object{len(self._objects)}")
         self._objects[path] = url
         return path
 
     @property
     def is_output_taken(self) -> bool:
-        """Whether standard output is for a file, and nothing else may be written to it."""
+        """Whether standard output is reserved for a file."""
         return self._output is not None
 
     def is_output(self, path: Path) -> bool:
-        """Whether a path stands for standard output."""
+        """Whether a path is the temporary file for standard output."""
         return path == self._output
 
     def send(self) -> None:
-        """Copy what was promised to standard output, and to object stores.
+        """Copy the temporary files to standard output and to object stores.
 
         Raises
         ------
         CogsplatError
-            A store does not take it.
+            A store refuses a file.
         """
         if self._output is not None and self._output.is_file():
             with self._output.open("rb") as file:
                 shutil.copyfileobj(file, sys.stdout.buffer)
             sys.stdout.buffer.flush()
         for path, url in self._objects.items():
-            # What the named file refers to is there before it.
+            # The files that the named file refers to are uploaded before it.
             beside = sorted(other for other in path.parent.iterdir() if other != path)
             start = url[: len(url) - len(PurePosixPath(urlsplit(url).path).name)]
             for other in beside:
@@ -305,22 +305,22 @@ class StandardStreams:
         click.echo(self._held, nl=False)
 
     def hold_back(self, line: str) -> bool:
-        """Keep a line until what the command wrote is in its store, if it is to go to one."""
+        """Keep a line until the uploads are finished; return whether there are any."""
         if self._objects and not self._ended:
             self._held += f"{line}\n"
             return True
         return False
 
     def end(self) -> None:
-        """Hold nothing back any more: what failed is told at once."""
+        """Print later lines at once, such as the error of a failed command."""
         self._ended = True
 
     def call(self, path: Path, name: str) -> None:
-        """Let a name stand for a temporary file in what is printed."""
+        """Set the name that printed texts use for a temporary file."""
         self._names[os.fspath(path)] = name
 
     def named(self, text: str) -> str:
-        """Return a text in which names stand for the temporary files that have one."""
+        """Return a text with the paths of temporary files replaced by their names."""
         for path, name in self._names.items():
             text = text.replace(path, name)
         return text
@@ -328,7 +328,7 @@ class StandardStreams:
 
 @contextmanager
 def standard_streams(ctx: click.Context) -> Iterator[None]:
-    """Let the command of a context use ``-``; what it wrote is sent when the block ends well."""
+    """Serve ``-`` and URLs to the command of a context; copy its results after the block."""
     with tempfile.TemporaryDirectory(prefix="cogsplat-") as folder:
         streams = ctx.meta[_KEY] = StandardStreams(Path(folder))
         try:
@@ -339,7 +339,7 @@ def standard_streams(ctx: click.Context) -> Iterator[None]:
 
 
 def is_standard_output(path: Path) -> bool:
-    """Whether a path of the running command stands for standard output."""
+    """Whether a path of the running command is the temporary file for standard output."""
     streams = _streams(click.get_current_context(silent=True))
     return streams is not None and streams.is_output(path)
 
@@ -351,45 +351,46 @@ def is_output_taken() -> bool:
 
 
 def url_of(path: Path) -> str | None:
-    """Return the URL that a path of the running command stands for, unless it was fetched."""
+    """Return the URL of a path that is not fetched yet; None for any other path."""
     streams = _streams(click.get_current_context(silent=True))
     return None if streams is None else streams.url_of(path)
 
 
 def fetched(path: Path) -> Path:
-    """Return a path of the running command; what it stands for is fetched where it is a URL.
+    """Return a path of the running command after fetching its file, if it is the file of a URL.
 
     Raises
     ------
     CogsplatError
-        It cannot be fetched.
+        The URL cannot be fetched.
     """
     streams = _streams(click.get_current_context(silent=True))
     return path if streams is None else streams.fetched(path)
 
 
 def hold_back(line: str) -> bool:
-    """Keep what a program will read until the running command is done, where it may still fail.
+    """Keep a line of JSON until the uploads of the running command are finished.
+
+    An upload may still fail, and only one JSON object may be printed.
 
     Returns
     -------
     bool
-        Whether the line is kept, and printed once what the command wrote is in its store. It is
-        not where nothing goes to a store.
+        True if the line is kept; False if nothing is uploaded.
     """
     streams = _streams(click.get_current_context(silent=True))
     return streams is not None and streams.hold_back(line)
 
 
 def call_file(path: Path, name: str) -> None:
-    """Let the running command say a name in place of the path of a temporary file.
+    """Set the name that texts of the running command use for a temporary file.
 
     Parameters
     ----------
     path : Path
-        Its user has not given it and cannot see it.
+        The temporary file, which the user does not know.
     name : str
-        What it holds.
+        Name of its contents.
     """
     streams = _streams(click.get_current_context(silent=True))
     if streams is not None:
@@ -397,11 +398,12 @@ def call_file(path: Path, name: str) -> None:
 
 
 def with_streams_named(text: str) -> str:
-    """Return a text of the running command in which streams and temporary files have names."""
+    """Return a text with paths of the running command's temporary files replaced by names."""
     streams = _streams(click.get_current_context(silent=True))
     return text if streams is None else streams.named(text)
 
 
 def _streams(ctx: click.Context | None) -> StandardStreams | None:
+    """Return the streams of a context, None outside `standard_streams`."""
     found = None if ctx is None else ctx.meta.get(_KEY)
     return found if isinstance(found, StandardStreams) else None

@@ -15,11 +15,11 @@ _RANGE: Final = re.compile(r"([0-9]{0,9}):([0-9]{0,9})")
 _SIZE: Final = re.compile(r"([0-9]{1,6})[x×]([0-9]{1,6})", re.IGNORECASE)
 _COLOURS: Final = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 
-# Of 2³² - 1.
+# Digits of the largest label, 2³² - 1.
 _LABEL_DIGITS: Final = 10
 
 MAX_SIDE: Final = 16384
-"""Longest side of a picture that is asked for, px."""
+"""Largest side of a rendered picture, px."""
 
 Colour = tuple[float, float, float]
 Vector = tuple[float, float, float]
@@ -28,7 +28,7 @@ Box = tuple[float, float, float, float, float, float]
 
 @dataclass(frozen=True)
 class ChunkRange:
-    """A half-open range of chunks; None leaves an end open."""
+    """A half-open range of chunk numbers; None leaves an end open."""
 
     first: int | None
     last: int | None
@@ -40,7 +40,7 @@ def object_labels(text: str) -> tuple[int, ...]:
     Raises
     ------
     click.BadParameter
-        They are none.
+        The text is no list of labels.
     """
     parts = [part.strip() for part in text.split(",")]
     if all(part.isascii() and part.isdigit() and len(part) <= _LABEL_DIGITS for part in parts):
@@ -49,12 +49,12 @@ def object_labels(text: str) -> tuple[int, ...]:
 
 
 def byte_count(text: str) -> ByteCount:
-    """Parse ``65536``, ``64KiB``, ``1.5MB`` or ``20%``.
+    """Parse a byte count or a share, such as ``65536``, ``64KiB``, ``1.5MB`` or ``20%``.
 
     Raises
     ------
     click.BadParameter
-        It is none of them.
+        The text is neither.
     """
     try:
         return parse_byte_count(text)
@@ -63,12 +63,12 @@ def byte_count(text: str) -> ByteCount:
 
 
 def number_of_bytes(text: str) -> int:
-    """Parse ``65536``, ``64KiB`` or ``1.5MB``, no share.
+    """Parse a byte count such as ``65536``, ``64KiB`` or ``1.5MB``.
 
     Raises
     ------
     click.BadParameter
-        It is none of them.
+        The text is no byte count.
     """
     try:
         return parse_bytes(text)
@@ -77,12 +77,12 @@ def number_of_bytes(text: str) -> int:
 
 
 def chunk_range(text: str) -> ChunkRange:
-    """Parse ``A:B``, half-open; either end may be left out.
+    """Parse a half-open range ``A:B``; either end may be left out.
 
     Raises
     ------
     click.BadParameter
-        It is no range.
+        The text is no range.
     """
     match = _RANGE.fullmatch(text.strip())
     if not match:
@@ -92,12 +92,12 @@ def chunk_range(text: str) -> ChunkRange:
 
 
 def colour(text: str) -> Colour:
-    """Parse ``R,G,B`` in [0, 1], ``black`` or ``white``.
+    """Parse a colour: ``R,G,B`` in [0, 1], ``black`` or ``white``.
 
     Raises
     ------
     click.BadParameter
-        It is no colour.
+        The text is no colour.
     """
     if text.strip().lower() in _COLOURS:
         return _COLOURS[text.strip().lower()]
@@ -113,12 +113,12 @@ def colour(text: str) -> Colour:
 
 
 def picture_size(text: str) -> tuple[int, int]:
-    """Parse ``WxH`` in pixels.
+    """Parse a picture size ``WxH``, px.
 
     Raises
     ------
     click.BadParameter
-        It is no size, or a side is out of range.
+        The text is no size, or a side is out of range.
     """
     match = _SIZE.fullmatch(text.strip())
     sides = (int(match[1]), int(match[2])) if match else (0, 0)
@@ -130,12 +130,12 @@ def picture_size(text: str) -> tuple[int, int]:
 
 
 def vector(text: str) -> Vector:
-    """Parse ``X,Y,Z``, three finite numbers.
+    """Parse a vector ``X,Y,Z`` of finite numbers.
 
     Raises
     ------
     click.BadParameter
-        It is none.
+        The text is no vector.
     """
     match _finite_numbers(text):
         case [x, y, z]:
@@ -145,24 +145,25 @@ def vector(text: str) -> Vector:
 
 
 def box(text: str) -> Box:
-    """Parse ``XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX``: finite, minima at most the maxima.
+    """Parse a box ``XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX`` of finite numbers, minima before maxima.
 
     Raises
     ------
     click.BadParameter
-        It is no box.
+        The text is no box.
     """
     match _finite_numbers(text):
         case [a, b, c, d, e, f] if a <= d and b <= e and c <= f:
             return a, b, c, d, e, f
         case _:
             raise click.BadParameter(
-                f"{text!r}, expected six numbers, the least three before the largest, "
+                f"{text!r}, expected six numbers, the minima before the maxima, "
                 "such as -1,-1,-1,1,1,1"
             )
 
 
 def _finite_numbers(text: str) -> list[float]:
+    """Return numbers separated by commas, nothing unless all are finite."""
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:

@@ -140,7 +140,7 @@ _GROUPS: Final = {
     "Without it, views to score in are planned, and test views are eval_cameras.json beside SCENE, "
     "else some of the planned ones."
 )
-@eval_every_option(8, "Measure in, and keep from scoring, the")
+@eval_every_option(8, "do not score in it, measure in it.")
 @orders_option
 @octree_depths_option
 @click.option(

@@ -84,7 +84,7 @@ _GROUPS: Final = {
 @order_options
 @jitter_option
 @top_k_option(20)
-@eval_every_option(0, "Keep from scoring the")
+@eval_every_option(0, "do not score in it.")
 @partial_option
 @limits_option
 @threads_option

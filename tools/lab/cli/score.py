@@ -40,7 +40,7 @@ from cogsplat.tools.workflow.inputs import given_files, read_any, scoring_camera
 @cameras_option("Without it, views are planned around the scene.")
 @jitter_option
 @top_k_option(20)
-@eval_every_option(0, "Keep from scoring the")
+@eval_every_option(0, "do not score in it.")
 @partial_option
 @limits_option
 @device_option("Where views are drawn.")
