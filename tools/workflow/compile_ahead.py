@@ -1,6 +1,6 @@
-"""Compile kernels before they are called, in several processes at once.
+"""Compile kernels before the first call, in several processes at once.
 
-numba holds the interpreter's lock while it compiles, so that threads would wait for each other.
+numba holds the interpreter's lock while it compiles, so threads would wait for each other.
 """
 
 from __future__ import annotations
@@ -18,40 +18,40 @@ from cogsplat.codec.progress import Progress, silent
 
 _PROCESS: Final = "cogsplat.tools.workflow.kernel_process"
 
-# Kernels that a further process has to spare the others before it is worth starting: it takes half
-# a second to load numba, and a kernel takes a third of one on average.
-_WORTH: Final = 4
+# Uncompiled kernels per additional process: loading numba takes half a second, compiling a kernel a
+# third of a second on average.
+_KERNELS_PER_PROCESS: Final = 4
 
-# How long this process waits for the others before it reports again, seconds.
-_WAIT: Final = 0.1
+# Interval of progress reports while other processes compile, s.
+_REPORT_SECONDS: Final = 0.1
 
 
 class CompileAhead:
-    """Compiles what the folder of machine code lacks, from entering the context on.
+    """Processes that compile the kernels missing from the folder of machine code.
 
-    A context manager. Inside, `finish` joins in and returns when all is compiled; leaving the
-    context without it ends the other processes, and what they have not compiled is compiled when
-    it is called. So is everything where no folder can be written, or no process started.
+    A context manager; the processes start on entry. `finish` compiles along and returns when all
+    kernels are compiled. Leaving the context ends the processes. A kernel that is not compiled by
+    then is compiled at its first call, as all are if no folder or process is available.
 
     Parameters
     ----------
     kernels : sequence of DeclaredKernel
-        This process compiles from the last on and the others from the first, so that kernels which
-        call the same inner ones stand best beside each other: each process that compiles one of
-        them compiles the inner ones as well.
+        Kernels to compile. This process begins with the last and the others with the first.
+        Kernels that call the same inner kernels should be neighbours, because every process
+        compiles the inner kernels anew.
     processes : int
-        At most, this one included.
+        Number of processes at most, including this one.
     """
 
     def __init__(self, kernels: Sequence[DeclaredKernel], processes: int) -> None:
         kept = [kernel for kernel in kernels if kernel.folder is not None]
         self._waiting = deque(kernel for kernel in kept if not kernel.is_cached())
         self.total = len(self._waiting)
-        """Kernels that are not there yet."""
+        """Number of kernels that were missing on entry."""
         self._done = 0
         self._lock = threading.Lock()
         self._processes: list[subprocess.Popen[str]] = []
-        helpers = min(processes - 1, self.total // _WORTH)
+        helpers = min(processes - 1, self.total // _KERNELS_PER_PROCESS)
         self._feeders = [threading.Thread(target=self._feed, daemon=True) for _ in range(helpers)]
 
     def __enter__(self) -> CompileAhead:
@@ -73,38 +73,40 @@ class CompileAhead:
             feeder.join()
 
     def finish(self, progress: Progress = silent) -> None:
-        """Compile along with the other processes until nothing is left.
+        """Compile along with the other processes until all kernels are compiled.
 
         Parameters
         ----------
         progress : Progress
-            Called with ``("compile", kernels done, kernels)`` where there are any.
+            Called with ``("compile", kernels done, kernels)`` if any kernel was missing.
         """
         while self._done < self.total:
             progress("compile", self._done, self.total)
-            kernel = self._take(last=True)
+            kernel = self._next_kernel(last=True)
             if kernel is not None:
                 kernel.compile()
-                self._done_one()
+                self._count_one()
                 continue
             for feeder in self._feeders:
-                feeder.join(_WAIT)
+                feeder.join(_REPORT_SECONDS)
         if self.total:
             progress("compile", self.total, self.total)
 
-    def _take(self, *, last: bool = False) -> DeclaredKernel | None:
+    def _next_kernel(self, *, last: bool = False) -> DeclaredKernel | None:
+        """Remove and return the first or last kernel of the queue, None if it is empty."""
         with self._lock:
             if not self._waiting:
                 return None
             return self._waiting.pop() if last else self._waiting.popleft()
 
-    def _done_one(self) -> None:
+    def _count_one(self) -> None:
+        """Count a compiled kernel."""
         with self._lock:
             self._done += 1
 
     def _feed(self) -> None:
-        """Give one process after the other kernel until none is left."""
-        # -P: what lies in the current folder is none of ours.
+        """Start a process and send it kernels one by one until the queue is empty."""
+        # -P keeps modules of the current folder from being imported.
         command = [sys.executable, "-P", "-m", _PROCESS]
         try:
             process = subprocess.Popen(
@@ -115,22 +117,22 @@ class CompileAhead:
                 text=True,
             )
         except OSError:
-            # Where the system allows no further process, this one compiles everything.
+            # Without another process, this one compiles everything.
             return
         with self._lock:
             self._processes.append(process)
         with process:
-            while (kernel := self._take()) is not None:
-                if not _compiled_by(process, kernel):
+            while (kernel := self._next_kernel()) is not None:
+                if not _compile_in(process, kernel):
                     with self._lock:
                         self._waiting.appendleft(kernel)
                     process.kill()
                     return
-                self._done_one()
+                self._count_one()
 
 
-def _compiled_by(process: subprocess.Popen[str], kernel: DeclaredKernel) -> bool:
-    """Have a process compile a kernel; return False where it ended instead."""
+def _compile_in(process: subprocess.Popen[str], kernel: DeclaredKernel) -> bool:
+    """Compile a kernel in another process; return False if that process ended."""
     if process.stdin is None or process.stdout is None:
         return False
     try:

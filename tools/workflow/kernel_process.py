@@ -1,7 +1,6 @@
-"""A process that compiles the kernels that it is told, for another one that will call them.
+"""Program that compiles kernels for another process (`compile_ahead`).
 
-It reads the name of one kernel a line, and writes the name once the kernel's machine code is on
-disk.
+It reads one kernel name a line and prints the name when the kernel's machine code is on disk.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from cogsplat.codec.compiling import kernel_by_name
 
 
 def main() -> None:
-    """Compile until standard input ends."""
+    """Compile the named kernels until standard input ends."""
     for line in sys.stdin:
         name = line.strip()
         kernel_by_name(name).compile()

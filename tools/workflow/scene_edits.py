@@ -1,4 +1,4 @@
-"""Edits of a scene before it is written: drop rows, cut SH, crop, scale, rotate, translate."""
+"""Edits of a scene: drop invalid splats, lower the SH degree, crop, scale, rotate, translate."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ _STILL: Vector = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class SceneEdits:
-    """Edits of a scene, in the order in which they are made.
+    """Edits of a scene, applied in the order of the parameters.
 
     Parameters
     ----------
     drop_invalid : bool
-        Leave out rows that cannot be drawn.
+        Whether splats with invalid values are dropped.
     sh_degree : int or None
-        Cut to this SH degree.
+        New SH degree.
     crop : Box or None
-        Keep splats whose centres lie in it, its faces included; world coordinates of the file.
+        Box of the centres that are kept, faces included; world coordinates of the file.
     scale : float
-        Positive.
+        Positive factor.
     rotate : Vector
-        Degrees about the fixed x, then y, then z axis of the scene, counterclockwise as seen from
-        the axis' tip in a right-handed frame.
+        Angles about the fixed x, then y, then z axis of the scene, degrees, counterclockwise as seen
+        from the axis' tip in a right-handed frame.
     translate : Vector
-        Scene units after scaling and rotating.
+        Shift after scaling and rotating, scene units.
     """
 
     drop_invalid: bool = False
@@ -55,19 +55,19 @@ class SceneEdits:
 
     @property
     def moves(self) -> bool:
-        """Whether the edits move splats."""
+        """Whether the edits scale, rotate or translate."""
         return (self.scale, self.rotate, self.translate) != (1.0, _STILL, _STILL)
 
     @property
     def changes(self) -> bool:
-        """Whether there is anything to edit."""
+        """Whether there is any edit."""
         return (
             self.drop_invalid or self.sh_degree is not None or self.crop is not None or self.moves
         )
 
     @property
     def rotation(self) -> F64:
-        """The rotation as a matrix, (3, 3) float64."""
+        """Rotation matrix, (3, 3) float64."""
         return _rotation(self.rotate)
 
     def apply(self, splats: Splats, where: Path) -> Splats:
@@ -76,8 +76,8 @@ class SceneEdits:
         Raises
         ------
         DataError
-            ``no-valid-rows`` or ``empty-crop``: nothing is left; ``moved-too-far``: a centre is
-            beyond float32 after it moved.
+            ``no-valid-rows`` or ``empty-crop``: no splat is left; ``moved-too-far``: a moved centre
+            exceeds float32.
         """
         if self.drop_invalid:
             splats = usable_rows(splats, where)
@@ -86,10 +86,11 @@ class SceneEdits:
         if self.crop is not None:
             splats = _cropped(splats, self.crop, where)
         if self.moves:
-            splats = self._moved(splats, where)
+            splats = self._transformed(splats, where)
         return splats
 
-    def _moved(self, splats: Splats, where: Path) -> Splats:
+    def _transformed(self, splats: Splats, where: Path) -> Splats:
+        """Return the scaled, rotated and translated scene."""
         turn = None if self.rotate == _STILL else self.rotation
         moved = transform(splats, self.scale, turn, self.translate)
         lost = np.isfinite(splats.means).all(axis=1) & ~np.isfinite(moved.means).all(axis=1)
@@ -102,7 +103,7 @@ class SceneEdits:
         return moved
 
     def camera(self, camera: Camera) -> Camera:
-        """Return the camera that sees the edited scene as `camera` sees the original."""
+        """Return the camera for the edited scene whose picture is the same as before."""
         if not self.moves:
             return camera
         turn = None if self.rotate == _STILL else self.rotation
@@ -135,34 +136,34 @@ def edit_options(command: Callable[..., object]) -> Callable[..., object]:
             "sh_degree",
             type=click.IntRange(0, MAX_SH_DEGREE),
             metavar="0..3",
-            help="Cut to this SH degree.",
+            help="Lower the SH degree to this.",
         ),
         click.option(
             "--crop",
             type=box,
             metavar="XMIN,YMIN,ZMIN,XMAX,YMAX,ZMAX",
-            help="Keep the splats centred in this box, before anything moves.",
+            help="Keep splats with centres in this box; applied before --scale.",
         ),
         click.option(
             "--scale",
             type=scale_factor,
             default="1",
             metavar="S",
-            help="Scale the scene, about the origin.",
+            help="Scale the scene about the origin.",
         ),
         click.option(
             "--rotate",
             type=vector,
             default="0,0,0",
             metavar="AX,AY,AZ",
-            help="Then rotate it: degrees about the x, then the y, then the z axis.",
+            help="Rotate the scaled scene, degrees about the x, then the y, then the z axis.",
         ),
         click.option(
             "--translate",
             type=vector,
             default="0,0,0",
             metavar="X,Y,Z",
-            help="Then move it.",
+            help="Shift the rotated scene, scene units.",
         ),
     ]
     decorated: Callable[..., object] = edited
@@ -177,7 +178,7 @@ def scale_factor(text: str) -> float:
     Raises
     ------
     click.BadParameter
-        It is none.
+        The text is no such number.
     """
     try:
         value = float(text)
@@ -189,6 +190,7 @@ def scale_factor(text: str) -> float:
 
 
 def _cropped(splats: Splats, limits: Box, where: Path) -> Splats:
+    """Return the splats with centres in a box."""
     inside = inside_box(splats, limits)
     kept = int(inside.sum())
     if not kept and len(splats):
@@ -204,7 +206,7 @@ def inside_box(splats: Splats, limits: Box) -> NDArray[np.bool_]:
     Returns
     -------
     (N,) bool
-        False for rows with NaN, which lie nowhere.
+        False for rows with NaN.
     """
     world = splats.means.astype(np.float64) + np.array(splats.info.origin)
     inside: NDArray[np.bool_] = ((world >= limits[:3]) & (world <= limits[3:])).all(axis=1)
@@ -212,9 +214,10 @@ def inside_box(splats: Splats, limits: Box) -> NDArray[np.bool_]:
 
 
 def _rotation(degrees: Vector) -> F64:
+    """Return the matrix that rotates about the x, then the y, then the z axis, (3, 3) float64."""
     turn = np.eye(3)
     for axis, angle in enumerate(degrees):
-        # Whole turns and right angles come out exact, so that they round no value.
+        # Exact for multiples of 90 degrees, so that rotated values are not rounded.
         cos, sin = (_exact(f(math.radians(math.fmod(angle, 360.0)))) for f in (math.cos, math.sin))
         one = np.eye(3)
         a, b = (axis + 1) % 3, (axis + 2) % 3
@@ -224,6 +227,6 @@ def _rotation(degrees: Vector) -> F64:
 
 
 def _exact(value: float) -> float:
-    # cos(π/2) is 6e-17 in float64.
+    """Return -1, 0 or 1 for a value within rounding of it: cos(π/2) is 6e-17 in float64."""
     whole = round(value)
     return float(whole) if abs(value - whole) < 1e-15 else value

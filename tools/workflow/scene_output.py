@@ -1,4 +1,4 @@
-"""Output of a scene in the format that its name or ``--format`` says, COGS included."""
+"""Output of a scene in any format, COGS included, chosen by file name or ``--format``."""
 
 from __future__ import annotations
 
@@ -21,22 +21,24 @@ from cogsplat.tools.terminal.scene_writing import SceneWriting
 from cogsplat.tools.terminal.standard_streams import is_standard_output
 
 COGS_NAME: Final = "cogs"
-"""What ``--format`` calls the project's own format."""
+"""Value of ``--format`` for COGS."""
 
 OUTPUT_FORMATS: Final = (COGS_NAME, *WRITABLE)
-"""Formats that commands write scenes in."""
+"""Values of ``--format``."""
 
 
 @dataclass(frozen=True)
 class WrittenScene:
-    """What a scene became on disk.
+    """A scene that was written.
 
     Parameters
     ----------
     format : str
+        Name of the format.
     size_bytes : int
+        Bytes of all files of the scene.
     splats : int
-        Encoding to COGS may prune some.
+        Splats in the file; encoding to COGS may prune some.
     """
 
     format: str
@@ -44,7 +46,7 @@ class WrittenScene:
     splats: int
 
     def report(self, out: Path) -> dict[str, object]:
-        """Return what JSON output says of the file that was written."""
+        """Return the keys of a JSON object about the written file."""
         return {
             "output": name_of(out),
             "format": self.format,
@@ -53,7 +55,7 @@ class WrittenScene:
         }
 
     def line(self, out: Path) -> str:
-        """Return what the first line of the summary says of it."""
+        """Return the first line of a summary: path, format and size."""
         return f"{out}: {self.format}, {size_text(self.size_bytes)}"
 
 
@@ -63,8 +65,7 @@ def output_format(out: Path, writing: SceneWriting) -> str:
     Raises
     ------
     click.UsageError
-        There is none of that name or extension, it is not written, or it does not know what is
-        asked of it.
+        The name or extension is unknown, the format is only read, or it lacks a chosen option.
     """
     named = writing.format_name
     if named is None and is_standard_output(out):
@@ -76,12 +77,12 @@ def output_format(out: Path, writing: SceneWriting) -> str:
 
 
 def require_cogs_for_cameras(cameras: Path | None, out: Path, name: str) -> None:
-    """Refuse cameras where nothing would use them.
+    """Refuse cameras for any other output than COGS.
 
     Raises
     ------
     click.UsageError
-        There are some, and `name` is another format than COGS.
+        There are cameras, and `name` is another format than COGS.
     """
     if cameras is not None and name != COGS_NAME:
         raise click.UsageError(f"--cameras with {out}, expected an output that ends in .cogs")
@@ -99,33 +100,33 @@ def write_any(
     writing: SceneWriting | None = None,
     by_object: bool = False,
 ) -> WrittenScene:
-    """Write a scene and say what came out.
+    """Write a scene in a format.
 
     Parameters
     ----------
     splats : Splats
     out : Path
     name : str
-        As `output_format` returns it.
+        Name of the format (`output_format`).
     force : bool
         Whether an existing file may be replaced.
     cameras : sequence of Camera or None
-        What a COGS file is scored on; without them, views are planned.
+        Cameras that a COGS file is scored in; None to plan views.
     threads : int
     stages : Stages
-        Gets the stages of encoding and of writing.
+        Receives the stages of encoding and writing.
     writing : SceneWriting, optional
-        What one format alone knows, and whether extra attributes are written.
+        Options of single formats, and whether extra attributes are written.
     by_object : bool
-        For a COGS file: whether each chunk holds splats of one object alone.
+        Whether each chunk of a COGS file holds splats of one object only.
 
     Raises
     ------
     CogsplatError
         The scene cannot be encoded or written.
     """
-    how = writing or SceneWriting()
-    if not how.extras:
+    writing = writing or SceneWriting()
+    if not writing.extras:
         splats = splats.without_extras()
     if name == COGS_NAME:
         from cogsplat.codec.encode.config import EncodeConfig
@@ -148,8 +149,8 @@ def write_any(
             out,
             force=force,
             format_name=name,
-            absolute=how.absolute,
-            spz_precision=how.spz_precision,
-            spz_version=how.spz_version,
+            absolute=writing.absolute,
+            spz_precision=writing.spz_precision,
+            spz_version=writing.spz_version,
         )
     return WrittenScene(name, written_bytes(out, scene_format(out, name)), len(splats))

@@ -1,4 +1,4 @@
-"""Checkpoints of ``cogsplat tune``: all that a run needs to go on, in one file."""
+"""Checkpoints of ``cogsplat tune``: files from which training resumes."""
 
 from __future__ import annotations
 
@@ -15,48 +15,63 @@ from cogsplat.codec.errors import DataError, FormatError
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.atomic import atomic_write, open_for_read
 
-_OF: Final = "of"
+_RUN: Final = "of"
 _ARRAYS: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
 
 
 def fingerprint(splats: Splats, settings: str) -> str:
-    """Return what tells one run from another: SHA-256 of the scene and of all its settings."""
+    """Return the identity of a run: SHA-256 of its scene and settings, in hexadecimal."""
     digest = hashlib.sha256(settings.encode())
     for name in _ARRAYS:
         digest.update(np.ascontiguousarray(getattr(splats, name)).data)
     return digest.hexdigest()
 
 
-def write_checkpoint(path: Path, of: str, state: Mapping[str, NDArray[np.generic]]) -> None:
-    """Write a state beside what it is of; the file before it stays until this one is whole."""
+def write_checkpoint(path: Path, run: str, state: Mapping[str, NDArray[np.generic]]) -> None:
+    """Write the training state of a run; an earlier file is replaced when the new one is complete.
+
+    Parameters
+    ----------
+    path : Path
+    run : str
+        Identity of the run (`fingerprint`).
+    state : mapping of str to ndarray
+        Arrays by name.
+    """
     with atomic_write(path, force=True) as file:
-        np.savez(file, **{_OF: np.array(of)}, **state)  # type: ignore[arg-type]
+        np.savez(file, **{_RUN: np.array(run)}, **state)  # type: ignore[arg-type]
 
 
-def read_checkpoint(path: Path, of: str) -> dict[str, NDArray[np.generic]]:
-    """Read the state of a run.
+def read_checkpoint(path: Path, run: str) -> dict[str, NDArray[np.generic]]:
+    """Read the training state of a run, arrays by name.
+
+    Parameters
+    ----------
+    path : Path
+    run : str
+        Identity of the run (`fingerprint`).
 
     Raises
     ------
     FormatError
-        ``bad-checkpoint``: it is no checkpoint, or not whole.
+        ``bad-checkpoint``: the file is no checkpoint, or truncated.
     DataError
-        ``other-checkpoint``: of another scene, or of other settings.
+        ``other-checkpoint``: the checkpoint belongs to another scene or other settings.
     StorageError
-        It cannot be read.
+        The file cannot be read.
     """
     with open_for_read(path) as file:
         try:
             with np.load(file, allow_pickle=False) as archive:
                 state = {name: archive[name] for name in archive.files}
-            found = str(state.pop(_OF))
+            found = str(state.pop(_RUN))
         except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise FormatError(
                 "bad-checkpoint", f"{path}: {error}, expected a checkpoint of cogsplat tune"
             ) from error
-    if found != of:
+    if found != run:
         raise DataError(
             "other-checkpoint",
-            f"{path}: of another scene or of other options, expected those of this command",
+            f"{path}: a checkpoint of another scene or other options, expected those of this command",
         )
     return state

@@ -1,4 +1,4 @@
-"""The file that a browser is given: the user's own, or one made of another format."""
+"""COGS and PLY files for the viewer, converted from scenes of other formats where needed."""
 
 from __future__ import annotations
 
@@ -21,12 +21,21 @@ from cogsplat.tools.terminal.progress import Stages
 from .inputs import read_any, usable_rows
 
 PRESET = "fast"
-"""The preset that scenes of other formats are encoded with before they are shown."""
+"""Preset for encoding scenes of other formats before they are shown."""
 
 
 @dataclass(frozen=True)
 class Viewable:
-    """A file to show, of so many splats; `encoded` where it was made for this."""
+    """A file that the viewer can show.
+
+    Parameters
+    ----------
+    path : Path
+    splats : int
+        Splats in the file.
+    encoded : bool
+        Whether the file was converted from another format and is temporary.
+    """
 
     path: Path
     splats: int
@@ -35,16 +44,16 @@ class Viewable:
 
 @contextmanager
 def viewable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
-    """Give a COGS file that holds a scene for as long as the block lasts.
+    """Provide a COGS file of a scene for the duration of the block.
 
     Parameters
     ----------
     scene : Path
-        Of any format that is read. One that is not COGS is encoded into a temporary folder, and so
-        are the complete chunks of one that has not arrived whole, where ``--partial`` takes it.
+        Scene of any format. Another format than COGS is encoded into a temporary folder. With
+        ``--partial``, so are the complete chunks of a truncated COGS file.
     threads : int
     shown : bool
-        Whether standard error says that the scene is encoded first, and how far that is.
+        Whether progress of the encode is printed to standard error.
 
     Raises
     ------
@@ -56,7 +65,7 @@ def viewable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
             yield whole
             return
     if shown:
-        why = "has not arrived whole" if is_cogs(scene) else "is no COGS file"
+        why = "is truncated" if is_cogs(scene) else "is no COGS file"
         note(f"{scene} {why}: encoding it first, preset {PRESET}")
     with tempfile.TemporaryDirectory(prefix="cogsplat-") as folder:
         path = Path(folder) / SCENE_NAME
@@ -76,17 +85,17 @@ def viewable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
 
 @contextmanager
 def drawable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
-    """Give a file that the viewer draws for as long as the block lasts, without encoding anything.
+    """Provide a COGS or PLY file of a scene for the duration of the block, without encoding.
 
     Parameters
     ----------
     scene : Path
-        Of any format that is read. One that is not a whole COGS file is written as a PLY into a
-        temporary folder, in a hundredth of the time that encoding it takes: nothing is sent over
-        a network, so that its size does not matter.
+        Scene of any format. All but complete COGS files are written as PLY into a temporary
+        folder, in a hundredth of the time of an encode. The size does not matter because the file
+        stays on this machine.
     threads : int
     shown : bool
-        Whether standard error says how far that is.
+        Whether progress is printed to standard error.
 
     Raises
     ------
@@ -105,14 +114,14 @@ def drawable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
             with stages.stage("write"):
                 cogsplat.write(found, path)
         count = len(found)
-        # The arrays are as large as the file; nothing needs them while it is served.
+        # Free the arrays, which are as large as the file, while the file is served.
         del found
         yield Viewable(path, count, encoded=True)
 
 
 @contextmanager
 def _whole_cogs(scene: Path) -> Iterator[Viewable | None]:
-    """Give a COGS file that has arrived whole as it is, a folder packed; None for any other."""
+    """Provide a complete COGS file, or a COGS folder packed into a file; None for other scenes."""
     if not is_cogs(scene):
         yield None
         return
@@ -131,5 +140,6 @@ def _whole_cogs(scene: Path) -> Iterator[Viewable | None]:
 
 
 def _splats_of(path: Path) -> int:
+    """Return the number of splats in a COGS file."""
     with cogsplat.open(path) as file:
         return file.root.splats
