@@ -40,8 +40,8 @@ class SceneEdits:
     scale : float
         Positive factor.
     rotate : Vector
-        Angles about the fixed x, then y, then z axis of the scene, degrees, counterclockwise as seen
-        from the axis' tip in a right-handed frame.
+        Angles about the fixed x, then y, then z axis, degrees, counterclockwise as seen from the
+        axis' tip in a right-handed frame.
     translate : Vector
         Shift after scaling and rotating, scene units.
     """

@@ -72,6 +72,6 @@ def read_checkpoint(path: Path, run: str) -> dict[str, NDArray[np.generic]]:
     if found != run:
         raise DataError(
             "other-checkpoint",
-            f"{path}: a checkpoint of another scene or other options, expected those of this command",
+            f"{path}: of another scene or other options, expected those of this command",
         )
     return state
