@@ -176,7 +176,7 @@ def test_faults_of_the_program_are_not_dressed_up() -> None:
 
 
 def test_warnings_are_told_once_or_kept_for_json() -> None:
-    from cogsplat.tools.terminal.output import say_json
+    from cogsplat.tools.terminal.output import print_json
 
     @click.command
     @click.option("--json", "as_json", is_flag=True)
@@ -184,7 +184,7 @@ def test_warnings_are_told_once_or_kept_for_json() -> None:
         for _ in range(2):
             warnings.warn("rows are left out", CogsplatWarning, stacklevel=1)
         if as_json:
-            say_json({"splats": 3})
+            print_json({"splats": 3})
 
     group = CommandLine("cogsplat")
     group.add_command(warn)

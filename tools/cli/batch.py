@@ -28,7 +28,7 @@ from cogsplat.tools.terminal.options import (
     scheduler_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import name_of, note, say, say_json
+from cogsplat.tools.terminal.output import display_name, print_error_line, print_json, print_line
 from cogsplat.tools.terminal.standard_streams import PATH
 from cogsplat.tools.workflow.batch_manifest import BatchScene, read_manifest
 
@@ -124,7 +124,7 @@ class _Batch:
             with storage_errors(self.log), self.log.open("a", encoding="utf-8") as file:
                 file.write(f"{text}\n")
         if not self.quiet:
-            say(text)
+            print_line(text)
 
 
 @click.command(epilog="\b\nExample:\n  cogsplat batch scenes.toml --jobs 2")
@@ -188,10 +188,10 @@ def batch(
         for status in ("done", "skipped", "failed")
     }
     if as_json:
-        report = {"manifest": name_of(manifest), "log": name_of(log), "counts": counts}
-        say_json({**report, "scenes": [_brief(line) for line in lines]})
+        report = {"manifest": display_name(manifest), "log": display_name(log), "counts": counts}
+        print_json({**report, "scenes": [_brief(line) for line in lines]})
     elif not quiet:
-        note(", ".join(f"{count} {status}" for status, count in counts.items()))
+        print_error_line(", ".join(f"{count} {status}" for status, count in counts.items()))
     if counts["failed"]:
         click.get_current_context().exit(_SOME_FAILED)
 

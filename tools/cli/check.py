@@ -20,7 +20,13 @@ from cogsplat.tools.hosting.remedies import HOSTS, host_of, remedies
 from cogsplat.tools.hosting.rules import ERROR, NOTE, SEVERITIES, WARNING, HostFinding
 from cogsplat.tools.terminal.limits import current_limits, limits_option
 from cogsplat.tools.terminal.options import json_option, quiet_option
-from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json
+from cogsplat.tools.terminal.output import (
+    count_text,
+    display_name,
+    print_facts,
+    print_json,
+    print_line,
+)
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT
@@ -121,9 +127,9 @@ def _check_file(path: Path, *, quiet: bool, as_json: bool) -> bool:
     """Print the rules that a file or folder breaks; return whether there are any."""
     with Stages(shown=not (quiet or as_json)) as stages:
         found = _file_findings(path, stages)
-    name = name_of(path)
+    name = display_name(path)
     if as_json:
-        say_json({"source": name, "valid": not found, **_findings_report(found)})
+        print_json({"source": name, "valid": not found, **_findings_report(found)})
     else:
         _print_findings(found, name, quiet=quiet)
     return bool(found)
@@ -166,7 +172,7 @@ def _check_host(
         found = examine(url, content=not headers_only, limits=current_limits(), progress=stages)
     changes = _changes(found, hosts)
     if as_json:
-        say_json(_host_report(found, changes))
+        print_json(_host_report(found, changes))
     else:
         _print_host(found, changes, quiet=quiet)
     failing = (ERROR, WARNING) if strict else (ERROR,)
@@ -210,9 +216,9 @@ def _findings_report(found: list[Finding]) -> dict[str, object]:
 def _print_host(found: Diagnosis, changes: dict[str, dict[str, str]], *, quiet: bool) -> None:
     """Print what a host answers, what is wrong with that, and the findings in the scene."""
     if not quiet:
-        say(f"{found.url}: {'a folder' if found.folder else 'a file'}")
+        print_line(f"{found.url}: {'a folder' if found.folder else 'a file'}")
         seconds = found.first_chunk_s
-        facts(
+        print_facts(
             ("server", found.server or "not named"),
             ("protocol", found.version),
             ("first byte", f"{found.first_byte_s:.3f} s"),
@@ -225,15 +231,15 @@ def _print_host(found: Diagnosis, changes: dict[str, dict[str, str]], *, quiet: 
     if found.content_read or found.content:
         _print_findings(found.content, found.url, quiet=quiet)
     elif not quiet:
-        say(f"{found.url}: the scene was not read")
+        print_line(f"{found.url}: the scene was not read")
 
 
 def _print_host_finding(finding: HostFinding, changes: dict[str, str]) -> None:
     """Print one finding about a host and what to change."""
-    say(f"{finding.severity:<8} {finding.code}")
-    say(f"    {finding.message}")
+    print_line(f"{finding.severity:<8} {finding.code}")
+    print_line(f"    {finding.message}")
     for host, change in changes.items():
-        say(f"    {HOSTS[host]}: {change}")
+        print_line(f"    {HOSTS[host]}: {change}")
 
 
 def _print_findings(found: list[Finding], name: str, *, quiet: bool) -> None:
@@ -241,10 +247,10 @@ def _print_findings(found: list[Finding], name: str, *, quiet: bool) -> None:
     for finding in found:
         where = "" if finding.offset is None else f" at byte {finding.offset:,}"
         clause = f"SPEC {finding.clause}" if finding.clause else "SPEC"
-        say(f"{ERROR:<8} {finding.code:<24} {clause:<10}{where}")
-        say(f"    {finding.message}")
+        print_line(f"{ERROR:<8} {finding.code:<24} {clause:<10}{where}")
+        print_line(f"    {finding.message}")
     if found:
-        say(f"{name}: {counted(len(found), 'finding')} in the scene")
+        print_line(f"{name}: {count_text(len(found), 'finding')} in the scene")
     elif not quiet:
         what = "the chunks that are there conform" if partial_accepted() else "conforms"
-        say(f"{name}: {what} to SPEC.md")
+        print_line(f"{name}: {what} to SPEC.md")

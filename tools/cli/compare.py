@@ -28,7 +28,14 @@ from cogsplat.tools.terminal.options import (
     ssim_border_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, table
+from cogsplat.tools.terminal.output import (
+    count_text,
+    display_name,
+    print_facts,
+    print_json,
+    print_line,
+    print_table,
+)
 from cogsplat.tools.terminal.output_names import PNG, check_name
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
@@ -38,7 +45,7 @@ from cogsplat.tools.workflow.inputs import (
     LoadedScene,
     Selection,
     evaluation_cameras,
-    given_files,
+    input_files,
     read_any,
 )
 
@@ -104,7 +111,7 @@ def compare(
 
     if difference is not None:
         check_name(difference, PNG)
-        inputs = [*given_files(reference, cameras), *given_files(other)]
+        inputs = [*input_files(reference, cameras), *input_files(other)]
         check_output(difference, force=force, inputs=inputs)
     part = Selection(chunks, least_splats, size, sh_degree, objects, compensate=compensate)
     with Stages(shown=not (quiet or as_json)) as stages:
@@ -153,7 +160,7 @@ def compare(
     }
     if as_json:
         figures = {name: {"psnr_db": p, "ssim": s} for name, (p, s) in rows.items()}
-        say_json(
+        print_json(
             {
                 "reference": _side(reference, first),
                 "other": _side(other, second),
@@ -168,35 +175,35 @@ def compare(
                     "roam": [asdict(quality) for quality in found.roaming],
                 },
                 **({} if own is None else {"by_object": [asdict(quality) for quality in own]}),
-                **({} if difference is None else {"difference": name_of(difference)}),
+                **({} if difference is None else {"difference": display_name(difference)}),
                 "seconds": stages.rounded(),
             }
         )
         return
-    say(f"{other} against {reference}")
-    facts(
+    print_line(f"{other} against {reference}")
+    print_facts(
         ("splats", f"{len(second.splats):,} against {len(first.splats):,}"),
         ("by", f"{what}, {_colour_name(background)} background"),
     )
-    say("")
+    print_line("")
     notes = [
-        counted(len(found.held_out), "view"),
+        count_text(len(found.held_out), "view"),
         found.worst.view,
-        counted(len(found.roaming), "view"),
+        count_text(len(found.roaming), "view"),
     ]
     _tell_figures(rows, notes)
     if own is not None:
-        say("")
+        print_line("")
         _tell_objects(own)
     if not quiet:
-        say("")
+        print_line("")
         drawn = "" if difference is None else f"{difference}: A, B, difference x4 in the worst view"
-        facts(("drawn", drawn), ("time", stages.line()))
+        print_facts(("drawn", drawn), ("time", stages.line()))
 
 
 def _side(path: Path, scene: LoadedScene) -> dict[str, object]:
     return {
-        "source": name_of(path),
+        "source": display_name(path),
         "splats": len(scene.splats),
         "source_splats": scene.file_splats,
         "sh_degree": scene.splats.sh_degree,
@@ -210,21 +217,21 @@ def _tell_figures(rows: dict[str, tuple[float, float]], notes: Sequence[str]) ->
         (name, note, f"{psnr_db:.2f}", f"{ssim:.4f}")
         for (name, (psnr_db, ssim)), note in zip(rows.items(), notes, strict=True)
     ]
-    table(("", "", "PSNR dB", "SSIM"), cells, left=2)
+    print_table(("", "", "PSNR dB", "SSIM"), cells, left=2)
 
 
 def _tell_objects(qualities: Sequence[ObjectQuality]) -> None:
     cells = [
         (
             str(one.object),
-            counted(one.views, "view"),
+            count_text(one.views, "view"),
             f"{one.pixels:,}",
             "" if one.psnr_db is None else f"{one.psnr_db:.2f}",
             "" if one.worst_db is None else f"{one.worst_db:.2f}",
         )
         for one in qualities
     ]
-    table(("object", "", "pixels", "PSNR dB", "worst"), cells, left=2)
+    print_table(("object", "", "pixels", "PSNR dB", "worst"), cells, left=2)
 
 
 def _draw_difference(

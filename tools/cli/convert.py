@@ -34,12 +34,19 @@ from cogsplat.tools.terminal.options import (
     quiet_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output import (
+    count_text,
+    display_name,
+    print_facts,
+    print_json,
+    print_line,
+    size_text,
+)
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
-from cogsplat.tools.workflow.inputs import LoadedScene, given_files, read_any, scoring_cameras
+from cogsplat.tools.workflow.inputs import LoadedScene, input_files, read_any, scoring_cameras
 from cogsplat.tools.workflow.scene_edits import SceneEdits, edit_options
 from cogsplat.tools.workflow.scene_output import (
     COGS_NAME,
@@ -134,7 +141,7 @@ def convert(
         and cameras is None
         and writing.extras
     )
-    inputs = given_files(source, cameras)
+    inputs = input_files(source, cameras)
     if copied and not to_folder and names_folder(source):
         inputs = folder_files(source)
     if not to_folder or out.parent.is_dir():
@@ -161,7 +168,7 @@ def convert(
                 stages=stages,
             )
     if as_json:
-        say_json({**_report(done, source, out), "seconds": stages.rounded()})
+        print_json({**_report(done, source, out), "seconds": stages.rounded()})
     elif not quiet:
         _print_summary(done, out, stages)
 
@@ -268,7 +275,7 @@ def _report(done: _Conversion, source: Path, out: Path) -> dict[str, object]:
         "source_splats": done.source_splats,
         "splats_edited_out": done.source_splats - done.edited_splats,
         "sh_degree": done.sh_degree,
-        "source": name_of(source),
+        "source": display_name(source),
         "source_bytes": done.source_bytes,
     }
     if done.unpacked is not None:
@@ -282,7 +289,7 @@ def _report(done: _Conversion, source: Path, out: Path) -> dict[str, object]:
 def _print_summary(done: _Conversion, out: Path, stages: Stages) -> None:
     """Print what was written."""
     stored, given = done.written.splats, done.source_splats
-    say(f"{done.written.line(out)}, from {size_text(done.source_bytes)}")
+    print_line(f"{done.written.line(out)}, from {size_text(done.source_bytes)}")
     count = f"{stored:,}" if stored == given else f"{stored:,} of {given:,}"
     unpacked = done.unpacked
     if unpacked is None:
@@ -290,10 +297,10 @@ def _print_summary(done: _Conversion, out: Path, stages: Stages) -> None:
         objects = ""
     else:
         objects = (
-            f"{counted(unpacked.written, 'object')} written ({size_text(unpacked.written_bytes)}), "
-            f"{unpacked.shared:,} there already"
+            f"{count_text(unpacked.written, 'object')} written, "
+            f"{size_text(unpacked.written_bytes)}; {unpacked.shared:,} there already"
         )
-    facts(
+    print_facts(
         ("splats", count),
         ("segments", objects),
         ("SH degree", str(done.sh_degree)),

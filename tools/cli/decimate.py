@@ -26,17 +26,17 @@ from cogsplat.tools.terminal.options import (
     quiet_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import facts, name_of, say, say_json
+from cogsplat.tools.terminal.output import display_name, print_facts, print_json, print_line
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.workflow.inputs import (
-    given_files,
+    drop_invalid_splats,
+    input_files,
+    plan_cameras,
     read_any,
     scoring_cameras,
-    usable_rows,
-    virtual_views,
 )
 from cogsplat.tools.workflow.scene_output import OUTPUT_FORMATS, output_format, write_any
 
@@ -129,12 +129,12 @@ def decimate(
     name = output_format(out, writing)
     if cameras is not None and by == _ANTIMATTER and name != "cogs":
         raise click.UsageError(f"--cameras with --by {by} and {out}, where nothing uses them")
-    check_output(out, force=force, inputs=given_files(path, cameras))
+    check_output(out, force=force, inputs=input_files(path, cameras))
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             views = scoring_cameras(cameras, 0)
             given = read_any(path, threads=threads).splats
-            usable = usable_rows(given, path)
+            usable = drop_invalid_splats(given, path)
         target = count.of(len(usable))
         if not count.is_share and target < count.amount:
             warnings.warn(
@@ -146,7 +146,7 @@ def decimate(
         if by == _CONTRIBUTION and target < len(usable):
             from cogsplat.codec.scoring.contribution import ScoreConfig, score
 
-            scored_in = views or virtual_views(usable, threads=threads, progress=stages)
+            scored_in = views or plan_cameras(usable, threads=threads, progress=stages)
             scores = score(usable, scored_in, ScoreConfig(threads=threads), progress=stages)
             priority = scores.contribution
         else:
@@ -163,10 +163,10 @@ def decimate(
             writing=writing,
         )
     if as_json:
-        say_json(
+        print_json(
             {
                 **written.report(out),
-                "source": name_of(path),
+                "source": display_name(path),
                 "source_splats": len(given),
                 "kept_by": by,
                 "kept_share_of_contribution": _share(priority, target, by),
@@ -174,9 +174,9 @@ def decimate(
             }
         )
     elif not quiet:
-        say(written.line(out))
+        print_line(written.line(out))
         share = _share(priority, target, by)
-        facts(
+        print_facts(
             ("splats", f"{written.splats:,} of {len(given):,}"),
             ("kept", "" if share is None else f"{share:.1%} of the contribution"),
             ("time", stages.line()),

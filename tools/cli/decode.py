@@ -25,14 +25,20 @@ from cogsplat.tools.terminal.options import (
     quiet_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output import (
+    display_name,
+    print_facts,
+    print_json,
+    print_line,
+    size_text,
+)
 from cogsplat.tools.terminal.output_names import scene_format, written_bytes
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT_BY_RANGES, OutputPath
 from cogsplat.tools.terminal.values import ChunkRange
-from cogsplat.tools.workflow.inputs import LoadedScene, Selection, decode_part, decode_part_by
+from cogsplat.tools.workflow.inputs import LoadedScene, Selection, decode_part, decode_part_with
 from cogsplat.tools.workflow.scene_output import write_any
 
 
@@ -126,7 +132,7 @@ def decode(
             stacklevel=1,
         )
     if as_json:
-        say_json(_report(cogs, scene, decoded, out, size_bytes, stages))
+        print_json(_report(cogs, scene, decoded, out, size_bytes, stages))
     elif not quiet:
         _tell(scene, decoded, out, size_bytes, stages)
 
@@ -169,15 +175,15 @@ def _decode_into_ply(
         )
         return write_ply_parts(parts, rows, out, force=force, absolute=absolute)
 
-    return decode_part_by(stream, cogs, part), rows
+    return decode_part_with(stream, cogs, part), rows
 
 
 def _report(
     source: Path, scene: LoadedScene, decoded: int, out: Path, written: int, stages: Stages
 ) -> dict[str, object]:
     return {
-        "output": name_of(out),
-        "source": name_of(source),
+        "output": display_name(out),
+        "source": display_name(source),
         "bytes": written,
         "splats": decoded,
         "source_splats": scene.file_splats,
@@ -200,13 +206,13 @@ def _span(chunks: Sequence[int]) -> tuple[int, int]:
 
 def _tell(scene: LoadedScene, decoded: int, out: Path, written: int, stages: Stages) -> None:
     first, last = _span(scene.chunks)
-    say(f"{out}: {decoded:,} of {scene.file_splats:,} splats, {size_text(written)}")
+    print_line(f"{out}: {decoded:,} of {scene.file_splats:,} splats, {size_text(written)}")
     span = f"{first}:{last} of {scene.file_chunks}"
     if len(scene.chunks) < last - first:
         span = f"{len(scene.chunks)} in {span}"
     if scene.bytes_read < scene.file_bytes:
         span += f" in the first {size_text(scene.bytes_read)} of {size_text(scene.file_bytes)}"
-    facts(
+    print_facts(
         ("chunks", span),
         ("SH degree", str(scene.splats.sh_degree)),
         ("time", stages.line()),

@@ -50,7 +50,14 @@ from cogsplat.tools.terminal.options import (
     threads_option,
     top_k_option,
 )
-from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output import (
+    count_text,
+    display_name,
+    print_facts,
+    print_json,
+    print_line,
+    size_text,
+)
 from cogsplat.tools.terminal.output_names import (
     COGS,
     HTML,
@@ -69,12 +76,12 @@ from cogsplat.tools.workflow.compile_ahead import CompileAhead
 from cogsplat.tools.workflow.file_evaluation import FileEvaluation, settings_of
 from cogsplat.tools.workflow.inputs import (
     LoadedScene,
-    given_cameras,
-    given_files,
-    measured_in,
+    input_files,
+    load_cameras,
+    plan_cameras,
     read_any,
     scoring_cameras,
-    virtual_views,
+    target_cameras,
 )
 from cogsplat.tools.workflow.order_options import OrderChoice, order_options
 from cogsplat.tools.workflow.scene_edits import SceneEdits, edit_options
@@ -321,7 +328,7 @@ class EncodeOptions:
     @property
     def inputs(self) -> list[Path]:
         """Files that are read."""
-        return list(given_files(self.scene, self.cameras, self.images, self.choice.masks))
+        return list(input_files(self.scene, self.cameras, self.images, self.choice.masks))
 
     def require_consistent(self) -> None:
         """Refuse options that contradict each other, and outputs that cannot be written.
@@ -398,7 +405,7 @@ class EncodeOptions:
         """
         numbered = list(views or [])
         if self.cameras is not None:
-            numbered = [self.edits.camera(view) for view in given_cameras(self.cameras)]
+            numbered = [self.edits.camera(view) for view in load_cameras(self.cameras)]
         given = numbered if self.cameras is not None else []
         target = request.target
         with usage_errors():
@@ -415,7 +422,7 @@ class EncodeOptions:
                 config=config,
                 score_config=replace(scoring, device=self.device),
                 target=target,
-                test_views=measured_in(given, self.eval_every) if given else (),
+                test_views=target_cameras(given, self.eval_every) if given else (),
                 stored_cameras=given if self.store_cameras else (),
                 workspace=workspace,
                 memory_bytes=None,
@@ -462,7 +469,7 @@ def _encode(options: EncodeOptions) -> None:
             evaluation = _evaluation(options, splats)
         ahead.finish(stages)
         if options.choice.first_view is not None and options.cameras is None:
-            views = virtual_views(splats, threads=options.threads, progress=stages)
+            views = plan_cameras(splats, threads=options.threads, progress=stages)
         request = options.complete(request, views, given.file_bytes, workspace)
         later = [] if evaluation is None else evaluation.stage_costs()
         stages.plan([*stage_costs(len(splats), request), *later])
@@ -534,10 +541,10 @@ def _tell(new: _NewFile) -> None:
     rows_in, kept = given.file_splats, int(file.root.splats)
     dropped, pruned = rows_in - new.splats, new.splats - kept
     if options.as_json:
-        say_json(
+        print_json(
             {
-                "output": name_of(options.out),
-                "source": name_of(options.scene),
+                "output": display_name(options.out),
+                "source": display_name(options.scene),
                 **told,
                 "prefixes": [quality.report() for quality in new.qualities],
                 "attributes": [stored.report() for stored in sizes],
@@ -550,10 +557,10 @@ def _tell(new: _NewFile) -> None:
         )
         return
     ratio = given.file_bytes / size
-    say(f"{options.out}: {size_text(size)}, {ratio:.1f} times smaller than {options.scene}")
+    print_line(f"{options.out}: {size_text(size)}, {ratio:.1f} times smaller than {options.scene}")
     gone = f"{pruned:,} pruned" + (f", {dropped:,} left out" if dropped else "")
     books = [f"{book.attribute} {book.rows:,}" for book in file.root.codebooks]
-    facts(
+    print_facts(
         ("splats", f"{kept:,} of {rows_in:,} ({gone}), {size / max(kept, 1):.2f} B each"),
         ("chunks", f"{file.num_chunks}, SH degree {file.root.sh_degree}"),
         ("codebooks", f"{', '.join(books)} rows" if books else ""),
@@ -586,9 +593,11 @@ def _require_one_aim(
 def _scored(made: EncodeReport) -> str:
     """Say how many views were scored, whose they are and how much of the scene they show."""
     if made.views == "none":
-        return counted(made.scored_views, "view")
+        return count_text(made.scored_views, "view")
     shown = "of what is visible" if made.views == "planned" else "of the splats"
-    return f"{counted(made.scored_views, 'view')} {made.views}, {made.coverage:.1%} {shown} covered"
+    return (
+        f"{count_text(made.scored_views, 'view')} {made.views}, {made.coverage:.1%} {shown} covered"
+    )
 
 
 def _predicted(made: EncodeReport) -> str:

@@ -28,11 +28,18 @@ from cogsplat.tools.terminal.options import (
     quiet_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import counted, name_of, say, say_json, size_text, title_of
+from cogsplat.tools.terminal.output import (
+    count_text,
+    display_name,
+    display_title,
+    print_json,
+    print_line,
+    size_text,
+)
 from cogsplat.tools.terminal.output_names import HTML, check_name
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath, is_standard_output
-from cogsplat.tools.workflow.inputs import given_files
+from cogsplat.tools.workflow.inputs import input_files
 from cogsplat.tools.workflow.viewable import viewable
 
 
@@ -73,12 +80,12 @@ def export_html(
     """
     if folder and is_standard_output(out):
         raise click.UsageError("--folder with standard output, expected the name of a folder")
-    inputs = list(given_files(scene))
+    inputs = list(input_files(scene))
     if not folder:
         check_name(out, HTML)
         check_output(out, force=force, inputs=inputs)
     shown = not (quiet or as_json)
-    title = title_of(scene)
+    title = display_title(scene)
     with (
         _room_for(out, sorted([*linked_page(title), SCENE_NAME]), force, inputs, needed=folder),
         viewable(scene, threads=threads, shown=shown) as given,
@@ -99,11 +106,11 @@ def export_html(
                 write_standalone_page(title, source, target)
             written, page = target.tell(), out
     if as_json:
-        say_json(
+        print_json(
             {
-                "output": name_of(out),
-                "source": name_of(scene),
-                "page": name_of(page),
+                "output": display_name(out),
+                "source": display_name(scene),
+                "page": display_name(page),
                 "bytes": written,
                 "splats": given.splats,
                 "encoded": given.encoded,
@@ -111,7 +118,7 @@ def export_html(
         )
     elif not quiet:
         what = "scene" if folder else "page"
-        say(f"{page}: {counted(given.splats, 'splat')}, {what} of {size_text(written)}")
+        print_line(f"{page}: {count_text(given.splats, 'splat')}, {what} of {size_text(written)}")
 
 
 @contextmanager

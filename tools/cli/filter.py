@@ -21,18 +21,24 @@ from cogsplat.tools.terminal.options import (
     quiet_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json
+from cogsplat.tools.terminal.output import (
+    count_text,
+    display_name,
+    print_facts,
+    print_json,
+    print_line,
+)
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import Box, box
 from cogsplat.tools.workflow.inputs import (
-    given_files,
+    drop_invalid_splats,
+    input_files,
+    plan_cameras,
     read_any,
     scoring_cameras,
-    usable_rows,
-    virtual_views,
 )
 from cogsplat.tools.workflow.scene_edits import inside_box
 from cogsplat.tools.workflow.scene_output import OUTPUT_FORMATS, output_format, write_any
@@ -114,12 +120,12 @@ def filter_scene(
         )
     if cameras is not None and floaters is None and name != "cogs":
         raise click.UsageError(f"--cameras with {out} and without --floaters: nothing uses them")
-    check_output(out, force=force, inputs=given_files(path, cameras))
+    check_output(out, force=force, inputs=input_files(path, cameras))
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             views = scoring_cameras(cameras, 0)
             given = read_any(path, threads=threads).splats
-            usable = usable_rows(given, path)
+            usable = drop_invalid_splats(given, path)
         marks = _by_values(usable, min_opacity, min_size, max_size, crop)
         if floaters is not None:
             marks["floaters"] = _floaters(usable, views, floaters, threads, stages)
@@ -141,10 +147,10 @@ def filter_scene(
         )
     invalid = len(given) - len(usable)
     if as_json:
-        say_json(
+        print_json(
             {
                 **written.report(out),
-                "source": name_of(path),
+                "source": display_name(path),
                 "source_splats": len(given),
                 "left_out": {
                     "invalid": invalid,
@@ -154,10 +160,10 @@ def filter_scene(
             }
         )
     elif not quiet:
-        say(written.line(out))
-        facts(
+        print_line(written.line(out))
+        print_facts(
             ("splats", f"{written.splats:,} of {len(given):,}"),
-            ("invalid", counted(invalid, "splat") if invalid else ""),
+            ("invalid", count_text(invalid, "splat") if invalid else ""),
             ("left out", ", ".join(f"{rows.sum():,} by --{name}" for name, rows in marks.items())),
             ("time", stages.line()),
         )
@@ -199,6 +205,6 @@ def _floaters(
     from cogsplat.codec.geometry import floaters
     from cogsplat.codec.scoring.contribution import ScoreConfig, score
 
-    scored_in = views or virtual_views(splats, threads=threads, progress=stages)
+    scored_in = views or plan_cameras(splats, threads=threads, progress=stages)
     scores = score(splats, scored_in, ScoreConfig(threads=threads), progress=stages)
     return floaters.floaters(splats.means, scores.contribution, deviations, threads=threads)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 import cogsplat
 from cogsplat.codec.segments.attributes import AttributeType, types_of
-from cogsplat.codec.segments.view_table import ViewTable
 from cogsplat.codec.splats import SceneInfo, Splats, sh_coefficients
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.scenes.registry import format_of
@@ -32,10 +31,18 @@ from cogsplat.tools.terminal.options import (
     quiet_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text, table
+from cogsplat.tools.terminal.output import (
+    count_text,
+    display_name,
+    print_facts,
+    print_json,
+    print_line,
+    print_table,
+    size_text,
+)
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress import Stages
-from cogsplat.tools.terminal.standard_streams import INPUT_BY_RANGES, url_of
+from cogsplat.tools.terminal.standard_streams import INPUT_BY_RANGES, unfetched_url
 from cogsplat.tools.terminal.values import ChunkRange
 from cogsplat.tools.workflow.byte_table import print_byte_table
 from cogsplat.tools.workflow.inputs import (
@@ -47,7 +54,8 @@ from cogsplat.tools.workflow.inputs import (
 )
 from cogsplat.tools.workflow.statistics_table import print_statistics, statistics_report
 
-# A longer table is cut in the middle: most chunks of a large scene look alike.
+# Rows of the table of chunks at most; a longer table shows its first and last rows, because most
+# chunks of a large scene are alike.
 _MOST_ROWS: Final = 40
 _FIRST_ROWS, _LAST_ROWS = 24, 8
 
@@ -119,59 +127,58 @@ def info(
             if not as_json:
                 print_statistics(found, scene.file_splats)
     if as_json:
-        say_json(report)
+        print_json(report)
     elif statistics and not quiet:
-        say("")
-        facts(("time", stages.line()))
+        print_line("")
+        print_facts(("time", stages.line()))
 
 
 def _cogs_info(path: Path, all_chunks: bool, as_json: bool) -> dict[str, object]:
-    """Return what a COGS file holds as a JSON object; print it unless `as_json`."""
+    """Return the contents of a COGS file as a JSON object; print them unless `as_json`."""
     with cogsplat.open(
         input_source(path), partial=partial_accepted(), limits=current_limits()
     ) as file:
         # Over a network, the index alone is read; streams are listed inside the segments.
-        sizes = stored_sizes(file, by_stream=url_of(path) is None)
+        sizes = stored_sizes(file, by_stream=unfetched_url(path) is None)
         version = format_version(file)
         row = file.camera_row
         cameras = len(file.cameras()) if row is None or file.is_present(row) else None
         row = file.view_table_row
-        table = file.view_table() if row is not None and file.is_present(row) else None
-        viewpoints = None if table is None and row is not None else _viewpoints(table)
+        view_table = file.view_table() if row is None or file.is_present(row) else None
+        viewpoints = None if row is not None else 0
+        if view_table is not None:
+            viewpoints = len(view_table.positions)
     if not as_json:
         _print_root(path, version, file, cameras)
         if file.view_table_row is not None:
             length = size_text(int(file.segments.length[file.view_table_row]))
-            there = "not there" if viewpoints is None else counted(viewpoints, "viewpoint")
-            facts(("view table", f"{there}, {length}"))
+            there = "not there" if viewpoints is None else count_text(viewpoints, "viewpoint")
+            print_facts(("view table", f"{there}, {length}"))
         _print_chunks(chunk_sizes(file), all_chunks=all_chunks)
         print_byte_table(sizes, file)
     return {**_cogs_report(path, version, file, sizes, cameras), "viewpoints": viewpoints}
 
 
 def _scene_info(path: Path, scene: LoadedScene, as_json: bool) -> dict[str, object]:
-    """Return what a scene of another format holds as a JSON object; print it unless `as_json`."""
+    """Return the contents of another scene as a JSON object; print them unless `as_json`."""
     if not as_json:
         _print_scene(path, scene.splats, scene.file_bytes)
     return _scene_report(path, scene.splats, scene.file_bytes)
 
 
-def _viewpoints(table: ViewTable | None) -> int:
-    """Return how many viewpoints a view table has, 0 without a table."""
-    return 0 if table is None else len(table.positions)
-
-
 def _decoded_bytes(file: CogsFile) -> int:
+    """Return the bytes of the decoded arrays of a file."""
     return 4 * (14 + 3 * (sh_coefficients(file.root.sh_degree) - 1)) * file.root.splats
 
 
 def _cogs_report(
     path: Path, version: str, file: CogsFile, sizes: list[StoredSize], cameras: int | None
 ) -> dict[str, object]:
+    """Return the JSON object of a COGS file."""
     root = file.root
     view = root.first_view
     return {
-        "source": name_of(path),
+        "source": display_name(path),
         "format": "cogs",
         "version": version,
         "writer": root.writer,
@@ -215,8 +222,9 @@ def _cogs_report(
 
 
 def _print_root(path: Path, version: str, file: CogsFile, cameras: int | None) -> None:
+    """Print the root of a COGS file."""
     root, view = file.root, file.root.first_view
-    say(f"{path}: COGS {version}, {size_text(file.file_length)}, by {root.writer}")
+    print_line(f"{path}: COGS {version}, {size_text(file.file_length)}, by {root.writer}")
     each = file.file_length / max(root.splats, 1)
     books = [f"{book.attribute} {book.rows:,}" for book in root.codebooks]
     low, high = root.box[:3], root.box[3:]
@@ -224,7 +232,7 @@ def _print_root(path: Path, version: str, file: CogsFile, cameras: int | None) -
         f"{axis} {a:.4g} to {b:.4g}" for axis, a, b in zip("xyz", low, high, strict=True)
     )
     smoothing = "antialiased" if root.info.antialiased else "not antialiased"
-    facts(
+    print_facts(
         ("there", _received(file)),
         ("splats", f"{root.splats:,} at SH degree {root.sh_degree}, {each:.2f} B each"),
         ("decoded", size_text(_decoded_bytes(file))),
@@ -240,36 +248,38 @@ def _print_root(path: Path, version: str, file: CogsFile, cameras: int | None) -
         ("codebooks", f"{', '.join(books)} rows" if books else "none"),
         ("attributes", _kinds(root.attributes)),
         ("levels", _levels(file)),
-        ("ends", _ends(file)),
-        ("index", f"{counted(len(root.pages), 'page')} beside the root" if root.pages else ""),
+        ("prefixes", _prefix_chunks(file)),
+        ("index", f"{count_text(len(root.pages), 'page')} beside the root" if root.pages else ""),
     )
 
 
 def _received(file: CogsFile) -> str:
-    """Return what of a file has arrived, nothing where all of it has."""
+    """Return the received bytes and complete chunks as text, nothing for a whole file."""
     if file.source_bytes == file.file_length:
         return ""
     share = f"{size_text(file.source_bytes)} of {size_text(file.file_length)}"
-    return f"{share}, {file.complete_chunks()} of {counted(file.num_chunks, 'chunk')} complete"
+    return f"{share}, {file.complete_chunks()} of {count_text(file.num_chunks, 'chunk')} complete"
 
 
 def _levels(file: CogsFile) -> str:
-    """Return the levels with their sizes, such as ``1/8 of 12 chunks, 1/1 of 30 chunks``."""
+    """Return the levels as text, such as ``1/8 of 12 chunks, 1/1 of 30 chunks``."""
     levels = file.root.levels
-    return ", ".join(f"1/{level.scale:g} of {counted(level.chunks, 'chunk')}" for level in levels)
+    return ", ".join(
+        f"1/{level.scale:g} of {count_text(level.chunks, 'chunk')}" for level in levels
+    )
 
 
-def _ends(file: CogsFile) -> str:
-    """Return how many chunks and splats are for the beginning of the file only."""
+def _prefix_chunks(file: CogsFile) -> str:
+    """Return the chunks and splats that only prefixes draw as text, nothing without any."""
     ending = file.chunks.until > 0
     if not ending.any():
         return ""
-    splats = counted(int(file.chunks.splats[ending].sum()), "splat")
-    return f"{counted(int(ending.sum()), 'chunk')} of {splats}, which the whole file does not draw"
+    splats = count_text(int(file.chunks.splats[ending].sum()), "splat")
+    return f"{count_text(int(ending.sum()), 'chunk')} of {splats}, drawn in prefixes only"
 
 
 def _kinds(types: Sequence[AttributeType]) -> str:
-    """Return extra attributes with their types, such as ``label u2, normal f4x3``."""
+    """Return extra attributes and their types as text, such as ``label u2, normal f4x3``."""
     return ", ".join(
         f"{kind.name} {kind.dtype}" + (f"x{kind.components}" if kind.components else "")
         for kind in types
@@ -277,6 +287,7 @@ def _kinds(types: Sequence[AttributeType]) -> str:
 
 
 def _print_chunks(chunks: list[ChunkSizes], *, all_chunks: bool) -> None:
+    """Print the table of chunks, cut in the middle unless `all_chunks`."""
     if not chunks:
         return
     rows = [
@@ -312,7 +323,7 @@ def _print_chunks(chunks: list[ChunkSizes], *, all_chunks: bool) -> None:
         "object",
         "cell",
     )
-    # Most scenes have neither objects nor cells.
+    # Columns without any value are left out.
     left_out = {
         name
         for name, shown in (
@@ -322,13 +333,13 @@ def _print_chunks(chunks: list[ChunkSizes], *, all_chunks: bool) -> None:
         if not shown
     }
     columns = [column for column, name in enumerate(heads) if name not in left_out]
-    say("")
+    print_line("")
     shown_rows = [tuple(row[column] for column in columns) for row in rows]
-    table([heads[column] for column in columns], shown_rows, left=0)
+    print_table([heads[column] for column in columns], shown_rows, left=0)
 
 
 def _ranges(splats: Splats) -> dict[str, tuple[float, float, int]]:
-    """Return the range of the finite values of each array, and the count of the others."""
+    """Return minimum and maximum of each array's finite values, and the count of other values."""
     ranges: dict[str, tuple[float, float, int]] = {}
     for name in _ATTRIBUTES:
         values: NDArray[np.float32] = getattr(splats, name)
@@ -340,8 +351,9 @@ def _ranges(splats: Splats) -> dict[str, tuple[float, float, int]]:
 
 
 def _scene_report(path: Path, splats: Splats, file_bytes: int) -> dict[str, object]:
+    """Return the JSON object of a scene of another format."""
     return {
-        "source": name_of(path),
+        "source": display_name(path),
         "format": format_of(path).name,
         "bytes": file_bytes,
         "splats": len(splats),
@@ -364,12 +376,15 @@ def _scene_report(path: Path, splats: Splats, file_bytes: int) -> dict[str, obje
 
 
 def _print_scene(path: Path, splats: Splats, file_bytes: int) -> None:
+    """Print the contents of a scene of another format."""
     name = format_of(path).name
-    say(f"{path}: {name}, {counted(len(splats), 'splat')} at SH degree {splats.sh_degree}")
+    print_line(
+        f"{path}: {name}, {count_text(len(splats), 'splat')} at SH degree {splats.sh_degree}"
+    )
     invalid = int(splats.invalid_rows().sum())
-    facts(
+    print_facts(
         ("bytes", f"{size_text(file_bytes)}, {file_bytes / max(len(splats), 1):.2f} B each"),
-        ("invalid", f"{counted(invalid, 'splat')}; encode --drop-invalid leaves them out")
+        ("invalid", f"{count_text(invalid, 'splat')}; encode --drop-invalid leaves them out")
         if invalid
         else ("invalid", "none"),
         ("origin", _origin(splats.info)),
@@ -380,16 +395,17 @@ def _print_scene(path: Path, splats: Splats, file_bytes: int) -> None:
         for name, (low, high, odd) in _ranges(splats).items()
     ]
     if rows:
-        say("")
-        table(("attribute", "least", "largest", "not finite"), rows)
+        print_line("")
+        print_table(("attribute", "least", "largest", "not finite"), rows)
 
 
 def _origin(info: SceneInfo) -> str:
-    """Return an origin in full, nothing where it is at zero: on maps, every digit counts."""
+    """Return an origin with the 12 digits of map coordinates, nothing for an origin of zero."""
     if not any(info.origin):
         return ""
     return "(" + ", ".join(f"{value:.12g}" for value in info.origin) + ")"
 
 
 def _numbers(values: tuple[float, ...] | NDArray[np.float64]) -> str:
+    """Return numbers as text, 4 digits each."""
     return "(" + ", ".join(f"{value:.4g}" for value in values) + ")"

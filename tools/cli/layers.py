@@ -29,18 +29,24 @@ from cogsplat.tools.terminal.options import (
     training_images_option,
     training_seed_option,
 )
-from cogsplat.tools.terminal.output import name_of, say, say_json, size_text, table
+from cogsplat.tools.terminal.output import (
+    display_name,
+    print_json,
+    print_line,
+    print_table,
+    size_text,
+)
 from cogsplat.tools.terminal.output_names import COGS, check_name, format_option
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import Colour
 from cogsplat.tools.workflow.inputs import (
-    given_cameras,
-    given_files,
+    drop_invalid_splats,
+    input_files,
+    load_cameras,
+    plan_cameras,
     read_any,
-    usable_rows,
-    virtual_views,
 )
 
 if TYPE_CHECKING:
@@ -158,7 +164,7 @@ def layers(
     except ValueError as error:
         raise click.UsageError(f"--scales {scales}, --shares {shares}: {error}") from error
     check_name(out, COGS, insisted=format_name is not None)
-    check_output(out, force=force, inputs=list(given_files(scene, cameras, images)))
+    check_output(out, force=force, inputs=list(input_files(scene, cameras, images)))
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             if points is not None:
@@ -167,15 +173,15 @@ def layers(
                 cameras = cameras or points.parent
             else:
                 read = read_any(scene, threads=threads).splats
-            splats = usable_rows(read, scene).without_extras()
+            splats = drop_invalid_splats(read, scene).without_extras()
             if not len(splats):
                 raise DataError("empty-scene", f"{scene}: 0 splats, expected some to train")
         if cameras is not None:
-            views, tests = hold_out(given_cameras(cameras), eval_every)
+            views, tests = hold_out(load_cameras(cameras), eval_every)
             if not views:
                 raise click.UsageError(f"--eval-every {eval_every} holds out all cameras")
         else:
-            views, tests = virtual_views(splats, threads=threads, progress=stages), []
+            views, tests = plan_cameras(splats, threads=threads, progress=stages), []
         _require_pixels(views, max(config.scales))
         judged = tests or views
         photos = None
@@ -206,10 +212,10 @@ def layers(
                 found.append((sizes, compared(drawn, small, targets, threads)))
                 stages("measure", sizes.level + 1, len(file.root.levels))
     if as_json:
-        say_json(
+        print_json(
             {
-                "output": name_of(out),
-                "source": name_of(scene),
+                "output": display_name(out),
+                "source": display_name(scene),
                 "bytes": size,
                 "splats": encoded.splats,
                 "source_splats": len(splats),
@@ -258,7 +264,7 @@ def _tell(
 ) -> None:
     """Print a row for each level."""
     whose = "held-out views" if held_out else "views that it was trained in"
-    say(f"{out}: {size_text(size)}, judged in {views} {whose}")
+    print_line(f"{out}: {size_text(size)}, judged in {views} {whose}")
     rows = [
         (
             f"1/{sizes.scale:g}",
@@ -273,4 +279,4 @@ def _tell(
         for sizes, figures in found
     ]
     heads = ("level", "splats", "left out", "fetched B", "opacities B", "PSNR", "worst", "SSIM")
-    table(heads, rows, left=0)
+    print_table(heads, rows, left=0)

@@ -24,13 +24,19 @@ from cogsplat.tools.terminal.options import (
     quiet_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json
+from cogsplat.tools.terminal.output import (
+    count_text,
+    display_name,
+    print_facts,
+    print_json,
+    print_line,
+)
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import Vector, vector
-from cogsplat.tools.workflow.inputs import given_files, read_any
+from cogsplat.tools.workflow.inputs import input_files, read_any
 from cogsplat.tools.workflow.scene_edits import SceneEdits, scale_factor
 from cogsplat.tools.workflow.scene_output import COGS_NAME, OUTPUT_FORMATS, output_format, write_any
 
@@ -117,7 +123,7 @@ def merge(
             f"--no-extras with {out}, expected the labels of objects by which a .cogs is cut"
         )
     edits = _edits(len(sources), dict(scales), dict(turns), dict(shifts))
-    check_output(out, force=force, inputs=chain.from_iterable(map(given_files, sources)))
+    check_output(out, force=force, inputs=chain.from_iterable(map(input_files, sources)))
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             given = [read_any(path, threads=threads).splats for path in sources]
@@ -152,22 +158,22 @@ def merge(
             by_object=True,
         )
     if as_json:
-        say_json(
+        print_json(
             {
                 **written.report(out),
                 "sh_degree": merged.sh_degree,
                 "objects": [
-                    {"object": label, "source": name_of(path), "source_splats": count}
+                    {"object": label, "source": display_name(path), "source_splats": count}
                     for label, (path, count) in enumerate(zip(sources, counts, strict=True), 1)
                 ],
                 "seconds": stages.rounded(),
             }
         )
     elif not quiet:
-        say(f"{written.line(out)}, {counted(written.splats, 'splat')}")
-        facts(
+        print_line(f"{written.line(out)}, {count_text(written.splats, 'splat')}")
+        print_facts(
             *(
-                (f"object {label}", f"{path}, {counted(count, 'splat')}")
+                (f"object {label}", f"{path}, {count_text(count, 'splat')}")
                 for label, (path, count) in enumerate(zip(sources, counts, strict=True), 1)
             ),
             ("time", stages.line()),

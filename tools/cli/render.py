@@ -22,7 +22,13 @@ from cogsplat.tools.terminal.options import (
     quiet_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output import (
+    display_name,
+    print_facts,
+    print_json,
+    print_line,
+    size_text,
+)
 from cogsplat.tools.terminal.output_names import PNG, check_name, format_option
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
@@ -31,10 +37,10 @@ from cogsplat.tools.terminal.values import ChunkRange, Colour, picture_size
 from cogsplat.tools.workflow.inputs import (
     LoadedScene,
     Selection,
-    given_cameras,
-    given_files,
+    input_files,
+    load_cameras,
+    plan_cameras,
     read_any,
-    virtual_views,
 )
 
 
@@ -97,7 +103,7 @@ def render(
     from cogsplat.tools.pictures.png import to_image, write_png
 
     check_name(out, PNG, insisted=format_name is not None)
-    check_output(out, force=force, inputs=given_files(path, cameras))
+    check_output(out, force=force, inputs=input_files(path, cameras))
     part = Selection(chunks, least_splats, size, sh_degree, objects, compensate=compensate)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
@@ -118,10 +124,10 @@ def render(
         with stages.stage("write"):
             written = write_png(image, out, force=force)
     if as_json:
-        say_json(
+        print_json(
             {
-                "output": name_of(out),
-                "source": name_of(path),
+                "output": display_name(out),
+                "source": display_name(path),
                 "bytes": written,
                 "width": camera.width,
                 "height": camera.height,
@@ -133,9 +139,9 @@ def render(
             }
         )
     elif not quiet:
-        say(f"{out}: {camera.width}x{camera.height}, {size_text(written)}")
+        print_line(f"{out}: {camera.width}x{camera.height}, {size_text(written)}")
         drawn = f"{len(scene.splats):,} of {scene.file_splats:,}"
-        facts(
+        print_facts(
             ("camera", camera.name or f"{index or 0}"),
             ("splats", f"{drawn}, SH degree {scene.splats.sh_degree}"),
             ("time", stages.line()),
@@ -145,7 +151,7 @@ def render(
 def _camera(scene: LoadedScene, cameras: Path | None, index: int | None) -> Camera:
     if cameras is None and index is None and scene.first_view is not None:
         return scene.first_view
-    views = given_cameras(cameras) if cameras else virtual_views(scene.splats)
+    views = load_cameras(cameras) if cameras else plan_cameras(scene.splats)
     index = index or 0
     if index >= len(views):
         raise click.UsageError(f"--camera {index}, expected 0 to {len(views) - 1}")

@@ -16,7 +16,7 @@ from cogsplat.tools.delivery.local_server import HOST
 from cogsplat.tools.delivery.shaped_link import LinkQuality, ShapedLink
 from cogsplat.tools.delivery.viewer_pages import linked_page
 from cogsplat.tools.terminal.options import json_option, quiet_option
-from cogsplat.tools.terminal.output import say, say_json, title_of
+from cogsplat.tools.terminal.output import display_title, print_json, print_line
 from cogsplat.tools.terminal.standard_streams import PATH
 
 _LARGEST_PORT: Final = 65535
@@ -121,7 +121,7 @@ def serve(
         raise StorageError("not-found", f"{path}: is not there, expected a file or a folder")
     pages = {}
     if path.is_file() and is_cogs(path):
-        pages = linked_page(title_of(path), path.name)
+        pages = linked_page(display_title(path), path.name)
     quality = LinkQuality(throttle, latency / 1000, loss, fail_rate, seed)
     app = FileApp(path, ShapedLink(quality), pages)
     server = FileServer(app, port, host, None if certificate is None else Certificate(*certificate))
@@ -129,12 +129,12 @@ def serve(
     scene = server.url + path.name if path.is_file() else server.url
     try:
         if as_json:
-            say_json({"url": url, "source": str(path), "scene_url": scene})
+            print_json({"url": url, "source": str(path), "scene_url": scene})
         elif quiet:
-            say(url)
+            print_line(url)
         else:
-            say(f"{path}: {url}" + (f" shows {scene}" if pages else ""))
-            say("Ctrl-C stops the server")
+            print_line(f"{path}: {url}" + (f" shows {scene}" if pages else ""))
+            print_line("Ctrl-C stops the server")
         server.serve_forever()
     except KeyboardInterrupt:
         # The way to stop it, not an interrupted piece of work.

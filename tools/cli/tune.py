@@ -32,19 +32,25 @@ from cogsplat.tools.terminal.options import (
     training_images_option,
     training_seed_option,
 )
-from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output import (
+    display_name,
+    print_facts,
+    print_json,
+    print_line,
+    size_text,
+)
 from cogsplat.tools.terminal.output_names import COGS, check_distinct, check_name, format_option
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
 from cogsplat.tools.terminal.values import Colour, byte_count
 from cogsplat.tools.workflow.inputs import (
-    given_cameras,
-    given_files,
-    measured_in,
+    drop_invalid_splats,
+    input_files,
+    load_cameras,
     read_any,
     scoring_cameras,
-    usable_rows,
+    target_cameras,
 )
 from cogsplat.tools.workflow.tune_checkpoint import fingerprint, read_checkpoint, write_checkpoint
 
@@ -205,7 +211,7 @@ def tune(
     if resume and checkpoint is None:
         raise click.UsageError("--resume without --checkpoint, expected the file to go on from")
     check_name(out, COGS, insisted=format_name is not None)
-    inputs = list(given_files(scene, cameras, images))
+    inputs = list(input_files(scene, cameras, images))
     check_output(out, force=force, inputs=inputs)
     for other in (ply, checkpoint):
         if other is not None:
@@ -217,13 +223,13 @@ def tune(
         with stages.stage("read"):
             views = scoring_cameras(cameras, eval_every)
             given = read_any(scene, threads=threads)
-            splats = usable_rows(given.splats, scene).without_extras()
+            splats = drop_invalid_splats(given.splats, scene).without_extras()
             if not len(splats):
                 raise DataError("empty-scene", f"{scene}: 0 splats, expected some to train")
         chosen = choose_tuning_views(
             splats,
             views,
-            test_views=measured_in(given_cameras(cameras), eval_every) if cameras else (),
+            test_views=target_cameras(load_cameras(cameras), eval_every) if cameras else (),
             threads=threads,
             progress=stages,
         )
@@ -336,10 +342,10 @@ def _report(
     mean = sum(values) / len(values)
     whose = "planned" if planned else "given"
     if as_json:
-        say_json(
+        print_json(
             {
-                "output": name_of(out),
-                "source": name_of(scene),
+                "output": display_name(out),
+                "source": display_name(scene),
                 "bytes": size,
                 "splats": made.splats,
                 "bytes_per_splat": round(size / max(made.splats, 1), 3),
@@ -354,8 +360,10 @@ def _report(
             }
         )
     elif not quiet:
-        say(f"{out}: {size_text(size)}, {source_bytes / size:.1f} times smaller than {scene}")
-        facts(
+        print_line(
+            f"{out}: {size_text(size)}, {source_bytes / size:.1f} times smaller than {scene}"
+        )
+        print_facts(
             ("splats", f"{made.splats:,} of {source_splats:,}, {size / made.splats:.2f} B each"),
             (
                 "measured",

@@ -20,7 +20,7 @@ from cogsplat.tools.hosting.folder_upload import (
 from cogsplat.tools.hosting.object_store import Bucket
 from cogsplat.tools.terminal.limits import current_limits, limits_option
 from cogsplat.tools.terminal.options import json_option, quiet_option
-from cogsplat.tools.terminal.output import counted, say, say_json, size_text
+from cogsplat.tools.terminal.output import count_text, print_json, print_line, size_text
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import PATH
@@ -107,7 +107,7 @@ def upload(
                 _ask(unused, target.name, as_json=as_json)
             delete_unused(unused, target)
     if as_json:
-        say_json(
+        print_json(
             {
                 "source": str(folder),
                 "output": target.name,
@@ -123,22 +123,22 @@ def upload(
         )
     elif not quiet:
         would = "would be " if dry_run else ""
-        say(
-            f"{target.name}: {counted(len(plan.objects), 'object')} {would}written "
+        print_line(
+            f"{target.name}: {count_text(len(plan.objects), 'object')} {would}written "
             f"({size_text(plan.object_bytes)}), {plan.num_existing:,} there already; manifest "
             f"{plan.manifest.name} {would + 'written' if plan.manifest_changes else 'the same'}"
         )
         if delete:
-            say(
-                f"{target.name}: {counted(len(unused.names), 'object')} {would}deleted "
+            print_line(
+                f"{target.name}: {count_text(len(unused.names), 'object')} {would}deleted "
                 f"({size_text(unused.size_bytes)}), {unused.num_recent:,} unused and too new"
             )
 
 
 def _ask(unused: UnusedObjects, name: str, *, as_json: bool) -> None:
     question = (
-        f"Delete {counted(len(unused.names), 'object')} ({size_text(unused.size_bytes)}) of "
-        f"{name} that {counted(len(unused.manifests), 'manifest')} do not need?"
+        f"Delete {count_text(len(unused.names), 'object')} ({size_text(unused.size_bytes)}) of "
+        f"{name} that {count_text(len(unused.manifests), 'manifest')} do not need?"
     )
     if as_json:
         raise click.UsageError("--delete and --json, expected --yes with them")

@@ -12,7 +12,13 @@ import click
 from cogsplat.tools.delivery.local_server import SceneServer
 from cogsplat.tools.terminal.limits import limits_option
 from cogsplat.tools.terminal.options import json_option, quiet_option, threads_option
-from cogsplat.tools.terminal.output import counted, name_of, say, say_json, title_of
+from cogsplat.tools.terminal.output import (
+    count_text,
+    display_name,
+    display_title,
+    print_json,
+    print_line,
+)
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.standard_streams import INPUT
 from cogsplat.tools.workflow.viewable import drawable
@@ -66,17 +72,19 @@ def view(
         other = other_title = None
         if against is not None:
             drawn = drawable(against, threads=threads, shown=shown)
-            other, other_title = open_things.enter_context(drawn).path, title_of(against)
+            other, other_title = open_things.enter_context(drawn).path, display_title(against)
         server = open_things.enter_context(
-            SceneServer(given.path, title_of(scene), port, against=other, against_title=other_title)
+            SceneServer(
+                given.path, display_title(scene), port, against=other, against_title=other_title
+            )
         )
         if as_json:
-            say_json({"url": server.url, "source": name_of(scene), "splats": given.splats})
+            print_json({"url": server.url, "source": display_name(scene), "splats": given.splats})
         elif quiet:
-            say(server.url)
+            print_line(server.url)
         else:
-            say(f"{scene}: {counted(given.splats, 'splat')} at {server.url}")
-            say("Ctrl-C stops the server")
+            print_line(f"{scene}: {count_text(given.splats, 'splat')} at {server.url}")
+            print_line("Ctrl-C stops the server")
         if not no_open:
             # Some browsers of terminals return only when they are left.
             threading.Thread(target=webbrowser.open, args=[server.url], daemon=True).start()

@@ -11,7 +11,7 @@ from cogsplat.codec.errors import StorageError
 from cogsplat.codec.streams.decoding_tiers import KERNEL_MODULES
 from cogsplat.codec.threads import thread_count
 from cogsplat.tools.terminal.options import json_option, quiet_option, threads_option
-from cogsplat.tools.terminal.output import counted, facts, say, say_json
+from cogsplat.tools.terminal.output import count_text, print_facts, print_json, print_line
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.workflow.compile_ahead import CompileAhead
 
@@ -55,7 +55,7 @@ def warm(threads: int, quiet: bool, as_json: bool) -> None:
         with CompileAhead(kernels, thread_count(threads)) as ahead:
             ahead.finish(stages)
     if as_json:
-        say_json(
+        print_json(
             {
                 "kernels": len(kernels),
                 "kernels_compiled": ahead.total,
@@ -65,5 +65,5 @@ def warm(threads: int, quiet: bool, as_json: bool) -> None:
         )
     elif not quiet:
         there = len(kernels) - ahead.total
-        say(f"{counted(ahead.total, 'kernel')} compiled, {there} were there already")
-        facts(("folders", ", ".join(folders)), ("time", stages.line()))
+        print_line(f"{count_text(ahead.total, 'kernel')} compiled, {there} were there already")
+        print_facts(("folders", ", ".join(folders)), ("time", stages.line()))

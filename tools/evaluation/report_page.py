@@ -22,7 +22,7 @@ from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.atomic import atomic_write
 from cogsplat.tools.pictures.png import to_image
 from cogsplat.tools.pictures.svg_charts import Series, line_chart
-from cogsplat.tools.terminal.output import size_text, title_of
+from cogsplat.tools.terminal.output import display_title, size_text
 
 from .byte_inventory import ChunkSizes, StoredSize, chunk_sizes, stored_sizes
 from .photos import Photos
@@ -147,7 +147,7 @@ def render_page(given: ReportInput) -> str:
         ends = [chunk.head_offset + chunk.head_bytes for chunk in chunks]
         sizes = stored_sizes(file)
     curve = [(end, float(db)) for end, db in zip(ends, predicted, strict=True) if db]
-    name = _escaped(title_of(given.scene))
+    name = _escaped(display_title(given.scene))
     sections = [
         _tiles(given, kept, float(predicted[-1]) if len(predicted) else 0.0),
         "<h2>Quality as bytes arrive</h2>"
@@ -172,7 +172,7 @@ def render_page(given: ReportInput) -> str:
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width,initial-scale=1">'
         f"<title>{name}: encode report</title><style>{_STYLE}</style></head>\n<body><main>"
-        f"<h1>{name}</h1><p>as {_escaped(title_of(given.path))}</p>\n"
+        f"<h1>{name}</h1><p>as {_escaped(display_title(given.path))}</p>\n"
         + "\n".join(sections)
         + "\n</main></body></html>\n"
     )

@@ -29,8 +29,8 @@ from cogsplat.codec.errors import (
 from cogsplat.formats.storage.atomic import storage_error
 
 from .lazy_group import LazyGroup, invoked_command
-from .output import WARNINGS, say_json
-from .standard_streams import AS_JSON, standard_streams, with_streams_named
+from .output import WARNINGS, print_json
+from .standard_streams import AS_JSON, standard_streams, with_display_names
 
 _USAGE_STATUS: Final = 2
 
@@ -201,12 +201,12 @@ def _print_error(code: str, message: str, exit_code: int, as_json: bool, hint: s
     # A reader that closed the pipe, such as `head`, needs no message.
     if code == "broken-pipe":
         return
-    message = with_streams_named(message)
+    message = with_display_names(message)
     # Without a working standard error, the exit code remains.
     with suppress(OSError):
         if as_json:
             report = {"code": code, "message": message, "exit_code": exit_code}
-            say_json({"error": {**report, "hint": hint} if hint else report})
+            print_json({"error": {**report, "hint": hint} if hint else report})
             _flush()
             return
         click.echo(f"error: {printable(message)} [{code}]", err=True)
@@ -255,7 +255,7 @@ def _warnings_reported(ctx: click.Context, as_json: bool) -> Iterator[None]:
             if not issubclass(category, CogsplatWarning):
                 show_other(message, category, filename, lineno, None, line)
                 return
-            text = with_streams_named(str(message))
+            text = with_display_names(str(message))
             if text not in texts:
                 texts.append(text)
                 if not as_json:

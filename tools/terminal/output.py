@@ -17,7 +17,7 @@ from rich.text import Text
 
 from cogsplat.codec.errors import printable
 
-from .standard_streams import hold_back, is_output_taken, with_streams_named
+from .standard_streams import hold_back, is_output_reserved, with_display_names
 
 Json = Mapping[str, object]
 
@@ -28,28 +28,28 @@ _LABEL_WIDTH: Final = 10
 _TABLE_WIDTH: Final = 200
 
 
-def say(text: str) -> None:
+def print_line(text: str) -> None:
     """Print a line to standard output, or to standard error if a file goes to standard output.
 
     Control characters, and characters that the encoding lacks, are escaped.
     """
-    _print(printable(with_streams_named(text)))
+    _print(printable(with_display_names(text)))
 
 
-def note(text: str) -> None:
-    """Print a line to standard error, escaped as by `say`."""
-    _print(printable(with_streams_named(text)), to_error=True)
+def print_error_line(text: str) -> None:
+    """Print a line to standard error, escaped as by `print_line`."""
+    _print(printable(with_display_names(text)), to_error=True)
 
 
 def _print(text: str, *, to_error: bool | None = None) -> None:
     """Print a line; None chooses standard error if a file goes to standard output."""
-    to_error = is_output_taken() if to_error is None else to_error
+    to_error = is_output_reserved() if to_error is None else to_error
     stream = sys.stderr if to_error else sys.stdout
     encoding = getattr(stream, "encoding", None) or "utf-8"
     click.echo(text.encode(encoding, "backslashreplace").decode(encoding), err=to_error)
 
 
-def say_json(value: Json) -> None:
+def print_json(value: Json) -> None:
     """Print one JSON object, with the warnings of the command under ``warnings``.
 
     A command that writes to an object store prints it after the upload.
@@ -62,14 +62,14 @@ def say_json(value: Json) -> None:
         click.echo(text)
 
 
-def facts(*rows: tuple[str, str]) -> None:
+def print_facts(*rows: tuple[str, str]) -> None:
     """Print lines of a label and a text; lines with an empty text are left out."""
     for label, text in rows:
         if text:
-            say(f"  {label:<{_LABEL_WIDTH}} {text}")
+            print_line(f"  {label:<{_LABEL_WIDTH}} {text}")
 
 
-def table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> None:
+def print_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> None:
     """Print a table.
 
     Parameters
@@ -106,12 +106,12 @@ def size_text(size_bytes: int) -> str:
     return f"{size_bytes / (1 << 30):.2f} GiB"
 
 
-def counted(count: int, noun: str) -> str:
+def count_text(count: int, noun: str) -> str:
     """Return a count with its noun, such as ``1 chunk`` or ``12,000 splats``."""
     return f"{count:,} {noun}" + ("" if count == 1 else "s")
 
 
-def title_of(path: Path, *, in_folder: bool = False) -> str:
+def display_title(path: Path, *, in_folder: bool = False) -> str:
     """Return the title of a file in pages and charts: its name, or the name of its stream.
 
     Parameters
@@ -121,12 +121,12 @@ def title_of(path: Path, *, in_folder: bool = False) -> str:
     in_folder : bool
         Whether the name of the folder precedes the name of the file.
     """
-    shown = name_of(path)
+    shown = display_name(path)
     if shown != os.fspath(path):
         return shown
     return f"{path.absolute().parent.name}/{path.name}" if in_folder else path.name
 
 
-def name_of(path: Path) -> str:
+def display_name(path: Path) -> str:
     """Return a path as the user gave it: the path itself, a URL, or the name of a stream."""
-    return with_streams_named(os.fspath(path))
+    return with_display_names(os.fspath(path))

@@ -48,7 +48,7 @@ class InputPath(click.Path):
     Parameters
     ----------
     by_ranges : bool
-        Whether the command itself reads ranges of a URL, through `url_of`.
+        Whether the command itself reads ranges of a URL, through `unfetched_url`.
     """
 
     def __init__(self, *, by_ranges: bool = False) -> None:
@@ -196,7 +196,7 @@ class StandardStreams:
         ----------
         url : str
         later : bool
-            Whether the file is fetched by `fetched` only.
+            Whether the file is fetched by `fetch_if_url` only.
         quiet : bool
             Whether fetching prints no progress.
 
@@ -344,19 +344,19 @@ def is_standard_output(path: Path) -> bool:
     return streams is not None and streams.is_output(path)
 
 
-def is_output_taken() -> bool:
+def is_output_reserved() -> bool:
     """Whether the running command sends a file to standard output."""
     streams = _streams(click.get_current_context(silent=True))
     return streams is not None and streams.is_output_taken
 
 
-def url_of(path: Path) -> str | None:
+def unfetched_url(path: Path) -> str | None:
     """Return the URL of a path that is not fetched yet; None for any other path."""
     streams = _streams(click.get_current_context(silent=True))
     return None if streams is None else streams.url_of(path)
 
 
-def fetched(path: Path) -> Path:
+def fetch_if_url(path: Path) -> Path:
     """Return a path of the running command after fetching its file, if it is the file of a URL.
 
     Raises
@@ -382,7 +382,7 @@ def hold_back(line: str) -> bool:
     return streams is not None and streams.hold_back(line)
 
 
-def call_file(path: Path, name: str) -> None:
+def set_display_name(path: Path, name: str) -> None:
     """Set the name that texts of the running command use for a temporary file.
 
     Parameters
@@ -397,7 +397,7 @@ def call_file(path: Path, name: str) -> None:
         streams.call(path, name)
 
 
-def with_streams_named(text: str) -> str:
+def with_display_names(text: str) -> str:
     """Return a text with paths of the running command's temporary files replaced by names."""
     streams = _streams(click.get_current_context(silent=True))
     return text if streams is None else streams.named(text)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.tools.evaluation.byte_inventory import StoredSize
-from cogsplat.tools.terminal.output import say, table
+from cogsplat.tools.terminal.output import print_line, print_table
 
 
 def print_byte_table(sizes: list[StoredSize], file: CogsFile) -> None:
@@ -30,5 +30,5 @@ def print_byte_table(sizes: list[StoredSize], file: CogsFile) -> None:
     total = sum(size.stored_bytes for size in sizes)
     each = f"{8 * total / max(file.root.splats, 1):.2f}"
     rows.append(("", "total", f"{total:,}", f"{total / file.file_length:.1%}", each))
-    say("")
-    table(("segment", "stream", "bytes", "share", "bits/splat"), rows, left=2)
+    print_line("")
+    print_table(("segment", "stream", "bytes", "share", "bits/splat"), rows, left=2)

@@ -17,7 +17,7 @@ from cogsplat.tools.evaluation import prefix_quality, report_page
 from cogsplat.tools.evaluation.measuring_costs import comparison_costs
 from cogsplat.tools.evaluation.photos import Photos, read_photos
 from cogsplat.tools.evaluation.prefix_quality import PrefixQuality
-from cogsplat.tools.terminal.output import facts, say, size_text, table
+from cogsplat.tools.terminal.output import print_facts, print_line, print_table, size_text
 from cogsplat.tools.terminal.values import Colour
 
 from .inputs import evaluation_cameras
@@ -153,14 +153,14 @@ class FileEvaluation:
             ]
             for q in found
         ]
-        say("")
-        say(f" by {self.what}")
-        table([*columns, *(["photos"] if self.photos else [])], rows, left=0)
+        print_line("")
+        print_line(f" by {self.what}")
+        print_table([*columns, *(["photos"] if self.photos else [])], rows, left=0)
         reached = found[-1].photos_db
         if self.photos and reached is not None:
             source_db = self.photos.source_db
-            say("")
-            facts(("photos", f"source {source_db:.2f} dB, {source_db - reached:.2f} lost"))
+            print_line("")
+            print_facts(("photos", f"source {source_db:.2f} dB, {source_db - reached:.2f} lost"))
 
 
 def settings_of(context: click.Context, views: int, seconds: float) -> list[tuple[str, str]]:

@@ -25,7 +25,7 @@ from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.formats.storage.source import Source
 from cogsplat.tools.terminal.limits import current_limits
 from cogsplat.tools.terminal.partial import partial_accepted
-from cogsplat.tools.terminal.standard_streams import fetched, url_of
+from cogsplat.tools.terminal.standard_streams import fetch_if_url, unfetched_url
 from cogsplat.tools.terminal.values import ChunkRange
 
 if TYPE_CHECKING:
@@ -140,8 +140,8 @@ def is_cogs_input(path: Path) -> bool:
     CogsplatError
         It cannot be read.
     """
-    url = url_of(path)
-    return (url is not None and path.suffix.lower() == ".cogs") or is_cogs(fetched(path))
+    url = unfetched_url(path)
+    return (url is not None and path.suffix.lower() == ".cogs") or is_cogs(fetch_if_url(path))
 
 
 def input_source(path: Path) -> Source:
@@ -152,7 +152,7 @@ def input_source(path: Path) -> Source:
     CogsplatError
         It cannot be read.
     """
-    url = url_of(path)
+    url = unfetched_url(path)
     return open_source(path if url is None else url)
 
 
@@ -230,10 +230,10 @@ def decode_part(
             progress=progress,
         )
 
-    return decode_part_by(whole, path, part)
+    return decode_part_with(whole, path, part)
 
 
-def decode_part_by(decode: Decode, path: Path, part: Selection) -> LoadedScene:
+def decode_part_with(decode: Decode, path: Path, part: Selection) -> LoadedScene:
     """Have a COGS file or a part of it decoded, and say what its file states.
 
     Raises
@@ -281,7 +281,7 @@ def decode_part_by(decode: Decode, path: Path, part: Selection) -> LoadedScene:
         )
 
 
-def given_files(scene: Path, *others: Path | None) -> Iterator[Path]:
+def input_files(scene: Path, *others: Path | None) -> Iterator[Path]:
     """Yield the files that a command reads, which its outputs may not be.
 
     Parameters
@@ -303,7 +303,7 @@ def given_files(scene: Path, *others: Path | None) -> Iterator[Path]:
             yield path
 
 
-def usable_rows(splats: Splats, where: Path) -> Splats:
+def drop_invalid_splats(splats: Splats, where: Path) -> Splats:
     """Return the rows whose values are finite, with a warning where some are not.
 
     Raises
@@ -328,7 +328,7 @@ def usable_rows(splats: Splats, where: Path) -> Splats:
     return splats.take(~bad)
 
 
-def given_cameras(path: Path) -> list[Camera]:
+def load_cameras(path: Path) -> list[Camera]:
     """Read cameras, and refuse those too large to render.
 
     Raises
@@ -353,7 +353,7 @@ def scoring_cameras(path: Path | None, every: int) -> list[Camera] | None:
     """Return the cameras to score on, without those held out; None where none are given."""
     if path is None:
         return None
-    train, held = hold_out(given_cameras(path), every)
+    train, held = hold_out(load_cameras(path), every)
     if not train:
         raise click.UsageError(
             f"--eval-every {every} holds out all {len(held)} cameras of {path}, "
@@ -362,7 +362,7 @@ def scoring_cameras(path: Path | None, every: int) -> list[Camera] | None:
     return train
 
 
-def measured_in(cameras: Sequence[Camera], every: int) -> list[Camera]:
+def target_cameras(cameras: Sequence[Camera], every: int) -> list[Camera]:
     """Return the cameras that a target PSNR is measured in, near the test views but not of them.
 
     Parameters
@@ -389,7 +389,7 @@ def measured_in(cameras: Sequence[Camera], every: int) -> list[Camera]:
     return found if len(found) >= _FEWEST_TEST_VIEWS else allowed
 
 
-def planned_views(splats: Splats, *, threads: int = 0, progress: Progress = silent) -> ViewPlan:
+def plan_views(splats: Splats, *, threads: int = 0, progress: Progress = silent) -> ViewPlan:
     """Plan views, and others to test in, of a scene that came without cameras.
 
     Raises
@@ -402,9 +402,9 @@ def planned_views(splats: Splats, *, threads: int = 0, progress: Progress = sile
     return plan(splats, ViewPlanConfig(threads=threads), progress=progress)
 
 
-def virtual_views(splats: Splats, *, threads: int = 0, progress: Progress = silent) -> list[Camera]:
-    """Plan the views of a scene that came without cameras; see `planned_views`."""
-    found = planned_views(splats, threads=threads, progress=progress)
+def plan_cameras(splats: Splats, *, threads: int = 0, progress: Progress = silent) -> list[Camera]:
+    """Plan the views of a scene that came without cameras; see `plan_views`."""
+    found = plan_views(splats, threads=threads, progress=progress)
     return found.views + found.covering_views
 
 
@@ -434,15 +434,15 @@ def evaluation_cameras(
     planned : sequence of Camera, optional
         The virtual views, where they are there already.
     threads, progress
-        As in `virtual_views`.
+        As in `plan_cameras`.
     """
     beside = reference.parent / EVAL_CAMERAS
     if path is not None:
-        cameras: Sequence[Camera] = given_cameras(path)
+        cameras: Sequence[Camera] = load_cameras(path)
         what = f"cameras of {path}"
     elif beside.is_file():
-        return given_cameras(beside), f"cameras of {beside}"
+        return load_cameras(beside), f"cameras of {beside}"
     else:
         what = "virtual views"
-        cameras = planned or virtual_views(splats, threads=threads, progress=progress)
+        cameras = planned or plan_cameras(splats, threads=threads, progress=progress)
     return (hold_out(cameras, every)[1] if every else cameras), what

@@ -25,7 +25,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.tools.terminal.standard_streams import PATH
 
-from .inputs import given_cameras
+from .inputs import load_cameras
 
 _DEFAULTS: Final = OrderConfig()
 
@@ -137,14 +137,14 @@ class OrderChoice:
         from cogsplat.codec.order.objects_from_masks import labels_from_masks
         from cogsplat.tools.pictures.mask_images import read_masks
 
-        views, pictures = read_masks(self.masks, given_cameras(cameras))
+        views, pictures = read_masks(self.masks, load_cameras(cameras))
         labels = labels_from_masks(splats, views, pictures, threads=threads, progress=progress)
         labelled = objects.with_labels(splats, labels)
         objects.require_objects(labelled, self.budgets)
         return labelled
 
 
-def order_name(text: str) -> str:
+def parse_order(text: str) -> str:
     """Parse the name of an order, alone or with a rule for a first view.
 
     Raises
@@ -162,7 +162,7 @@ def order_name(text: str) -> str:
     return text
 
 
-def budgets(text: str) -> Budgets:
+def parse_budgets(text: str) -> Budgets:
     """Parse budgets of objects such as ``20%`` or ``1:50%,2:10%``.
 
     Raises
@@ -186,7 +186,7 @@ def budgets(text: str) -> Budgets:
     return tuple(found.items())
 
 
-def order_names(text: str) -> tuple[str, ...]:
+def parse_orders(text: str) -> tuple[str, ...]:
     """Parse names of orders, separated by commas; ``all`` for all that need no first view.
 
     Raises
@@ -196,7 +196,7 @@ def order_names(text: str) -> tuple[str, ...]:
     """
     if text.strip().lower() == "all":
         return ORDERS
-    return tuple(dict.fromkeys(order_name(part.strip()) for part in text.split(",")))
+    return tuple(dict.fromkeys(parse_order(part.strip()) for part in text.split(",")))
 
 
 def _orders_like(ctx: click.Context, parameter: click.Parameter, start: str) -> list[str]:
@@ -208,7 +208,7 @@ def order_options(command: Callable[..., object]) -> Callable[..., object]:
     """Add ``--order`` and its parameters, passed to the command as ``choice``."""
     option = click.option(
         "--order",
-        type=order_name,
+        type=parse_order,
         default="gain",
         show_default=True,
         metavar="NAME",
@@ -223,7 +223,7 @@ def orders_option(command: Callable[..., object]) -> Callable[..., object]:
     option = click.option(
         "--orders",
         "order",
-        type=order_names,
+        type=parse_orders,
         default="all",
         show_default=True,
         metavar="NAMES",
@@ -364,7 +364,7 @@ def _with_parameters(
         ),
         click.option(
             "--object-budgets",
-            type=budgets,
+            type=parse_budgets,
             metavar="P%|N:P%,…",
             help="Send this share of every object, or of object N, before the rest; the objects "
             "that matter most go first.",

@@ -18,7 +18,7 @@ from cogsplat.codec.geometry.transforms import transform, transform_camera
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats
 from cogsplat.tools.terminal.values import Box, Vector, box, vector
 
-from .inputs import usable_rows
+from .inputs import drop_invalid_splats
 
 F64 = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ class SceneEdits:
             exceeds float32.
         """
         if self.drop_invalid:
-            splats = usable_rows(splats, where)
+            splats = drop_invalid_splats(splats, where)
         if self.sh_degree is not None:
             splats = splats.with_sh_degree(self.sh_degree)
         if self.crop is not None:

@@ -14,7 +14,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.scenes.registry import WRITABLE
 from cogsplat.formats.storage.atomic import storage_errors
-from cogsplat.tools.terminal.output import name_of, size_text
+from cogsplat.tools.terminal.output import display_name, size_text
 from cogsplat.tools.terminal.output_names import scene_format, written_bytes
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting
@@ -48,7 +48,7 @@ class WrittenScene:
     def report(self, out: Path) -> dict[str, object]:
         """Return the keys of a JSON object about the written file."""
         return {
-            "output": name_of(out),
+            "output": display_name(out),
             "format": self.format,
             "bytes": self.size_bytes,
             "splats": self.splats,

@@ -9,7 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.tools.evaluation.scene_statistics import SceneStatistics, ValueStatistics
-from cogsplat.tools.terminal.output import counted, facts, say, size_text, table
+from cogsplat.tools.terminal.output import (
+    count_text,
+    print_facts,
+    print_line,
+    print_table,
+    size_text,
+)
 
 # Lower block elements, U+2581 to U+2588; a space stands for an empty bin.
 _BARS: Final = "▁▂▃▄▅▆▇█"
@@ -56,11 +62,11 @@ def print_statistics(found: SceneStatistics, source_splats: int) -> None:
     """
     of = "" if found.splats == source_splats else f" of {source_splats:,}"
     opaque = "" if found.opaque_share is None else f"{found.opaque_share:.1%} above one half"
-    say("")
-    facts(
+    print_line("")
+    print_facts(
         ("read", f"{found.splats:,}{of} splats at SH degree {found.sh_degree}"),
         ("memory", f"{size_text(found.nbytes)} of arrays"),
-        ("invalid", counted(found.num_invalid, "splat") if found.num_invalid else "none"),
+        ("invalid", count_text(found.num_invalid, "splat") if found.num_invalid else "none"),
         ("opacity", opaque),
         ("fill", "" if found.fill_ratio is None else f"{found.fill_ratio:.4g} layers"),
     )
@@ -77,9 +83,9 @@ def print_statistics(found: SceneStatistics, source_splats: int) -> None:
         )
         for name, values in found.values.items()
     ]
-    say("")
+    print_line("")
     heads = ("values", "least", "median", "largest", "mean", "std", "NaN", "inf", "histogram")
-    table(heads, rows)
+    print_table(heads, rows)
 
 
 def bars(histogram: NDArray[np.int64]) -> str:

@@ -14,11 +14,11 @@ from cogsplat.formats.cogs.folder_writer import pack_cogs
 from cogsplat.formats.scenes.registry import is_cogs
 from cogsplat.tools.delivery.viewer_pages import SCENE_NAME
 from cogsplat.tools.terminal.limits import current_limits
-from cogsplat.tools.terminal.output import note
+from cogsplat.tools.terminal.output import print_error_line
 from cogsplat.tools.terminal.partial import partial_accepted
 from cogsplat.tools.terminal.progress import Stages
 
-from .inputs import read_any, usable_rows
+from .inputs import drop_invalid_splats, read_any
 
 PRESET = "fast"
 """Preset for encoding scenes of other formats before they are shown."""
@@ -66,12 +66,12 @@ def viewable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
             return
     if shown:
         why = "is truncated" if is_cogs(scene) else "is no COGS file"
-        note(f"{scene} {why}: encoding it first, preset {PRESET}")
+        print_error_line(f"{scene} {why}: encoding it first, preset {PRESET}")
     with tempfile.TemporaryDirectory(prefix="cogsplat-") as folder:
         path = Path(folder) / SCENE_NAME
         with Stages(shown=shown) as stages:
             with stages.stage("read"):
-                found = usable_rows(read_any(scene, threads=threads).splats, scene)
+                found = drop_invalid_splats(read_any(scene, threads=threads).splats, scene)
             from cogsplat.codec.encode.config import EncodeConfig
             from cogsplat.codec.encode.request import EncodeRequest
             from cogsplat.codec.encode.stage_costs import stage_costs
@@ -110,7 +110,7 @@ def drawable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
         path = Path(folder) / "scene.ply"
         with Stages(shown=shown) as stages:
             with stages.stage("read"):
-                found = usable_rows(read_any(scene, threads=threads).splats, scene)
+                found = drop_invalid_splats(read_any(scene, threads=threads).splats, scene)
             with stages.stage("write"):
                 cogsplat.write(found, path)
         count = len(found)

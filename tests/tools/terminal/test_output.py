@@ -2,7 +2,7 @@
 
 import pytest
 
-from cogsplat.tools.terminal.output import counted, size_text
+from cogsplat.tools.terminal.output import count_text, size_text
 
 
 @pytest.mark.parametrize(
@@ -25,4 +25,4 @@ def test_sizes_are_told_in_binary_units(size: int, text: str) -> None:
     ("number", "text"), [(0, "0 chunks"), (1, "1 chunk"), (12_000, "12,000 chunks")]
 )
 def test_numbers_come_with_their_noun(number: int, text: str) -> None:
-    assert counted(number, "chunk") == text
+    assert count_text(number, "chunk") == text

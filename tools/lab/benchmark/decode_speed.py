@@ -29,7 +29,13 @@ from cogsplat.codec.streams import decoding_tiers
 from cogsplat.codec.threads import thread_count
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 from cogsplat.tools.terminal.options import json_option, threads_option
-from cogsplat.tools.terminal.output import name_of, say, say_json, size_text, table
+from cogsplat.tools.terminal.output import (
+    display_name,
+    print_json,
+    print_line,
+    print_table,
+    size_text,
+)
 from cogsplat.tools.terminal.standard_streams import PATH
 
 _ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
@@ -301,7 +307,7 @@ def main(
     if decoding_tiers.use_compiled(True):
         # A plain decode, and beside it what each number of threads gives.
         ways += [Way(kernels=True, threads=count) for count in sorted({threads, 1, 2})]
-    subjects = [(path, name_of(path)) for path in files]
+    subjects = [(path, display_name(path)) for path in files]
     with tempfile.TemporaryDirectory() as folder:
         for degree in (0, 3) if synth_splats else ():
             path = Path(folder) / f"sh{degree}.cogs"
@@ -316,10 +322,10 @@ def main(
         ]
     about = machine()
     if as_json:
-        say_json({"machine": about, "pairs": pairs, "files": [t.report() for t in timings]})
+        print_json({"machine": about, "pairs": pairs, "files": [t.report() for t in timings]})
         return
     using = "numba loaded" if about["numba"] else "without numba"
-    say(f"{using}, {pairs} pairs, {about['cores']} cores, {about['platform']}")
+    print_line(f"{using}, {pairs} pairs, {about['cores']} cores, {about['platform']}")
     rows = [
         (
             timing.name,
@@ -335,7 +341,7 @@ def main(
         )
         for timing in timings
     ]
-    table(
+    print_table(
         (
             "file",
             "decoded by",

@@ -26,7 +26,7 @@ from cogsplat.formats.storage.source import FileSource
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 from cogsplat.tools.pictures.svg_charts import Series, line_chart
 from cogsplat.tools.terminal.options import force_option, json_option, threads_option
-from cogsplat.tools.terminal.output import say, say_json, table
+from cogsplat.tools.terminal.output import print_json, print_line, print_table
 from cogsplat.tools.terminal.standard_streams import PATH
 from cogsplat.tools.terminal.values import number_of_bytes
 
@@ -285,7 +285,7 @@ def main(
             }
     if as_json:
         told = {what: {key: asdict(line) for key, line in of.items()} for what, of in lines.items()}
-        say_json({"steps": [asdict(step) for step in steps], "lines": told})
+        print_json({"steps": [asdict(step) for step in steps], "lines": told})
         return
     rows = [
         (
@@ -298,10 +298,10 @@ def main(
         )
         for step in sorted(steps, key=lambda step: step.what)
     ]
-    table(("", "splats", "seconds", "processor s", "peak GB", "written MB"), rows)
+    print_table(("", "splats", "seconds", "processor s", "peak GB", "written MB"), rows)
     for what, of in lines.items():
         memory_line, time_line = of["peak_bytes"], of["cpu_seconds"]
-        say(
+        print_line(
             f"{what}: {memory_line.fixed / 1e9:.2f} GB and {memory_line.per_splat / 1e3:.2f} kB a "
             f"splat ({memory_line.largest_deviation:.0%} off at most), {time_line.fixed:.1f} s and "
             f"{1e6 * time_line.per_splat:.0f} µs a splat ({time_line.largest_deviation:.0%})"

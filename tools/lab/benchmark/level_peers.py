@@ -34,7 +34,7 @@ from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.tools.evaluation.level_figures import PictureFigures, compared, level_sizes
 from cogsplat.tools.evaluation.lpips import Lpips, read_lpips
 from cogsplat.tools.pictures.svg_charts import Series, line_chart
-from cogsplat.tools.terminal.output import say, table
+from cogsplat.tools.terminal.output import print_line, print_table
 
 Row = tuple[str, ...]
 
@@ -230,14 +230,16 @@ def main() -> None:
     )
     lpips = None if given.lpips_weights is None else read_lpips(given.lpips_weights)
     found = judged(splats, models(splats, train, config), tests or train, config, lpips=lpips)
-    say(f"{given.scene}: {len(tests or train)} views, {given.steps} steps a level")
+    print_line(f"{given.scene}: {len(tests or train)} views, {given.steps} steps a level")
     heads = (
         "pictures", "drawn from", "splats", "fetched B", "opacities B", "PSNR", "worst", "SSIM",
         "LPIPS",
     )  # fmt: skip
-    table(heads, own_rows(found), left=2)
-    say("PSNR by the size of the pictures:")
-    table(("made for", "drawn from", *(f"1/{s}" for s in config.scales)), size_rows(found), left=2)
+    print_table(heads, own_rows(found), left=2)
+    print_line("PSNR by the size of the pictures:")
+    print_table(
+        ("made for", "drawn from", *(f"1/{s}" for s in config.scales)), size_rows(found), left=2
+    )
     if given.chart is not None:
         given.chart.write_text(chart(found, cameras[0].width), encoding="utf-8")
 

@@ -32,7 +32,7 @@ from cogsplat.formats.cogs.writer import Segment, write_cogs
 from cogsplat.formats.network.download import download
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 from cogsplat.tools.terminal.options import json_option
-from cogsplat.tools.terminal.output import facts, say_json
+from cogsplat.tools.terminal.output import print_facts, print_json
 from cogsplat.tools.terminal.standard_streams import PATH
 
 _STATUS: Final = "/proc/{}/status"
@@ -331,9 +331,9 @@ def _peak_bytes() -> int:
 def _tell(found: object, as_json: bool) -> None:
     values = asdict(found)  # type: ignore[call-overload]
     if as_json:
-        say_json(values)
+        print_json(values)
         return
-    facts(
+    print_facts(
         *(
             (name, f"{value:,.3f}" if isinstance(value, float) else f"{value:,}")
             for name, value in values.items()

@@ -22,7 +22,7 @@ from cogsplat.tools.lab.partitions.cuboid_program import cheapest_partition
 from cogsplat.tools.lab.partitions.grid_trees import kd_partition, octree_partition
 from cogsplat.tools.lab.partitions.guillotine import cut_costs
 from cogsplat.tools.terminal.options import json_option
-from cogsplat.tools.terminal.output import say, say_json, table
+from cogsplat.tools.terminal.output import print_json, print_line, print_table
 from cogsplat.tools.terminal.standard_streams import PATH
 
 
@@ -138,10 +138,10 @@ def main(scene: Path, cameras: Path, cuboids: int, seconds: float, as_json: bool
     """Compare partitions of a scene's space into cells."""
     found = compare(cogsplat.read(scene), cogsplat.read_cameras(cameras), cuboids, seconds)
     if as_json:
-        say_json(asdict(found))
+        print_json(asdict(found))
         return
     i, j, k = found.shape
-    say(
+    print_line(
         f"{i} x {j} x {k} basic cuboids, {found.filled} of them hold splats; "
         f"as one cell, views fetch {found.whole_waste:.2f} times what they see"
     )
@@ -155,8 +155,8 @@ def main(scene: Path, cameras: Path, cuboids: int, seconds: float, as_json: bool
         )
         for way in found.ways
     ]
-    table(("", "cells", "cost", "fetched / seen", "processor s"), rows)
-    say(f"no partition costs less than {found.bound:.4f}")
+    print_table(("", "cells", "cost", "fetched / seen", "processor s"), rows)
+    print_line(f"no partition costs less than {found.bound:.4f}")
 
 
 if __name__ == "__main__":

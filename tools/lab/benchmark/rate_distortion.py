@@ -20,7 +20,7 @@ from cogsplat.codec.splats import Splats
 from cogsplat.formats.scenes.registry import FORMATS, Format, read_scene
 from cogsplat.tools.evaluation.measuring_costs import comparison_costs
 from cogsplat.tools.evaluation.photos import Photos
-from cogsplat.tools.terminal.standard_streams import call_file
+from cogsplat.tools.terminal.standard_streams import set_display_name
 
 if TYPE_CHECKING:
     from cogsplat.codec.encode.config import EncodeConfig
@@ -433,7 +433,7 @@ def _measure(
     given: BenchInput, method: _Method, path: Path, progress: Progress
 ) -> tuple[Row, EncodeReport | None]:
     """Return the figures of a method and, where it is one of ours, how its file was encoded."""
-    call_file(path, _label(method.name, method.quality_db))
+    set_display_name(path, _label(method.name, method.quality_db))
     start = time.perf_counter()
     try:
         report = method.write(path)

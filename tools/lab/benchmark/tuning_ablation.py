@@ -34,7 +34,7 @@ from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.formats.storage.byte_counts import parse_bytes
 from cogsplat.tools.evaluation.photos import read_photos
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
-from cogsplat.tools.terminal.output import say, table
+from cogsplat.tools.terminal.output import print_line, print_table
 
 F32 = NDArray[np.float32]
 Row = tuple[str, ...]
@@ -250,9 +250,11 @@ def main() -> None:
         splats, train, tests, size, config, photos=photos, background=background, only=given.only
     )
     of = given.scene or "synthetic scene"
-    say(f"{of}: {len(splats):,} splats, {len(tests)} held-out views, {given.steps} steps a round")
+    print_line(
+        f"{of}: {len(splats):,} splats, {len(tests)} held-out views, {given.steps} steps a round"
+    )
     heads = ["tuned", "splats", "bytes", "held-out", "worst", "roam"]
-    table([*heads, "photos"] if photos else heads, rows, left=1)
+    print_table([*heads, "photos"] if photos else heads, rows, left=1)
 
 
 if __name__ == "__main__":

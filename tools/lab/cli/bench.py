@@ -37,18 +37,26 @@ from cogsplat.tools.terminal.options import (
     quiet_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text, table, title_of
+from cogsplat.tools.terminal.output import (
+    display_name,
+    display_title,
+    print_facts,
+    print_json,
+    print_line,
+    print_table,
+    size_text,
+)
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH
 from cogsplat.tools.terminal.values import Colour
 from cogsplat.tools.workflow.inputs import (
+    drop_invalid_splats,
     evaluation_cameras,
-    given_files,
+    input_files,
+    plan_cameras,
     read_any,
     scoring_cameras,
-    usable_rows,
-    virtual_views,
 )
 
 _PROFILES: Final = ("transform", "vq", "near-lossless")
@@ -208,7 +216,7 @@ def bench(
         with storage_errors(out):
             out.mkdir(parents=True, exist_ok=True)
         for name in _ABLATION_FILES if ablation else _FILES:
-            check_output(out / name, force=force, inputs=given_files(scene, cameras, images))
+            check_output(out / name, force=force, inputs=input_files(scene, cameras, images))
     with Stages(shown=not (quiet or as_json)) as stages:
 
         def work(
@@ -245,7 +253,7 @@ def bench(
                     formats=formats,
                     progress=stages,
                 )
-    title = title_of(scene, in_folder=True)
+    title = display_title(scene, in_folder=True)
     pages = (
         _ablation_pages(found, about, title) if ablation else _bench_pages(measured, about, title)
     )
@@ -254,7 +262,7 @@ def bench(
     if as_json:
         report = _ablation_report(found, about) if ablation else _bench_report(measured, about)
         seconds = {"seconds": stages.rounded(), "cpu_seconds": stages.cpu_rounded()}
-        say_json({**report, **seconds})
+        print_json({**report, **seconds})
         return
     _tell_about(scene, given, what)
     if ablation:
@@ -264,8 +272,8 @@ def bench(
         _tell_stages(measured.stages)
         _tell_prefixes(measured)
     if not quiet:
-        say("")
-        facts(
+        print_line("")
+        print_facts(
             ("written", f"{', '.join(pages)} in {out}" if out is not None else ""),
             ("time", stages.line()),
         )
@@ -291,12 +299,12 @@ def _gather(
         views = scoring_cameras(cameras, eval_every)
         # Formats are compared by what they draw; most hold nothing else.
         drawn = read_any(scene, threads=threads).splats.without_extras()
-        splats = usable_rows(drawn, scene)
+        splats = drop_invalid_splats(drawn, scene)
         if not len(splats):
             raise DataError("no-splats", f"{scene}: 0 splats, expected some to measure")
     planned = None
     if views is None:
-        planned = virtual_views(splats, threads=threads, progress=stages)
+        planned = plan_cameras(splats, threads=threads, progress=stages)
         views = hold_out(planned, eval_every)[0] or planned
     test_views, what = evaluation_cameras(scene, splats, cameras, eval_every, planned=planned)
     photos = None
@@ -315,7 +323,7 @@ def _gather(
 
 def _about(scene: Path, given: BenchInput, what: str) -> dict[str, object]:
     return {
-        "source": name_of(scene),
+        "source": display_name(scene),
         "splats": len(given.splats),
         "sh_degree": given.splats.sh_degree,
         "test_views": {"from": what, "count": len(given.cameras)},
@@ -334,14 +342,14 @@ def _about(scene: Path, given: BenchInput, what: str) -> dict[str, object]:
 
 def _tell_about(scene: Path, given: BenchInput, what: str) -> None:
     splats = given.splats
-    say(f"{scene}: {len(splats):,} splats, SH degree {splats.sh_degree}")
+    print_line(f"{scene}: {len(splats):,} splats, SH degree {splats.sh_degree}")
     photo = "" if given.photos is None else f"{given.photos.source_db:.2f} dB for the source"
-    facts(
+    print_facts(
         ("test views", f"{len(given.cameras)} {what}"),
         ("scored", f"on {len(given.scored_on)} views, {given.score_s:.1f} s"),
         ("photos", photo),
     )
-    say("")
+    print_line("")
 
 
 def _tell_rows(rows: Sequence[Row]) -> None:
@@ -367,7 +375,7 @@ def _tell_rows(rows: Sequence[Row]) -> None:
                 f"{row.decode_s:.3f}",
             ]
         )
-    table(columns, cells)
+    print_table(columns, cells)
 
 
 def _tell_prefixes(measured: Bench) -> None:
@@ -378,12 +386,12 @@ def _tell_prefixes(measured: Bench) -> None:
     for prefix in measured.prefixes:
         text = f"{prefix.held_out_db:.2f}"
         by_size.setdefault(prefix.prefix_bytes, {})[prefix.label] = text
-    say("")
+    print_line("")
     cells = [
         [size_text(size), *(by_size[size].get(name, "") for name in named)]
         for size in sorted(by_size)
     ]
-    table(["received", *named], cells)
+    print_table(["received", *named], cells)
 
 
 def _tell_stages(stages: Sequence[StageTime]) -> None:
@@ -393,7 +401,7 @@ def _tell_stages(stages: Sequence[StageTime]) -> None:
     whole: dict[str, float] = {}
     for stage in stages:
         whole[stage.label] = whole.get(stage.label, 0.0) + stage.wall_s
-    say("")
+    print_line("")
     cells = [
         [
             stage.label,
@@ -404,11 +412,11 @@ def _tell_stages(stages: Sequence[StageTime]) -> None:
         ]
         for stage in stages
     ]
-    table(["", "stage", "s", "share", "CPU s"], cells, left=2)
+    print_table(["", "stage", "s", "share", "CPU s"], cells, left=2)
 
 
 def _tell_ablation(found: AblationTable) -> None:
-    say(f" bytes at {found.held_out_db:.2f} dB held-out, without")
+    print_line(f" bytes at {found.held_out_db:.2f} dB held-out, without")
     cells = [
         [
             row.technique,
@@ -419,7 +427,7 @@ def _tell_ablation(found: AblationTable) -> None:
         ]
         for row in found.rows
     ]
-    table(["", "B/splat", "more", "roam", "enc s"], cells)
+    print_table(["", "B/splat", "more", "roam", "enc s"], cells)
 
 
 def _bench_report(measured: Bench, about: Mapping[str, object]) -> dict[str, object]:

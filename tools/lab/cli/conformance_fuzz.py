@@ -13,7 +13,7 @@ from cogsplat.formats.storage.atomic import atomic_write, open_for_read, storage
 from cogsplat.tools.lab.conformance.differential import FuzzReport, vector_files
 from cogsplat.tools.lab.conformance.differential import fuzz as fuzz_decoders
 from cogsplat.tools.terminal.options import json_option, quiet_option
-from cogsplat.tools.terminal.output import counted, say, say_json
+from cogsplat.tools.terminal.output import count_text, print_json, print_line
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import PATH
 
@@ -103,7 +103,7 @@ def fuzz(
             with atomic_write(keep / f"{seed}-{case.number}.cogs", force=True) as file:
                 file.write(case.mutant.data)
     if as_json:
-        say_json({**_json(report), "seconds": stages.rounded()})
+        print_json({**_json(report), "seconds": stages.rounded()})
     else:
         _tell(report, quiet=quiet)
     if report.disagreements:
@@ -135,9 +135,9 @@ def _json(report: FuzzReport) -> dict[str, object]:
 
 def _tell(report: FuzzReport, *, quiet: bool) -> None:
     accepted = report.verdicts.get("accepted", 0)
-    say(
-        f"{counted(report.mutants, 'mutant')}, {accepted:,} of them read, "
-        f"{counted(len(report.disagreements), 'disagreement')}; "
+    print_line(
+        f"{count_text(report.mutants, 'mutant')}, {accepted:,} of them read, "
+        f"{count_text(len(report.disagreements), 'disagreement')}; "
         f"the slowest took {report.slowest_s:.2f} s"
     )
     for case in report.disagreements[:MOST_SHOWN]:
@@ -146,10 +146,10 @@ def _tell(report: FuzzReport, *, quiet: bool) -> None:
             f"{decoder.name}: {verdict or 'not asked'}"
             for decoder, verdict in zip(report.decoders, case.verdicts, strict=True)
         )
-        say(f"  {case.number}: {case.mutant.seed_file}, {case.mutant.change}{how}: {said}")
+        print_line(f"  {case.number}: {case.mutant.seed_file}, {case.mutant.change}{how}: {said}")
     more = len(report.disagreements) - MOST_SHOWN
     if more > 0:
-        say(f"  and {counted(more, 'disagreement')} more; --json lists all")
+        print_line(f"  and {count_text(more, 'disagreement')} more; --json lists all")
     if not quiet:
         for decoder, memory in zip(report.decoders, report.most_memory, strict=True):
-            say(f"  {decoder.name} {decoder.version}: at most {memory / 2**20:.0f} MiB")
+            print_line(f"  {decoder.name} {decoder.version}: at most {memory / 2**20:.0f} MiB")

@@ -12,7 +12,7 @@ import click
 from cogsplat.tools.lab.conformance.runner import Failure, Report
 from cogsplat.tools.lab.conformance.runner import run as run_vectors
 from cogsplat.tools.terminal.options import json_option, quiet_option
-from cogsplat.tools.terminal.output import counted, say, say_json, table
+from cogsplat.tools.terminal.output import count_text, print_json, print_line, print_table
 from cogsplat.tools.terminal.progress import Stages
 
 from .conformance_options import MOST_SHOWN, VECTORS, own_vectors, timeout_option
@@ -46,7 +46,7 @@ def run(decoder: str, vectors: Path | None, timeout: float, quiet: bool, as_json
     with Stages(shown=not (quiet or as_json)) as stages:
         report = run_vectors(shlex.split(decoder), folder, timeout_s=timeout, progress=stages)
     if as_json:
-        say_json({**_json(report), "seconds": stages.rounded()})
+        print_json({**_json(report), "seconds": stages.rounded()})
     else:
         _tell(report, quiet=quiet)
     if report.failures:
@@ -68,7 +68,7 @@ def _json(report: Report) -> dict[str, object]:
 
 def _tell(report: Report, *, quiet: bool) -> None:
     decoder = report.decoder
-    say(
+    print_line(
         f"{decoder.name} {decoder.version}, level {decoder.level}: "
         f"{report.passed:,} passed, {len(report.failures):,} failed"
     )
@@ -78,14 +78,14 @@ def _tell(report: Report, *, quiet: bool) -> None:
             for clause, (passed, made) in report.by_clause.items()
             if passed < made
         ]
-        table(("clause", "passed"), broken)
+        print_table(("clause", "passed"), broken)
         for failure in report.failures[:MOST_SHOWN]:
-            say(_line(failure))
+            print_line(_line(failure))
         more = len(report.failures) - MOST_SHOWN
         if more > 0:
-            say(f"  and {counted(more, 'failure')} more; --json lists all")
+            print_line(f"  and {count_text(more, 'failure')} more; --json lists all")
     elif not quiet:
-        say(f"  {counted(len(report.by_clause), 'clause')} of SPEC.md, all passed")
+        print_line(f"  {count_text(len(report.by_clause), 'clause')} of SPEC.md, all passed")
 
 
 def _line(failure: Failure) -> str:

@@ -14,7 +14,14 @@ from cogsplat.tools.terminal.options import (
     quiet_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text, table
+from cogsplat.tools.terminal.output import (
+    display_name,
+    print_facts,
+    print_json,
+    print_line,
+    print_table,
+    size_text,
+)
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import PATH
 from cogsplat.tools.workflow.compile_ahead import CompileAhead
@@ -66,16 +73,16 @@ def demo(out: Path, splats: int, threads: int, force: bool, quiet: bool, as_json
         )
     files = made.files
     if as_json:
-        say_json(
+        print_json(
             {
                 "splats": made.splats,
-                "scene": name_of(files.scene),
+                "scene": display_name(files.scene),
                 "scene_bytes": made.scene_bytes,
-                "cameras": name_of(files.cameras),
-                "cogs": name_of(files.cogs),
+                "cameras": display_name(files.cameras),
+                "cogs": display_name(files.cogs),
                 "cogs_bytes": made.cogs_bytes,
-                "decoded": name_of(files.decoded),
-                "filmstrip": name_of(files.strip),
+                "decoded": display_name(files.decoded),
+                "filmstrip": display_name(files.strip),
                 "prefixes": [
                     {
                         "share": prefix.share,
@@ -95,11 +102,11 @@ def demo(out: Path, splats: int, threads: int, force: bool, quiet: bool, as_json
     if quiet:
         return
     smaller = made.scene_bytes / made.cogs_bytes
-    say(
+    print_line(
         f"{made.splats:,} splats, {size_text(made.scene_bytes)} as PLY, "
         f"{size_text(made.cogs_bytes)} as COGS: {smaller:.1f} times smaller"
     )
-    say("")
+    print_line("")
     rows = [
         (
             f"{prefix.share:.0%}",
@@ -111,13 +118,13 @@ def demo(out: Path, splats: int, threads: int, force: bool, quiet: bool, as_json
         )
         for prefix in made.prefixes
     ]
-    table(("bytes", "", "splats", "held-out dB", "worst dB", "roam dB"), rows, left=0)
-    say("")
-    facts(
-        ("scene", name_of(files.scene)),
-        ("cameras", name_of(files.cameras)),
-        ("encoded", name_of(files.cogs)),
-        ("decoded", name_of(files.decoded)),
-        ("film-strip", name_of(files.strip)),
+    print_table(("bytes", "", "splats", "held-out dB", "worst dB", "roam dB"), rows, left=0)
+    print_line("")
+    print_facts(
+        ("scene", display_name(files.scene)),
+        ("cameras", display_name(files.cameras)),
+        ("encoded", display_name(files.cogs)),
+        ("decoded", display_name(files.decoded)),
+        ("film-strip", display_name(files.strip)),
         ("time", stages.line()),
     )

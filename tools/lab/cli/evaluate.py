@@ -61,19 +61,19 @@ from cogsplat.tools.terminal.options import (
     threads_option,
     top_k_option,
 )
-from cogsplat.tools.terminal.output import facts, name_of, say, say_json
+from cogsplat.tools.terminal.output import display_name, print_facts, print_json, print_line
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH
 from cogsplat.tools.terminal.values import Colour
 from cogsplat.tools.workflow.inputs import (
+    drop_invalid_splats,
     evaluation_cameras,
-    given_cameras,
-    given_files,
+    input_files,
+    load_cameras,
+    plan_cameras,
     read_any,
     scoring_cameras,
-    usable_rows,
-    virtual_views,
 )
 from cogsplat.tools.workflow.order_options import OrderChoice, orders_option
 
@@ -264,7 +264,7 @@ def evaluate(
         with storage_errors(out):
             out.mkdir(parents=True, exist_ok=True)
         for name in ("eval.csv", "eval.json", *picture_names(by)):
-            inputs = given_files(scene, cameras, images, lpips_weights)
+            inputs = input_files(scene, cameras, images, lpips_weights)
             check_output(out / name, force=force, inputs=inputs)
     points: list[PrefixPoint] = []
     of_objects: list[ObjectPoint] = []
@@ -341,7 +341,7 @@ def evaluate(
         if cut:
             with tempfile.TemporaryDirectory(prefix="cogsplat-eval-") as folder:
                 made: list[tuple[str, Path, Curve | None]]
-                made = [(printable(name_of(path)), path, None) for path in files] or [
+                made = [(printable(display_name(path)), path, None) for path in files] or [
                     (curve.label, Path(folder) / f"{number}.cogs", curve)
                     for number, curve in enumerate(measured)
                 ]
@@ -385,14 +385,14 @@ def evaluate(
         if out is not None:
             _write(out, pages, given, strips, force=force, stages=stages)
     if as_json:
-        say_json({**report(given, points, by, of_objects), "seconds": stages.rounded()})
+        print_json({**report(given, points, by, of_objects), "seconds": stages.rounded()})
         return
     tell(given, points, by, of_objects)
     if not quiet:
-        say("")
+        print_line("")
         drawn = [page for kind in by if strips[kind] for page in (STRIPS[kind], DIFFERENCES[kind])]
         written = f"{', '.join([*pages, *drawn])} in {out}"
-        facts(("written", written if out is not None else ""), ("time", stages.line()))
+        print_facts(("written", written if out is not None else ""), ("time", stages.line()))
 
 
 def _size_of(path: Path) -> int:
@@ -423,15 +423,15 @@ def _gather(
 
     with stages.stage("read"):
         views = scoring_cameras(cameras, eval_every)
-        splats = usable_rows(read_any(path, threads=threads).splats, path)
+        splats = drop_invalid_splats(read_any(path, threads=threads).splats, path)
         if not len(splats):
             raise DataError("no-splats", f"{path}: 0 splats, expected at least 1")
         lpips = None if lpips_weights is None else read_lpips(lpips_weights)
     splats = choice.labelled(splats, cameras, threads=threads, progress=stages)
-    numbered = given_cameras(cameras) if cameras else []
+    numbered = load_cameras(cameras) if cameras else []
     planned = None
     if views is None:
-        numbered = planned = virtual_views(splats, threads=threads, progress=stages)
+        numbered = planned = plan_cameras(splats, threads=threads, progress=stages)
         views = hold_out(numbered, eval_every)[0] or numbered
     config = choice.config(numbered)
     test_views, what = evaluation_cameras(path, splats, cameras, eval_every, planned=planned)

@@ -28,17 +28,24 @@ from cogsplat.tools.terminal.options import (
     threads_option,
     top_k_option,
 )
-from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, table
+from cogsplat.tools.terminal.output import (
+    count_text,
+    display_name,
+    print_facts,
+    print_json,
+    print_line,
+    print_table,
+)
 from cogsplat.tools.terminal.output_names import NPY, check_name
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.workflow.inputs import (
-    given_cameras,
-    given_files,
+    input_files,
+    load_cameras,
+    plan_cameras,
     read_any,
     scoring_cameras,
-    virtual_views,
 )
 from cogsplat.tools.workflow.order_options import OrderChoice, order_options
 
@@ -111,17 +118,17 @@ def order(
     from cogsplat.codec.scoring.contribution import ScoreConfig, score, zero_scores
 
     check_name(out, NPY)
-    check_output(out, force=force, inputs=given_files(path, cameras, choice.masks))
+    check_output(out, force=force, inputs=input_files(path, cameras, choice.masks))
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             given = read_any(path, threads=threads).splats
             views = scoring_cameras(cameras, eval_every)
-            numbered = given_cameras(cameras) if cameras else []
+            numbered = load_cameras(cameras) if cameras else []
         splats = choice.labelled(given, cameras, threads=threads, progress=stages)
         # Objects are ranked by their contribution.
         scored = needs_scores(choice.name) or choice.by_object
         if views is None and (scored or choice.first_view is not None):
-            views = numbered = virtual_views(splats, threads=threads, progress=stages)
+            views = numbered = plan_cameras(splats, threads=threads, progress=stages)
         config = choice.config(numbered)
         scores = zero_scores(len(splats))
         if scored:
@@ -147,10 +154,10 @@ def order(
         )
     held = [] if labels is None else _objects(labels, scores.contribution)
     if as_json:
-        say_json(
+        print_json(
             {
-                "output": name_of(out),
-                "source": name_of(path),
+                "output": display_name(out),
+                "source": display_name(path),
                 "splats": len(splats),
                 "order": choice.name,
                 "scored_views": stages.totals.get("score", 0),
@@ -162,16 +169,16 @@ def order(
             }
         )
     elif not quiet:
-        say(f"{out}: {choice.name} order of {counted(len(splats), 'splat')}, int64")
+        print_line(f"{out}: {choice.name} order of {count_text(len(splats), 'splat')}, int64")
         jittered = "" if no_jitter else ", jittered included"
         seen = (
             f"{stages.totals['score']}{jittered}" if scored else "none: this order needs no scores"
         )
-        facts(("views", seen), ("time", stages.line()))
+        print_facts(("views", seen), ("time", stages.line()))
         if held:
-            say("")
+            print_line("")
             cells = [(f"{label}", f"{count:,}", f"{share:.1%}") for label, count, share in held]
-            table(("object", "splats", "of contribution"), cells, left=0)
+            print_table(("object", "splats", "of contribution"), cells, left=0)
 
 
 def write_rows(rows: NDArray[np.int64], path: Path, *, force: bool = False) -> None:

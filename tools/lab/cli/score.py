@@ -24,12 +24,18 @@ from cogsplat.tools.terminal.options import (
     threads_option,
     top_k_option,
 )
-from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json
+from cogsplat.tools.terminal.output import (
+    count_text,
+    display_name,
+    print_facts,
+    print_json,
+    print_line,
+)
 from cogsplat.tools.terminal.output_names import NPY, check_name
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
-from cogsplat.tools.workflow.inputs import given_files, read_any, scoring_cameras, virtual_views
+from cogsplat.tools.workflow.inputs import input_files, plan_cameras, read_any, scoring_cameras
 
 
 @click.command(
@@ -70,12 +76,12 @@ def score(
     from cogsplat.codec.scoring.contribution import score as score_splats
 
     check_name(out, NPY)
-    check_output(out, force=force, inputs=given_files(path, cameras))
+    check_output(out, force=force, inputs=input_files(path, cameras))
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             views = scoring_cameras(cameras, eval_every)
             splats = read_any(path, threads=threads).splats
-        views = views or virtual_views(splats, threads=threads, progress=stages)
+        views = views or plan_cameras(splats, threads=threads, progress=stages)
         config = ScoreConfig(top_k=top_k, jitter=not no_jitter, threads=threads, device=device)
         scores = score_splats(splats, views, config, progress=stages)
         _write_npy(scores.contribution, out, force=force)
@@ -90,10 +96,10 @@ def score(
     unseen = int((scores.seen == 0).sum())
     shares = {goal: _share_holding(scores.contribution, goal) for goal in (0.5, 0.9, 0.99)}
     if as_json:
-        say_json(
+        print_json(
             {
-                "output": name_of(out),
-                "source": name_of(path),
+                "output": display_name(out),
+                "source": display_name(path),
                 "splats": len(splats),
                 "unseen": unseen,
                 "scored_views": stages.totals["score"],
@@ -103,11 +109,13 @@ def score(
             }
         )
     elif not quiet:
-        say(f"{out}: contributions of {counted(len(splats), 'splat')}, float64, in file order")
+        print_line(
+            f"{out}: contributions of {count_text(len(splats), 'splat')}, float64, in file order"
+        )
         held = [f"{goal:.0%} lie in {share:.1%}" for goal, share in shares.items()]
-        facts(
+        print_facts(
             ("views", f"{stages.totals['score']}" + ("" if no_jitter else ", jittered included")),
-            ("unseen", counted(unseen, "splat")),
+            ("unseen", count_text(unseen, "splat")),
             ("of all", f"{', '.join(held)} of the splats"),
             ("time", stages.line()),
         )

@@ -38,18 +38,24 @@ from cogsplat.tools.terminal.options import (
     quiet_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import facts, name_of, say, say_json, table
+from cogsplat.tools.terminal.output import (
+    display_name,
+    print_facts,
+    print_json,
+    print_line,
+    print_table,
+)
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH
 from cogsplat.tools.terminal.values import number_of_bytes
 from cogsplat.tools.workflow.inputs import (
-    given_cameras,
-    given_files,
+    drop_invalid_splats,
+    input_files,
     input_source,
     is_cogs_input,
+    load_cameras,
     read_any,
-    usable_rows,
 )
 
 # Moments that a strip shows: as many as fit beside each other on a page.
@@ -251,11 +257,11 @@ def simulate(
         raise click.UsageError("--peer without --source, expected the scene that both were made of")
     for out in (csv_path, plot_path, strip_path):
         if out is not None:
-            check_output(out, force=force, inputs=given_files(path, cameras, source, peer))
+            check_output(out, force=force, inputs=input_files(path, cameras, source, peer))
     chosen = (policies or POLICIES) + (() if peer is None else (PEER,))
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
-            known, tests = hold_out(given_cameras(cameras), eval_every)
+            known, tests = hold_out(load_cameras(cameras), eval_every)
             if not known:
                 raise click.UsageError(f"{cameras}: {len(tests)} cameras, expected two at least")
             walked = _trace(trace, tests, pose_seconds)
@@ -264,7 +270,7 @@ def simulate(
             )
             drawn = None
             if source is not None:
-                drawn = usable_rows(read_any(source, threads=threads).splats, source)
+                drawn = drop_invalid_splats(read_any(source, threads=threads).splats, source)
             other = None
             if peer is not None:
                 other = streamed_sog_client(peer, budget or BUDGET_SPLATS, limits=current_limits())
@@ -290,8 +296,8 @@ def simulate(
         at_rest = simulation.at_rest(tests, chosen, stages)
     if csv_path is not None:
         _write_csv(along, csv_path, force=force)
-    against = "the whole" if source is None else name_of(source)
-    title = f"{name_of(path)}, {trace} at {bits / 1e6:.3g} Mbit/s"
+    against = "the whole" if source is None else display_name(source)
+    title = f"{display_name(path)}, {trace} at {bits / 1e6:.3g} Mbit/s"
     if plot_path is not None:
         with atomic_write(plot_path, force=force) as opened:
             opened.write(chart(along, title).encode())
@@ -304,9 +310,9 @@ def simulate(
     )
     means = {name: float(np.mean([m.psnr_db for m in seen])) for name, seen in along.items()}
     if as_json:
-        say_json(
+        print_json(
             {
-                "source": name_of(path),
+                "source": display_name(path),
                 "bytes": int(simulation.units.size_bytes.sum()),
                 "chunks": simulation.chunks,
                 "known_views": simulation.known_views,
@@ -316,7 +322,7 @@ def simulate(
                 "latency_s": link.latency,
                 "compensated": compensate,
                 "goal_db": goal,
-                "compared_with": name_of(path if source is None else source),
+                "compared_with": display_name(path if source is None else source),
                 "policies": [
                     {
                         "policy": name,
@@ -347,7 +353,7 @@ def simulate(
         return
     if quiet:
         return
-    say(
+    print_line(
         f"{walked.seconds:.1f} s of {trace} at {bits / 1e6:.3g} Mbit/s: PSNR against {against}, "
         f"dB, and SSIM, means of the trace; share of the bytes from which on it keeps {goal:g} dB, "
         "and of those fetched that it showed nothing of; "
@@ -368,8 +374,8 @@ def simulate(
     ]
     shares = (f"{share:.0%}" for share in SHARES)
     waiting = ("waited",) if wait else ()
-    table(("policy", "trace", "SSIM", f"{goal:g} dB", "waste", *waiting, *shares), rows)
-    facts(
+    print_table(("policy", "trace", "SSIM", f"{goal:g} dB", "waste", *waiting, *shares), rows)
+    print_facts(
         ("file", f"{simulation.chunks} chunks"),
         ("known", f"what each chunk contributes to {simulation.known_views} views"),
         ("time", stages.line()),
@@ -381,7 +387,7 @@ def _trace(name: str, tests: list[cogsplat.Camera], pose_seconds: float) -> Trac
         return orbital(tests)
     if name == "dolly":
         return dolly(tests)
-    return recorded(given_cameras(Path(name)), pose_seconds)
+    return recorded(load_cameras(Path(name)), pose_seconds)
 
 
 def _bits_for(

@@ -22,7 +22,13 @@ from cogsplat.tools.terminal.options import (
     json_option,
     quiet_option,
 )
-from cogsplat.tools.terminal.output import facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output import (
+    display_name,
+    print_facts,
+    print_json,
+    print_line,
+    size_text,
+)
 from cogsplat.tools.terminal.output_names import check_distinct
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import PATH
@@ -157,27 +163,29 @@ def synth(
     with storage_errors(out):
         size = out.stat().st_size
     if as_json:
-        say_json(
+        print_json(
             {
-                "output": name_of(out),
+                "output": display_name(out),
                 "bytes": size,
                 "splats": len(scene),
                 "sh_degree": scene.sh_degree,
                 "seed": seed,
-                "cameras": name_of(cameras),
+                "cameras": display_name(cameras),
                 "views": len(views),
                 "rooms": rooms or 0,
-                "walk": None if walk is None else name_of(walk),
+                "walk": None if walk is None else display_name(walk),
                 "walk_poses": len(walked),
                 "objects": list(scenes.OBJECTS) if objects else [],
-                "masks": None if masks is None else name_of(masks),
+                "masks": None if masks is None else display_name(masks),
                 "seconds": stages.rounded(),
             }
         )
     elif not quiet:
-        say(f"{out}: {len(scene):,} splats at SH degree {scene.sh_degree}, {size_text(size)}")
+        print_line(
+            f"{out}: {len(scene):,} splats at SH degree {scene.sh_degree}, {size_text(size)}"
+        )
         named = [f"{number} {name}" for number, name in enumerate(scenes.OBJECTS, start=1)]
-        facts(
+        print_facts(
             ("cameras", f"{cameras}, {len(views)} views"),
             ("walk", f"{walk}, {len(walked)} poses" if walk else ""),
             ("objects", ", ".join(named) if objects else ""),

@@ -24,11 +24,18 @@ from cogsplat.tools.terminal.options import (
     quiet_option,
     threads_option,
 )
-from cogsplat.tools.terminal.output import counted, facts, name_of, say, say_json, size_text
+from cogsplat.tools.terminal.output import (
+    count_text,
+    display_name,
+    print_facts,
+    print_json,
+    print_line,
+    size_text,
+)
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
-from cogsplat.tools.workflow.inputs import given_files, read_any
+from cogsplat.tools.workflow.inputs import input_files, read_any
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -77,7 +84,7 @@ def views(
     kind = out.suffix.lower()
     if kind not in (".json", ".png"):
         raise click.UsageError(f"{out}, expected an output that ends in .json or .png")
-    check_output(out, force=force, inputs=given_files(path))
+    check_output(out, force=force, inputs=input_files(path))
     config = ViewPlanConfig(threads=threads)
     if count is not None:
         config = replace(config, views=count)
@@ -95,10 +102,10 @@ def views(
     with storage_errors(out):
         written = out.stat().st_size
     if as_json:
-        say_json(
+        print_json(
             {
-                "output": name_of(out),
-                "source": name_of(path),
+                "output": display_name(out),
+                "source": display_name(path),
                 "bytes": written,
                 "views": len(cameras),
                 "width": config.width,
@@ -109,8 +116,8 @@ def views(
         )
     elif not quiet:
         what = "a contact sheet of " if kind == ".png" else ""
-        say(f"{out}: {what}{counted(len(cameras), 'view')}, {size_text(written)}")
-        facts(("size", f"{config.width}x{config.height} px"), ("time", stages.line()))
+        print_line(f"{out}: {what}{count_text(len(cameras), 'view')}, {size_text(written)}")
+        print_facts(("size", f"{config.width}x{config.height} px"), ("time", stages.line()))
 
 
 def _sheet(splats: Splats, cameras: Sequence[Camera], threads: int, progress: Progress) -> Image:

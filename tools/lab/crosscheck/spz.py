@@ -30,7 +30,7 @@ from cogsplat.formats.scenes.splat import read_splat, write_splat
 from cogsplat.formats.scenes.spz.spz_scene import read_spz, write_spz
 from cogsplat.tools.lab.synthetic.terrace import synth
 from cogsplat.tools.terminal.options import json_option
-from cogsplat.tools.terminal.output import say, say_json, table
+from cogsplat.tools.terminal.output import print_json, print_line, print_table
 from cogsplat.tools.terminal.standard_streams import PATH
 
 from .converter import converted, run
@@ -360,9 +360,9 @@ def report(findings: list[Finding], splats: int, as_json: bool) -> NoReturn:
     failed = sum(not finding.passed for finding in findings)
     if as_json:
         rows = [{**vars(finding), "passed": finding.passed} for finding in findings]
-        say_json({"splats": splats, "failed": failed, "findings": rows})
+        print_json({"splats": splats, "failed": failed, "findings": rows})
     else:
-        table(
+        print_table(
             ("check", "attribute", "max", "mean", "allowed", ""),
             [
                 (
@@ -373,7 +373,9 @@ def report(findings: list[Finding], splats: int, as_json: bool) -> NoReturn:
             ],
             left=2,
         )
-        say(f"{failed} of {len(findings)} failed" if failed else f"all {len(findings)} passed")
+        print_line(
+            f"{failed} of {len(findings)} failed" if failed else f"all {len(findings)} passed"
+        )
     sys.exit(1 if failed else 0)
 
 

@@ -15,7 +15,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.scenes.registry import FORMATS, write_scene
 from cogsplat.tools.evaluation.prefix_quality import decode_prefix
-from cogsplat.tools.terminal.standard_streams import call_file
+from cogsplat.tools.terminal.standard_streams import set_display_name
 
 from .evaluator import Evaluator, Figures
 
@@ -194,7 +194,7 @@ def by_codec(
     sizes: list[int] = []
     versions: list[Splats] = []
     read = next(format_ for format_ in FORMATS if format_.name == codec).read
-    call_file(path, f"{name}, {codec}")
+    set_display_name(path, f"{name}, {codec}")
     for count in counts(len(rows), shares):
         write_scene(ordered.take(slice(0, count)), path, force=True, format_name=codec)
         sizes.append(path.stat().st_size)

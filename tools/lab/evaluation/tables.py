@@ -15,7 +15,14 @@ from cogsplat.codec.order.orders import OrderConfig
 from cogsplat.codec.splats import Splats
 from cogsplat.tools.evaluation.photos import Photos
 from cogsplat.tools.pictures.svg_charts import Series, line_chart
-from cogsplat.tools.terminal.output import facts, name_of, say, size_text, table, title_of
+from cogsplat.tools.terminal.output import (
+    display_name,
+    display_title,
+    print_facts,
+    print_line,
+    print_table,
+    size_text,
+)
 
 from .evaluator import Evaluator
 from .object_curves import ObjectPoint, object_charts
@@ -85,7 +92,7 @@ def written_pages(
     objects: Sequence[ObjectPoint] = (),
 ) -> dict[str, str]:
     """Return the plots, the table and the record of an evaluation, by file name."""
-    title = title_of(given.path, in_folder=True)
+    title = display_title(given.path, in_folder=True)
     pages: dict[str, str] = {}
     for kind in by:
         own = [point for point in points if point.by == kind]
@@ -141,7 +148,7 @@ def report(
         for kind in by
     }
     return {
-        "source": name_of(given.path),
+        "source": display_name(given.path),
         "splats": len(given.splats),
         "test_views": {"from": given.what, "count": len(given.evaluator.cameras)},
         "scored_views": len(given.scored_on),
@@ -160,9 +167,9 @@ def tell(
 ) -> None:
     """Print the tables."""
     splats = given.splats
-    say(f"{given.path}: {len(splats):,} splats, SH degree {splats.sh_degree}")
+    print_line(f"{given.path}: {len(splats):,} splats, SH degree {splats.sh_degree}")
     photos = given.photos
-    facts(
+    print_facts(
         ("test views", f"{len(given.evaluator.cameras)} {given.what}"),
         ("scored", f"on {len(given.scored_on)} views"),
         ("photos", "" if photos is None else f"{photos.source_db:.2f} dB for the source"),
@@ -171,7 +178,7 @@ def tell(
         own = [point for point in points if point.by == kind]
         for figure in (*FIGURES, "held_out_ssim", "held_out_lpips", "first_view_db", "photos_db"):
             if getattr(own[0].figures, figure) is not None:
-                say("")
+                print_line("")
                 _tell_figure(own, kind, figure)
     _tell_objects(objects)
 
@@ -180,14 +187,14 @@ def _tell_objects(points: Sequence[ObjectPoint]) -> None:
     """Print what is seen of each object, a line for each order."""
     for label in dict.fromkeys(point.object for point in points):
         own = [point for point in points if point.object == label]
-        say("")
-        say(f"object {label} dB, by splats")
+        print_line("")
+        print_line(f"object {label} dB, by splats")
         rows = []
         for name in dict.fromkeys(point.name for point in own):
             values = [point.psnr_db for point in own if point.name == name]
             rows.append((name, *("" if value is None else f"{value:.2f}" for value in values)))
         shares = dict.fromkeys(point.share for point in own)
-        table(("splats", *(f"{100 * share:.3g} %" for share in shares)), rows)
+        print_table(("splats", *(f"{100 * share:.3g} %" for share in shares)), rows)
 
 
 def _tell_figure(points: Sequence[PrefixPoint], kind: str, figure: str) -> None:
@@ -195,7 +202,7 @@ def _tell_figure(points: Sequence[PrefixPoint], kind: str, figure: str) -> None:
     what, digits = figure.replace("_", " "), 4
     if figure.endswith("_db"):
         what, digits = f"{figure.removesuffix('_db').replace('_', ' ')} dB", 2
-    say(f"{what}, by {kind}")
+    print_line(f"{what}, by {kind}")
     # Files end where they end: their last points share a column.
     lengths = sorted({point.x for point in points if point.share < 1})
     heads = [f"{x:.3g} %" if kind == SPLATS else size_text(int(x)) for x in lengths]
@@ -210,4 +217,4 @@ def _tell_figure(points: Sequence[PrefixPoint], kind: str, figure: str) -> None:
             texts.append("" if end is None else size_text(int(end.x)))
         rows.append((name, *texts, *([f"{area[figure]:.2f}"] if figure in area else [])))
     last = (["whole", "of"] if kind == BYTES else ["100 %"]) if whole else []
-    table((kind, *heads, *last, *(["mean"] if figure in FIGURES else [])), rows)
+    print_table((kind, *heads, *last, *(["mean"] if figure in FIGURES else [])), rows)

@@ -23,7 +23,7 @@ from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.storage.source import FileSource, PrefixSource
 from cogsplat.tools.lab.cli.evaluation_options import codecs, objects, shares, sizes
 from cogsplat.tools.lab.evaluation.progs_protocol import mean_over_log, sizes_of
-from cogsplat.tools.workflow.order_options import order_names
+from cogsplat.tools.workflow.order_options import parse_orders
 
 
 def mean_db(whole, part, cameras):
@@ -231,8 +231,8 @@ def test_option_values_are_read() -> None:
     assert shares("0.2, 5,100") == (0.002, 0.05, 1.0)
     assert shares("none") == ()
     assert [one.of(1000) for one in sizes("10%,32KiB")] == [100, 1000]
-    assert order_names("all") == ORDERS
-    assert order_names("sgss, source,sgss") == ("sgss", "source")
+    assert parse_orders("all") == ORDERS
+    assert parse_orders("sgss, source,sgss") == ("sgss", "source")
     with pytest.raises(click.BadParameter):
         shares("five")
 

@@ -13,7 +13,7 @@ from cogsplat.codec.order.orders import ORDERS, OrderConfig, OrderInputs, needs_
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.tools.lab.synthetic.object_masks import synth_masks
 from cogsplat.tools.lab.synthetic.terrace import OBJECTS, synth, synth_cameras, synth_objects
-from cogsplat.tools.workflow.order_options import budgets, order_name
+from cogsplat.tools.workflow.order_options import parse_budgets, parse_order
 
 
 @pytest.fixture(scope="module")
@@ -92,9 +92,9 @@ def test_orders_that_make_no_sense_are_usage(
 
 def test_names_and_budgets_are_read() -> None:
     for name in ORDERS:
-        assert order_name(f"{name}+first-view") == f"{name}+first-view"
-    assert budgets("20%") == ((None, 0.2),)
-    assert budgets("1:50%, 22:2.5%") == ((1, 0.5), (22, 0.025))
+        assert parse_order(f"{name}+first-view") == f"{name}+first-view"
+    assert parse_budgets("20%") == ((None, 0.2),)
+    assert parse_budgets("1:50%, 22:2.5%") == ((1, 0.5), (22, 0.025))
 
 
 def test_encode_takes_orders_and_the_first_view(
