@@ -1,4 +1,4 @@
-"""The manifest of ``cogsplat batch``: which scenes are encoded, and how."""
+"""Manifest of ``cogsplat batch``: the scenes to encode and their options."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ class BatchScene:
     Parameters
     ----------
     input, output : str
-        Paths as the manifest has them, from its own folder, or addresses on a network.
+        Paths relative to the folder of the manifest, or URLs.
     words : tuple of str
-        Options of ``cogsplat encode``.
+        Options of ``cogsplat encode``, as words of a command line.
     """
 
     input: str
@@ -43,12 +43,12 @@ class BatchScene:
     def fingerprint(self, folder: Path) -> str:
         """Return SHA-256, in hexadecimal, of the input's bytes, the output's name and the options.
 
-        Of an input on a network its length and its ETag stand for the bytes, where it has one.
+        For a URL, length and ETag replace the bytes if the server sends an ETag.
 
         Parameters
         ----------
         folder : Path
-            Of the manifest.
+            Folder of the manifest.
 
         Raises
         ------
@@ -67,7 +67,7 @@ class BatchScene:
 
 
 def _update_by_url(digest: hashlib._Hash, url: str) -> None:
-    """Add what tells the versions of a file on a network apart."""
+    """Add length and ETag of a URL, or its bytes if the server sends no ETag."""
     with open_url(url) as source:
         digest.update(f"{url} {source.size} {source.etag}".encode())
         if source.etag is None:
@@ -76,21 +76,21 @@ def _update_by_url(digest: hashlib._Hash, url: str) -> None:
 
 
 def read_manifest(path: Path, options: Mapping[str, click.Option]) -> list[BatchScene]:
-    """Read a manifest: JSON lines, or TOML with a table ``[[scene]]`` for each scene.
+    """Read a manifest: JSON lines, or TOML with one table ``[[scene]]`` per scene.
 
     Parameters
     ----------
     path : Path
-        TOML where its name ends in ``.toml``.
+        TOML if the name ends in ``.toml``, else JSON lines.
     options : mapping of str to click.Option
         Options that a scene may have, by their names without dashes.
 
     Raises
     ------
     FormatError
-        ``bad-manifest``: not such a file; a key or an option that is not known.
+        ``bad-manifest``: the file is neither, or has an unknown key or option.
     DataError
-        ``same-output``: two scenes of one output.
+        ``same-output``: two scenes have one output.
     """
     with open_for_read(path) as file:
         data = file.read()
@@ -117,6 +117,7 @@ def read_manifest(path: Path, options: Mapping[str, click.Option]) -> list[Batch
 
 
 def _scene(table: object, where: str, options: Mapping[str, click.Option]) -> BatchScene:
+    """Return one scene of a manifest; `where` names its place in messages."""
     if not isinstance(table, dict):
         raise FormatError(_CODE, f"{where}: {type(table).__name__}, expected an object")
     unknown = sorted(set(table) - _KEYS)

@@ -1,4 +1,4 @@
-"""Evaluation of a new file by ``cogsplat encode``: its test views, its figures, its report."""
+"""Measurement of the file that ``cogsplat encode`` writes: test views, PSNR and SSIM, report."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from cogsplat.tools.terminal.values import Colour
 from .inputs import evaluation_cameras
 from .scene_edits import SceneEdits
 
+# Options that the report lists.
 _SETTINGS: Final = (
     "profile",
     "quality",
@@ -46,18 +47,20 @@ _SETTINGS: Final = (
 
 @dataclass(frozen=True, eq=False)
 class FileEvaluation:
-    """The source and the views that a new file is compared with.
+    """Source scene and test views that an encoded file is compared with.
 
     Parameters
     ----------
     source : Splats
-        What is encoded.
+        Scene that is encoded.
     cameras : sequence of Camera
+        Test views.
     what : str
-        What they are, in words.
+        Description of the test views, for output.
     background : tuple of float
         RGB behind the splats.
     photos : Photos or None
+        Photos of the test views.
     """
 
     source: Splats
@@ -79,7 +82,7 @@ class FileEvaluation:
         *,
         threads: int = 0,
     ) -> FileEvaluation:
-        """Choose the test views before encoding: the held-out cameras, or else all cameras.
+        """Return the evaluation in the held-out cameras, or in all cameras if none is held out.
 
         Raises
         ------
@@ -97,14 +100,14 @@ class FileEvaluation:
         return cls(source, views, what, background, photos)
 
     def stage_costs(self) -> list[StageCost]:
-        """Return what `measure` will cost, for progress of the whole."""
+        """Return the expected cost of `measure`."""
         once = sum(cost.total() for cost in comparison_costs(len(self.source), self.cameras))
         return [StageCost("measure", len(prefix_quality.SHARES) * once)]
 
     def measure(
         self, path: Path, *, threads: int = 0, progress: Progress = silent
     ) -> list[PrefixQuality]:
-        """Measure a file at several lengths (`prefix_quality.measure`)."""
+        """Measure prefixes of a file (`prefix_quality.measure`)."""
         return prefix_quality.measure(
             path,
             self.source,
@@ -138,7 +141,7 @@ class FileEvaluation:
         )
 
     def tell(self, found: Sequence[PrefixQuality]) -> None:
-        """Print the figures of a file."""
+        """Print the measured PSNR and SSIM of each prefix."""
         columns = ["bytes", "", "splats", "PSNR dB", "SSIM", "worst", "roam"]
         rows = [
             [
@@ -164,16 +167,16 @@ class FileEvaluation:
 
 
 def settings_of(context: click.Context, views: int, seconds: float) -> list[tuple[str, str]]:
-    """Return the options that a file was encoded with, views scored and seconds.
+    """Return the settings of an encode as pairs of name and text, for its report.
 
     Parameters
     ----------
     context : click.Context
-        Of ``encode``.
+        Context of ``encode``.
     views : int
-        Scored.
+        Number of scored views.
     seconds : float
-        That encoding took.
+        Duration of the encode.
     """
     settings = []
     for option in context.command.params:
@@ -186,6 +189,7 @@ def settings_of(context: click.Context, views: int, seconds: float) -> list[tupl
 
 
 def _plain(value: object) -> str:
+    """Return the value of an option as text."""
     if isinstance(value, ByteCount):
         return (
             f"{float(value.amount):.4g} of SCENE" if value.is_share else f"{int(value.amount):,} B"

@@ -1,4 +1,4 @@
-"""Inputs of commands: a scene or a part of one, and the cameras to score and to measure in."""
+"""Inputs of commands: a scene or a part of it, cameras to score in, cameras to measure in."""
 
 from __future__ import annotations
 
@@ -32,12 +32,13 @@ if TYPE_CHECKING:
     from cogsplat.codec.views.planner import ViewPlan
 
 EVAL_CAMERAS: Final = "eval_cameras.json"
-"""File of test views beside a scene; splats are not scored in these views."""
+"""Name of the file of test views in the folder of a scene; splats are not scored in them."""
 
 EVAL_EVERY: Final = 8
-"""Default of ``--eval-every`` in commands that evaluate."""
+"""Default of ``--eval-every`` in commands that measure."""
 
-_FEWEST_TEST_VIEWS: Final = 4
+# Fewer cameras than this give no stable mean PSNR.
+_FEWEST_TARGET_CAMERAS: Final = 4
 
 # Three float32 images of this many pixels take 4.5 GiB.
 _MAX_VIEW_PIXELS: Final = 1 << 27
@@ -45,24 +46,28 @@ _MAX_VIEW_PIXELS: Final = 1 << 27
 
 @dataclass(frozen=True)
 class Selection:
-    """The part of a COGS file that options select; at most one of the first three fields is set.
+    """Part of a COGS file to read; at most one of `chunks`, `least_splats` and `size` is set.
 
     Parameters
     ----------
     chunks : ChunkRange or None
+        Range of chunks.
     least_splats : int or None
-        Whole chunks from the first until there are so many splats.
+        Least number of splats in the first chunks; `objects` restricts which splats count.
     size : ByteCount or None
-        What is complete in the first bytes of the file.
+        Length of the file's prefix, whose complete chunks are read.
     sh_degree : int or None
+        Highest SH degree.
     objects : tuple of int or None
-        Chunks of these objects alone; `least_splats` counts theirs.
+        Labels of the objects whose chunks are read.
     refine : bool
         Whether refinements are read.
     compensate : bool
         Whether prefix compensation is applied.
     extras : bool
-        Whether attributes are read that nothing draws.
+        Whether attributes without effect on the picture are read.
+    level : float or None
+        Level of a scene with levels; a fraction lies between two levels.
     """
 
     chunks: ChunkRange | None = None
@@ -91,33 +96,34 @@ class Selection:
 
     @property
     def is_cut(self) -> bool:
-        """Whether splats may be left out."""
+        """Whether the selection may leave out splats."""
         cuts = (self.chunks, self.least_splats, self.size, self.objects)
         return any(x is not None for x in cuts)
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedScene:
-    """A scene that was read, with what its file states about it.
+    """A scene that was read, with facts about its file.
 
     Parameters
     ----------
     splats : Splats
     file_bytes : int
-        Of the whole file.
+        Bytes of the whole file.
     bytes_read : int
-        Of the file's first bytes, those that were looked at.
+        Bytes of the file's prefix that was read.
     chunks : sequence of int
-        Chunks decoded; none for foreign scenes.
+        Numbers of the decoded chunks; empty for formats other than COGS.
     file_chunks, file_splats : int
-        What the file holds.
+        Chunks and splats of the whole file.
     without_tails : tuple of int
-        Chunks whose shN is zero because their tails lie beyond the bytes looked at.
+        Numbers of the chunks whose shN is zero because their tails were not read.
     first_view : Camera or None
+        View that the file says to show first.
     lost_extras : tuple of str
-        Extra attributes that the file lists and the part does not have for every chunk.
+        Extra attributes of the file that some of the decoded chunks lack.
     unrefined : tuple of int
-        Chunks whose values are coarse because their refinements lie beyond the bytes looked at.
+        Numbers of the chunks whose values are coarse because their refinements were not read.
     """
 
     splats: Splats
@@ -133,24 +139,24 @@ class LoadedScene:
 
 
 def is_cogs_input(path: Path) -> bool:
-    """Whether an input is a COGS file; one by its URL is fetched unless its name says so.
+    """Whether an input is a COGS file. A URL is fetched unless it ends in ``.cogs``.
 
     Raises
     ------
     CogsplatError
-        It cannot be read.
+        The input cannot be read.
     """
     url = unfetched_url(path)
     return (url is not None and path.suffix.lower() == ".cogs") or is_cogs(fetch_if_url(path))
 
 
 def input_source(path: Path) -> Source:
-    """Return what reads ranges of an input, on disk or by its URL.
+    """Return a source of byte ranges of an input, from disk or from its URL.
 
     Raises
     ------
     CogsplatError
-        It cannot be read.
+        The input cannot be read.
     """
     url = unfetched_url(path)
     return open_source(path if url is None else url)
@@ -164,12 +170,12 @@ def read_any(
     zeros: Zeros = IN_MEMORY.zeros,
     progress: Progress = silent,
 ) -> LoadedScene:
-    """Read a scene of any format, COGS included; a PLY into arrays that `zeros` makes.
+    """Read a scene of any format, COGS included; the arrays of a PLY come from `zeros`.
 
     Raises
     ------
     click.UsageError
-        A part of a foreign scene, which has no chunks.
+        A part of a scene without chunks.
     CogsplatError
         The file cannot be read.
     """
@@ -190,7 +196,7 @@ def read_any(
 
 
 Decode = Callable[[CogsFile, Sequence[int]], Splats]
-"""Decodes chunks of a file; what it returns may have no rows where these went elsewhere."""
+"""Function that decodes chunks of a file; its result is empty if it writes the splats itself."""
 
 
 def decode_part(
@@ -201,7 +207,7 @@ def decode_part(
     Raises
     ------
     click.UsageError
-        A range of chunks, or an object, that the file does not have.
+        The file lacks the selected chunks or objects.
     CogsplatError
         The file cannot be read or breaks SPEC.
     """
@@ -234,7 +240,7 @@ def decode_part(
 
 
 def decode_part_with(decode: Decode, path: Path, part: Selection) -> LoadedScene:
-    """Have a COGS file or a part of it decoded, and say what its file states.
+    """Decode a COGS file or a part of it with a function, and return facts about the file.
 
     Raises
     ------
@@ -253,7 +259,7 @@ def decode_part_with(decode: Decode, path: Path, part: Selection) -> LoadedScene
                 splats=part.least_splats,
             )
         except ValueError as error:
-            # Its message begins with the name of the condition, which is the option's.
+            # The message begins with the name of the parameter, which is the name of the option.
             raise click.UsageError(f"--{error}") from error
         splats = decode(file, chunks)
         if not file.complete_chunks() and file.source_bytes < file.file_length:
@@ -282,14 +288,14 @@ def decode_part_with(decode: Decode, path: Path, part: Selection) -> LoadedScene
 
 
 def input_files(scene: Path, *others: Path | None) -> Iterator[Path]:
-    """Yield the files that a command reads, which its outputs may not be.
+    """Yield the files that a command reads; its outputs must be other files.
 
     Parameters
     ----------
     scene : Path
-        The files that it names beside it are yielded as well.
+        Scene file, yielded with the files that it refers to.
     others : Path or None
-        Files, and folders of which all files are yielded: cameras, photos, masks.
+        Cameras, photos, masks: files, or folders, of which all files are yielded.
     """
     yield scene
     if scene.is_dir():
@@ -304,12 +310,12 @@ def input_files(scene: Path, *others: Path | None) -> Iterator[Path]:
 
 
 def drop_invalid_splats(splats: Splats, where: Path) -> Splats:
-    """Return the rows whose values are finite, with a warning where some are not.
+    """Return the splats with finite values; warn if any were dropped.
 
     Raises
     ------
     DataError
-        ``no-valid-rows``: it leaves none.
+        ``no-valid-rows``: no splat is left.
     """
     bad = splats.invalid_rows()
     count = int(bad.sum())
@@ -329,14 +335,14 @@ def drop_invalid_splats(splats: Splats, where: Path) -> Splats:
 
 
 def load_cameras(path: Path) -> list[Camera]:
-    """Read cameras, and refuse those too large to render.
+    """Read cameras; refuse a camera whose picture is too large to render.
 
     Raises
     ------
     LimitError
-        ``view-size``.
+        ``view-size``: a camera has too many pixels.
     CogsplatError
-        They cannot be read.
+        The cameras cannot be read.
     """
     cameras = cogsplat.read_cameras(path, limits=current_limits())
     for camera in cameras:
@@ -350,7 +356,7 @@ def load_cameras(path: Path) -> list[Camera]:
 
 
 def scoring_cameras(path: Path | None, every: int) -> list[Camera] | None:
-    """Return the cameras to score on, without those held out; None where none are given."""
+    """Return the cameras to score in, without held-out cameras; None without a file of cameras."""
     if path is None:
         return None
     train, held = hold_out(load_cameras(path), every)
@@ -363,20 +369,21 @@ def scoring_cameras(path: Path | None, every: int) -> list[Camera] | None:
 
 
 def target_cameras(cameras: Sequence[Camera], every: int) -> list[Camera]:
-    """Return the cameras that a target PSNR is measured in, near the test views but not of them.
+    """Return the cameras in which a target PSNR is measured: neighbours of the held-out cameras.
 
     Parameters
     ----------
     cameras : sequence of Camera
-        All that were given, in file order.
+        All cameras in file order.
     every : int
-        Cameras held out; the target is measured in their neighbours in the file, not in them.
-        Where none are held out, it is measured in every eighth, the default of `compare`.
+        Interval of the held-out cameras; 0 for none, which returns every eighth camera, the
+        default of `compare`.
 
     Returns
     -------
     list of Camera
-        All that are not held out where these would be too few.
+        Neighbours in the file, none of them held out. All cameras that are not held out, if there
+        are fewer than four neighbours.
     """
     if every:
         allowed, _ = hold_out(cameras, every)
@@ -386,11 +393,11 @@ def target_cameras(cameras: Sequence[Camera], every: int) -> list[Camera]:
     else:
         allowed = list(cameras)
         _, found = hold_out(cameras, EVAL_EVERY)
-    return found if len(found) >= _FEWEST_TEST_VIEWS else allowed
+    return found if len(found) >= _FEWEST_TARGET_CAMERAS else allowed
 
 
 def plan_views(splats: Splats, *, threads: int = 0, progress: Progress = silent) -> ViewPlan:
-    """Plan views, and others to test in, of a scene that came without cameras.
+    """Plan the views to score in and the test views of a scene without cameras.
 
     Raises
     ------
@@ -403,7 +410,7 @@ def plan_views(splats: Splats, *, threads: int = 0, progress: Progress = silent)
 
 
 def plan_cameras(splats: Splats, *, threads: int = 0, progress: Progress = silent) -> list[Camera]:
-    """Plan the views of a scene that came without cameras; see `plan_views`."""
+    """Return the planned cameras of a scene without cameras (`plan_views`)."""
     found = plan_views(splats, threads=threads, progress=progress)
     return found.views + found.covering_views
 
@@ -418,23 +425,25 @@ def evaluation_cameras(
     threads: int = 0,
     progress: Progress = silent,
 ) -> tuple[Sequence[Camera], str]:
-    """Return the test views, and a phrase that says where they come from.
+    """Return the test views and a description of them.
 
     Parameters
     ----------
     reference : Path
-        The scene's file; ``eval_cameras.json`` beside it is used, all of it, where no cameras are
-        given.
+        File of the scene. Without `path`, all cameras of ``eval_cameras.json`` in its folder are
+        the test views.
     splats : Splats
-        The scene, for virtual views where there are no cameras at all.
+        Scene, for which views are planned if there are no cameras at all.
     path : Path or None
-        Cameras given.
+        File of cameras.
     every : int
-        Of cameras given and of virtual views, those with ``index % every == 0``; 0 for all.
+        Interval of the test views among the cameras of `path` or the planned views; 0 for all.
     planned : sequence of Camera, optional
-        The virtual views, where they are there already.
-    threads, progress
-        As in `plan_cameras`.
+        Planned views, if known.
+    threads : int
+        Number of threads that plan views; 0 for all cores.
+    progress : Progress
+        Receives the stages of planning.
     """
     beside = reference.parent / EVAL_CAMERAS
     if path is not None:
