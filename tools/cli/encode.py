@@ -488,7 +488,7 @@ def _encode(options: EncodeOptions) -> None:
 
 def _edited(options: EncodeOptions, splats: Splats, progress: Progress) -> Splats:
     """Return the scene with labels from masks, edited, and without extra attributes if asked."""
-    labelled = options.choice.labelled(
+    labelled = options.choice.with_labels(
         splats, options.cameras, threads=options.threads, progress=progress
     )
     edited = options.edits.apply(labelled, options.scene)

@@ -1,4 +1,4 @@
-"""Options that choose the order of splats, and the order configuration they lead to."""
+"""Options for the order of splats, and the order configuration that they set."""
 
 from __future__ import annotations
 
@@ -34,21 +34,26 @@ Budgets = tuple[tuple[int | None, float], ...]
 
 @dataclass(frozen=True)
 class OrderChoice:
-    """The orders that options name, with their parameters.
+    """Values of the order options.
 
     Parameters
     ----------
     names : tuple of str
-        Orders, each alone or with a rule for a pose; all commands but one take one.
+        Orders, each alone or followed by a rule for a first view. Only ``evaluate`` has several.
     first_view : int or None
-        Index of a camera.
+        Index of the camera whose picture is served first.
     first_view_share, first_view_mix, frustum_margin : float
+        Parameters of `OrderConfig`.
     frustum_share : float or None
+        Parameter of `OrderConfig`; None to serve the first view by contributions.
     octree_depth, octree_capacity, seed : int
+        Parameters of `OrderConfig`.
     by_object : bool
+        Whether chunks hold splats of one object each.
     budgets : Budgets
+        Share of an object's splats that is sent first, by label; None for every object.
     masks : Path or None
-        Folder of masks that labels are made from.
+        Folder of masks from which object labels are voted.
     """
 
     names: tuple[str, ...]
@@ -66,26 +71,26 @@ class OrderChoice:
 
     @property
     def name(self) -> str:
-        """The first order."""
+        """First order."""
         return self.names[0]
 
     @property
     def base(self) -> str:
-        """Name of the first order without its rule for a first view."""
+        """First order without its rule for a first view."""
         return split_name(self.name)[0]
 
     def config(self, cameras: Sequence[Camera]) -> OrderConfig:
-        """Return the order configuration for a scene.
+        """Return the order configuration of the encoder.
 
         Parameters
         ----------
         cameras : sequence of Camera
-            What the index of the first view counts.
+            Cameras that `first_view` is an index of.
 
         Raises
         ------
         click.UsageError
-            There is no such camera.
+            `first_view` is out of range.
         """
         view = None
         if self.first_view is not None:
@@ -107,26 +112,27 @@ class OrderChoice:
             object_budgets=self.budgets,
         )
 
-    def labelled(
+    def with_labels(
         self, splats: Splats, cameras: Path | None, *, threads: int = 0, progress: Progress = silent
     ) -> Splats:
-        """Return the scene with object labels voted by its masks, where there are masks.
+        """Return the scene with object labels voted by the masks, or unchanged without masks.
 
         Parameters
         ----------
         splats : Splats
-            As its cameras see it: masks go by the file's own frame.
+            Scene in the frame of its cameras, before any edit.
         cameras : Path or None
+            File of the cameras that the masks belong to.
         threads : int
         progress : Progress
 
         Raises
         ------
         click.UsageError
-            Masks and no cameras.
+            There are masks but no cameras.
         CogsplatError
-            The masks cannot be read or fit no camera; ``no-objects``, ``bad-objects``,
-            ``object-missing``: the scene has no such objects.
+            The masks cannot be read or match no camera; ``no-objects``, ``bad-objects``,
+            ``object-missing``: the scene lacks the objects.
         """
         if self.masks is None:
             if self.by_object:
@@ -145,12 +151,12 @@ class OrderChoice:
 
 
 def parse_order(text: str) -> str:
-    """Parse the name of an order, alone or with a rule for a first view.
+    """Parse the name of an order, alone or followed by a rule for a first view.
 
     Raises
     ------
     click.BadParameter
-        It is none.
+        The text names no order.
     """
     try:
         split_name(text)
@@ -168,7 +174,7 @@ def parse_budgets(text: str) -> Budgets:
     Raises
     ------
     click.BadParameter
-        They are none.
+        The text has another form.
     """
     found: dict[int | None, float] = {}
     for part in text.split(","):
@@ -187,12 +193,12 @@ def parse_budgets(text: str) -> Budgets:
 
 
 def parse_orders(text: str) -> tuple[str, ...]:
-    """Parse names of orders, separated by commas; ``all`` for all that need no first view.
+    """Parse names of orders, separated by commas, or ``all`` for every order without a first view.
 
     Raises
     ------
     click.BadParameter
-        One is none.
+        A name is no order.
     """
     if text.strip().lower() == "all":
         return ORDERS
@@ -200,12 +206,12 @@ def parse_orders(text: str) -> tuple[str, ...]:
 
 
 def _orders_like(ctx: click.Context, parameter: click.Parameter, start: str) -> list[str]:
-    """Return the orders that a shell may complete a word to."""
+    """Return the names of orders that complete a word in the shell."""
     return [name for name in ORDERS if name.startswith(start)]
 
 
 def order_options(command: Callable[..., object]) -> Callable[..., object]:
-    """Add ``--order`` and its parameters, passed to the command as ``choice``."""
+    """Add ``--order`` and the parameters of orders, passed to the command as ``choice``."""
     option = click.option(
         "--order",
         type=parse_order,
@@ -213,13 +219,13 @@ def order_options(command: Callable[..., object]) -> Callable[..., object]:
         show_default=True,
         metavar="NAME",
         shell_complete=_orders_like,
-        help=f"Which splats come first: {', '.join(ORDERS)}.",
+        help=f"Order of the splats: {', '.join(ORDERS)}.",
     )
     return _with_parameters(command, option)
 
 
 def orders_option(command: Callable[..., object]) -> Callable[..., object]:
-    """Add ``--orders`` and their parameters, passed to the command as ``choice``."""
+    """Add ``--orders`` and the parameters of orders, passed to the command as ``choice``."""
     option = click.option(
         "--orders",
         "order",
@@ -233,10 +239,10 @@ def orders_option(command: Callable[..., object]) -> Callable[..., object]:
     return _with_parameters(command, option)
 
 
-def _named(
+def _resolve_orders(
     order: str | tuple[str, ...], first_view: int | None, frustum_share: float | None
 ) -> tuple[str, ...]:
-    """Return the names of the orders; a single one gets the rule that the options imply."""
+    """Return the orders, a single order with the rule implied; refuse contradictory options."""
     names = (order,) if isinstance(order, str) else order
     rules = [split_name(name)[1] for name in names]
     if first_view is None:
@@ -257,7 +263,7 @@ def _named(
 def _with_parameters(
     command: Callable[..., object], naming: Callable[[Callable[..., object]], Callable[..., object]]
 ) -> Callable[..., object]:
-    """Add an option that names orders, and the options of their parameters."""
+    """Add an option that names orders, and the options for parameters of orders."""
 
     @functools.wraps(command)
     def chosen(
@@ -277,7 +283,7 @@ def _with_parameters(
         **others: object,
     ) -> object:
         choice = OrderChoice(
-            names=_named(order, first_view, frustum_share),
+            names=_resolve_orders(order, first_view, frustum_share),
             first_view=first_view,
             first_view_share=first_view_share,
             first_view_mix=first_view_mix,
@@ -298,8 +304,8 @@ def _with_parameters(
             "--first-view",
             type=click.IntRange(min=0),
             metavar="INDEX",
-            help="Serve this camera first, from 0: by what each splat adds to its picture. "
-            "Without --cameras, of the planned views.",
+            help="Index of the camera to serve first, from 0: splats that contribute to its picture "
+            "move forward. Without --cameras, an index of the planned views.",
         ),
         click.option(
             "--first-view-share",
@@ -307,7 +313,7 @@ def _with_parameters(
             default=_DEFAULTS.first_view_share,
             show_default=True,
             metavar="SHARE",
-            help="Share of the splats that the first view brings forward.",
+            help="Share of the splats that the first view moves forward.",
         ),
         click.option(
             "--first-view-mix",
@@ -315,15 +321,15 @@ def _with_parameters(
             default=_DEFAULTS.first_view_mix,
             show_default=True,
             metavar="SHARE",
-            help="How much of any beginning is for the first view, while that lasts; at 1 other "
-            "views wait.",
+            help="Share of every prefix for the first view until its splats are used up; with 1, "
+            "other views come after.",
         ),
         click.option(
             "--frustum-share",
             type=click.FloatRange(0, 1),
             metavar="SHARE",
-            help="Serve the first view by its frustum instead: of every prefix, keep so much "
-            "inside, while that lasts.",
+            help="Serve the first view by its frustum instead: share of every prefix that lies in the "
+            "frustum until its splats are used up.",
         ),
         click.option(
             "--frustum-margin",
@@ -331,7 +337,7 @@ def _with_parameters(
             default=_DEFAULTS.frustum_margin,
             show_default=True,
             metavar="SHARE",
-            help="What the frustum is wider than the image at each side, as a share of its size.",
+            help="Margin of the frustum at each side, as a share of the image size.",
         ),
         click.option(
             "--octree-depth",
@@ -339,7 +345,7 @@ def _with_parameters(
             default=_DEFAULTS.octree_depth,
             show_default=True,
             metavar="N",
-            help="Of octree-round-robin and octree-quota.",
+            help="Depth of the octree of octree-round-robin and octree-quota.",
         ),
         click.option(
             "--octree-capacity",
@@ -347,7 +353,7 @@ def _with_parameters(
             default=_DEFAULTS.octree_capacity,
             show_default=True,
             metavar="N",
-            help="Most splats in a leaf of octree-adaptive.",
+            help="Splats in a leaf of octree-adaptive at most.",
         ),
         click.option(
             "--seed",
@@ -355,25 +361,26 @@ def _with_parameters(
             default=_DEFAULTS.seed,
             show_default=True,
             metavar="N",
-            help="Of the random order.",
+            help="Seed of the order random.",
         ),
         click.option(
             "--objects",
             is_flag=True,
-            help=f"Chunks of one object each, by the attribute {objects.ATTRIBUTE!r}.",
+            help=f"Fill each chunk with one object, by the attribute {objects.ATTRIBUTE!r}.",
         ),
         click.option(
             "--object-budgets",
             type=parse_budgets,
             metavar="P%|N:P%,…",
-            help="Send this share of every object, or of object N, before the rest; the objects "
-            "that matter most go first.",
+            help="Send this share of every object, or of object N, before the rest, objects of "
+            "larger contribution first.",
         ),
         click.option(
             "--masks",
             type=PATH,
             metavar="DIR",
-            help="Label splats by pictures of the objects, named as the cameras: 0 is no object.",
+            help="Folder of masks, named like the cameras, from which splats get object labels: 0 "
+            "is no object.",
         ),
     ]
     decorated: Callable[..., object] = chosen

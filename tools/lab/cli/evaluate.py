@@ -427,7 +427,7 @@ def _gather(
         if not len(splats):
             raise DataError("no-splats", f"{path}: 0 splats, expected at least 1")
         lpips = None if lpips_weights is None else read_lpips(lpips_weights)
-    splats = choice.labelled(splats, cameras, threads=threads, progress=stages)
+    splats = choice.with_labels(splats, cameras, threads=threads, progress=stages)
     numbered = load_cameras(cameras) if cameras else []
     planned = None
     if views is None:

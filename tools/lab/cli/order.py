@@ -124,7 +124,7 @@ def order(
             given = read_any(path, threads=threads).splats
             views = scoring_cameras(cameras, eval_every)
             numbered = load_cameras(cameras) if cameras else []
-        splats = choice.labelled(given, cameras, threads=threads, progress=stages)
+        splats = choice.with_labels(given, cameras, threads=threads, progress=stages)
         # Objects are ranked by their contribution.
         scored = needs_scores(choice.name) or choice.by_object
         if views is None and (scored or choice.first_view is not None):
