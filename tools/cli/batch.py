@@ -1,4 +1,4 @@
-"""``cogsplat batch``: encode many scenes, and go on where an earlier run ended."""
+"""``cogsplat batch``: encode the scenes of a manifest, without those encoded before."""
 
 from __future__ import annotations
 
@@ -37,13 +37,33 @@ from .encode import encode
 # Options of `encode` that `batch` itself sets for every scene.
 _SET_BY_BATCH: Final = frozenset({"quiet", "threads", "scheduler"})
 
-# Exit status where some scenes failed and the others are done.
+# Exit status if any scene failed.
 _SOME_FAILED: Final = 3
 
 
 @dataclass
 class _Batch:
-    """One run over a manifest: what was done before, and what is under way."""
+    """One run over a manifest.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the manifest, where relative paths begin.
+    log : Path
+        Log, which receives a line for each encode.
+    common : tuple of str
+        Options of every encode.
+    before : mapping of str to mapping
+        Last log line of earlier runs by output.
+    quiet : bool
+        Whether no line is printed.
+    running : set of Popen
+        Processes that encode.
+    stopped : bool
+        Whether no further process may start.
+    lock : Lock
+        Lock of `running` and `stopped`.
+    """
 
     folder: Path
     log: Path
@@ -54,33 +74,33 @@ class _Batch:
     stopped: bool = False
     lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def encode(self, scene: BatchScene) -> dict[str, object]:
-        """Encode a scene in a process of its own; return its line of the log."""
+    def encode_if_changed(self, scene: BatchScene) -> dict[str, object]:
+        """Encode a scene in a process unless its output is up to date; return the log line."""
         line: dict[str, object] = {"input": scene.input, "output": scene.output}
         start = time.monotonic()
         earlier = self.before.get(scene.output, {})
         try:
             line["fingerprint"] = scene.fingerprint(self.folder)
             same = earlier.get("fingerprint") == line["fingerprint"]
-            if same and self._is_there(scene, earlier):
+            if same and self._is_up_to_date(scene, earlier):
                 return {**line, "status": "skipped"}
         except CogsplatError as error:
-            told = {"code": error.code, "message": error.message, "exit_code": error.exit_code}
-            return {**line, "status": "failed", "error": told}
-        # What an earlier run has made may be replaced; what is not ours may not.
+            failure = {"code": error.code, "message": error.message, "exit_code": error.exit_code}
+            return {**line, "status": "failed", "error": failure}
+        # Outputs of an earlier run are replaced, other files are not.
         words = [*scene.words, *(["--force"] if earlier else []), *self.common]
         code, out, err = self._run(["encode", scene.input, scene.output, *words, "--json"])
         line["encode_s"] = round(time.monotonic() - start, 3)
         try:
-            told = json.loads(out)
+            report = json.loads(out)
         except ValueError:
             message = (err.strip() or "no output").splitlines()[-1]
-            told = {"error": {"code": "ended", "message": message, "exit_code": code}}
-        if code or "error" in told:
-            return {**line, "status": "failed", "error": told.get("error")}
-        return {**line, "status": "done", "result": told}
+            report = {"error": {"code": "ended", "message": message, "exit_code": code}}
+        if code or "error" in report:
+            return {**line, "status": "failed", "error": report.get("error")}
+        return {**line, "status": "done", "result": report}
 
-    def _is_there(self, scene: BatchScene, earlier: Mapping[str, object]) -> bool:
+    def _is_up_to_date(self, scene: BatchScene, earlier: Mapping[str, object]) -> bool:
         result = earlier.get("result")
         expected = result.get("bytes") if isinstance(result, dict) else None
         if is_url(scene.output):
@@ -89,6 +109,7 @@ class _Batch:
         return path.is_file() and path.stat().st_size == expected
 
     def _run(self, words: list[str]) -> tuple[int, str, str]:
+        """Run a command of ours; return exit code, standard output and standard error."""
         root = Path(cogsplat.__file__).parents[1]
         paths = [str(root), *filter(None, [os.environ.get("PYTHONPATH")])]
         command = [sys.executable, "-P", "-m", "cogsplat.tools.main", *words]
@@ -111,7 +132,7 @@ class _Batch:
         return process.returncode, out, err
 
     def stop(self) -> None:
-        """End what is under way."""
+        """Terminate the running encodes."""
         with self.lock:
             self.stopped = True
             for process in self.running:
@@ -133,8 +154,8 @@ class _Batch:
     "--log",
     type=PATH,
     metavar="PATH",
-    help="Where the lines go; scenes that it says are done, and that have not changed since, are "
-    "left out.  [default: MANIFEST.log]",
+    help="Log file. Scenes that it lists as done are skipped unless they have changed.  [default: "
+    "MANIFEST.log]",
 )
 @click.option(
     "--jobs",
@@ -142,7 +163,7 @@ class _Batch:
     default=1,
     show_default=True,
     metavar="N",
-    help="Scenes that are encoded at once, each with --threads.",
+    help="Number of scenes encoded at once, each with --threads.",
 )
 @threads_option
 @scheduler_option
@@ -159,11 +180,12 @@ def batch(
 ) -> None:
     """Encode every scene of a manifest.
 
-    A line of JSON is printed for each. A manifest is JSON lines such as {"input": "a.ply",
-    "output": "a.cogs", "options": {"quality": 38}}, or TOML with the same keys in [[scene]].
-    Options are those of encode, true for a flag; paths begin at the manifest's folder; addresses
-    such as s3://bucket/a.ply may stand for them. A scene that fails does not stop the others; the
-    exit status is then 3.
+    A manifest is JSON lines such as {"input": "a.ply", "output": "a.cogs", "options": {"quality":
+    38}}, or TOML with the same keys in [[scene]]. Options are those of encode, true for a flag.
+    Paths are relative to the folder of the manifest; URLs such as s3://bucket/a.ply are accepted.
+
+    A line of JSON is printed for each scene. A failed scene does not stop the others; the exit
+    status is then 3.
     """
     options = settable_options(encode)
     scenes = read_manifest(
@@ -172,15 +194,15 @@ def batch(
     log = log or manifest.with_name(f"{manifest.name}.log")
     common = [f"--threads={threads}", *([f"--scheduler={scheduler}"] if scheduler else [])]
     folder = manifest.absolute().parent
-    run = _Batch(folder, log, tuple(common), _logged(log), quiet or as_json)
+    run = _Batch(folder, log, tuple(common), _read_log(log), quiet or as_json)
     lines: list[dict[str, object]] = []
     pool = ThreadPoolExecutor(jobs)
     try:
-        for future in [pool.submit(run.encode, scene) for scene in scenes]:
+        for future in [pool.submit(run.encode_if_changed, scene) for scene in scenes]:
             lines.append(future.result())
             run.write(lines[-1])
     finally:
-        # Before the pool waits for what is under way.
+        # Terminate the encodes first, because the pool waits for them.
         run.stop()
         pool.shutdown(cancel_futures=True)
     counts = {
@@ -197,14 +219,14 @@ def batch(
 
 
 def _brief(line: Mapping[str, object]) -> dict[str, object]:
-    """Return a line with the bytes of the file in place of all that its encode told."""
+    """Return a log line with the size of the file in place of the whole report of its encode."""
     brief = {key: value for key, value in line.items() if key != "result"}
     result = line.get("result")
     return {**brief, "bytes": result.get("bytes") if isinstance(result, dict) else None}
 
 
-def _logged(log: Path) -> dict[str, Mapping[str, object]]:
-    """Return the last line of each output that an earlier run has written to a log."""
+def _read_log(log: Path) -> dict[str, Mapping[str, object]]:
+    """Return the last line of each finished output in the log of earlier runs."""
     found: dict[str, Mapping[str, object]] = {}
     if not log.exists():
         return found
@@ -214,7 +236,7 @@ def _logged(log: Path) -> dict[str, Mapping[str, object]]:
         try:
             line = json.loads(text)
         except ValueError:
-            # A run that was cut off may have left half a line; its scene is encoded again.
+            # An interrupted run may have left half a line; its scene is encoded again.
             continue
         if isinstance(line, dict) and line.get("status") == "done":
             found[str(line.get("output"))] = line

@@ -180,7 +180,7 @@ def _check_host(
 
 
 def _changes(found: Diagnosis, hosts: Sequence[str] | None) -> dict[str, dict[str, str]]:
-    """Return what to change, by the code of a finding and by host."""
+    """Return the remedies, by the code of a finding and by host."""
     own = host_of(found.server)
     return remedies(
         [finding.code for finding in found.host], hosts or ([own] if own else list(HOSTS))

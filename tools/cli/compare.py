@@ -57,19 +57,19 @@ from cogsplat.tools.workflow.inputs import (
 )
 @click.argument("reference", type=INPUT, metavar="A")
 @click.argument("other", type=INPUT, metavar="B")
-@cameras_option("Without it, eval_cameras.json beside A, all of it; else planned views.")
+@cameras_option("Without it, all of eval_cameras.json in A's folder, else planned views.")
 @eval_every_option(8, "compare in it alone; 0 compares in all.")
 @click.option(
     "--by-object",
     is_flag=True,
-    help="Also measure every object of A's attribute `object`, over the pixels where it weighs "
-    "most in the render of A.",
+    help="Also measure every object of A's attribute `object`, in the pixels where its blending "
+    "weight is largest.",
 )
 @click.option(
     "--difference",
     type=PATH,
     metavar="OUT.png",
-    help="Also draw the worst view: A, B, and their difference times four.",
+    help="Also write a picture of the worst view: A, B, and their difference times four.",
 )
 @background_option
 @ssim_border_option
@@ -103,8 +103,8 @@ def compare(
 ) -> None:
     """Measure PSNR and SSIM between A and B, or a part of B.
 
-    PSNR and SSIM of rendered views, three figures each: the mean over held-out cameras, the worst
-    of them, and the mean over roaming views, which stand back from those cameras and turn away.
+    Three figures each: the mean over test cameras, the worst test camera, and the mean over roaming
+    views, which step back from these cameras and turn away.
     """
     from cogsplat.codec.scoring import view_quality
     from cogsplat.tools.evaluation import object_quality
@@ -191,10 +191,10 @@ def compare(
         found.worst.view,
         count_text(len(found.roaming), "view"),
     ]
-    _tell_figures(rows, notes)
+    _print_figures(rows, notes)
     if own is not None:
         print_line("")
-        _tell_objects(own)
+        _print_objects(own)
     if not quiet:
         print_line("")
         drawn = "" if difference is None else f"{difference}: A, B, difference x4 in the worst view"
@@ -202,6 +202,7 @@ def compare(
 
 
 def _side(path: Path, scene: LoadedScene) -> dict[str, object]:
+    """Return the JSON object of one of the two scenes."""
     return {
         "source": display_name(path),
         "splats": len(scene.splats),
@@ -212,7 +213,8 @@ def _side(path: Path, scene: LoadedScene) -> dict[str, object]:
     }
 
 
-def _tell_figures(rows: dict[str, tuple[float, float]], notes: Sequence[str]) -> None:
+def _print_figures(rows: dict[str, tuple[float, float]], notes: Sequence[str]) -> None:
+    """Print PSNR and SSIM."""
     cells = [
         (name, note, f"{psnr_db:.2f}", f"{ssim:.4f}")
         for (name, (psnr_db, ssim)), note in zip(rows.items(), notes, strict=True)
@@ -220,7 +222,8 @@ def _tell_figures(rows: dict[str, tuple[float, float]], notes: Sequence[str]) ->
     print_table(("", "", "PSNR dB", "SSIM"), cells, left=2)
 
 
-def _tell_objects(qualities: Sequence[ObjectQuality]) -> None:
+def _print_objects(qualities: Sequence[ObjectQuality]) -> None:
+    """Print PSNR by object."""
     cells = [
         (
             str(one.object),
@@ -243,6 +246,7 @@ def _draw_difference(
     force: bool,
     threads: int,
 ) -> None:
+    """Write a picture of both scenes and their difference in one view."""
     from cogsplat.codec.render.rasteriser import RenderConfig
     from cogsplat.codec.render.rasteriser import render as draw
     from cogsplat.tools.pictures.difference import difference_image
@@ -262,5 +266,6 @@ def _draw_difference(
 
 
 def _colour_name(colour: Colour) -> str:
+    """Return a colour as text."""
     names = {(0.0, 0.0, 0.0): "black", (1.0, 1.0, 1.0): "white"}
     return names.get(colour) or "({:g}, {:g}, {:g})".format(*colour)

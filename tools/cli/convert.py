@@ -175,7 +175,7 @@ def convert(
 
 @dataclass(frozen=True)
 class _Conversion:
-    """A scene that was read and what was written of it.
+    """Facts about a scene that was read and the file or folder that was written.
 
     Parameters
     ----------
@@ -287,7 +287,7 @@ def _report(done: _Conversion, source: Path, out: Path) -> dict[str, object]:
 
 
 def _print_summary(done: _Conversion, out: Path, stages: Stages) -> None:
-    """Print what was written."""
+    """Print the summary of the conversion."""
     stored, given = done.written.splats, done.source_splats
     print_line(f"{done.written.line(out)}, from {size_text(done.source_bytes)}")
     count = f"{stored:,}" if stored == given else f"{stored:,} of {given:,}"

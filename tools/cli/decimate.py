@@ -1,4 +1,4 @@
-"""``cogsplat decimate``: the splats that matter most, so many or such a share."""
+"""``cogsplat decimate``: a number or share of a scene's splats, by contribution."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class SplatCount:
     Parameters
     ----------
     amount : Fraction
-        Splats, or the share.
+        Number of splats, or share.
     is_share : bool
         Whether `amount` is a share, above 0 and at most 1.
     """
@@ -61,17 +61,17 @@ class SplatCount:
     is_share: bool
 
     def of(self, splats: int) -> int:
-        """Return the number for a scene of `splats`: rounded up, and no more than there are."""
+        """Return the number of splats to keep of `splats`, rounded up."""
         return min(math.ceil(self.amount * splats if self.is_share else self.amount), splats)
 
 
 def splat_count(text: str) -> SplatCount:
-    """Parse ``20000`` or ``25%``.
+    """Parse a number of splats or a share, such as ``20000`` or ``25%``.
 
     Raises
     ------
     click.BadParameter
-        It is neither.
+        The text is neither.
     """
     match = _COUNT.fullmatch(text.strip())
     amount = Fraction(match[1]) if match else Fraction(0)
@@ -85,22 +85,22 @@ def splat_count(text: str) -> SplatCount:
 @click.command(epilog="\b\nExample:\n  cogsplat decimate scene.ply small.ply --to 25%")
 @click.argument("path", type=INPUT, metavar="SCENE")
 @click.argument("out", type=OutputPath(), metavar="OUT")
-@writing_options(OUTPUT_FORMATS, "Without it, OUT's extension says which.")
+@writing_options(OUTPUT_FORMATS, "Without it, OUT's extension names the format.")
 @click.option(
     "--to",
     "count",
     type=splat_count,
     required=True,
     metavar="N|P%",
-    help="Keep N splats, or P percent of them.",
+    help="Number or percentage of splats to keep.",
 )
 @click.option(
     "--by",
     type=click.Choice((_CONTRIBUTION, _ANTIMATTER)),
     default=_CONTRIBUTION,
     show_default=True,
-    help="Keep the splats of the largest contribution to the views' pictures, or, without "
-    "rendering, of the largest volume times opacity.",
+    help="contribution keeps the splats that contribute most to the pictures; antimatter, without "
+    "rendering, those of the largest volume times opacity.",
 )
 @cameras_option("Without it, views are planned around the scene.")
 @partial_option
@@ -121,14 +121,16 @@ def decimate(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Keep the splats of SCENE that matter most.
+    """Keep the splats of SCENE with the largest contribution.
 
-    They keep the order of the file and all their attributes. Splats that cannot be drawn are left
+    The splats keep the order of the file and all attributes. Splats with invalid values are left
     out first.
     """
     name = output_format(out, writing)
     if cameras is not None and by == _ANTIMATTER and name != "cogs":
-        raise click.UsageError(f"--cameras with --by {by} and {out}, where nothing uses them")
+        raise click.UsageError(
+            f"--cameras with --by {by} and {out}, expected an option or output that uses them"
+        )
     check_output(out, force=force, inputs=input_files(path, cameras))
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
@@ -138,7 +140,7 @@ def decimate(
         target = count.of(len(usable))
         if not count.is_share and target < count.amount:
             warnings.warn(
-                f"{path}: has {len(usable):,} splats that can be drawn, fewer than --to "
+                f"{path}: has {len(usable):,} valid splats, fewer than --to "
                 f"{int(count.amount):,}; all are kept",
                 CogsplatWarning,
                 stacklevel=1,
@@ -184,14 +186,14 @@ def decimate(
 
 
 def _most(splats: Splats, priority: NDArray[np.float64], count: int) -> Splats:
-    """Return the rows of highest priority, in the order of the file."""
+    """Return the splats of highest priority in the order of the file."""
     if count == len(splats):
         return splats
     return splats.take(np.sort(sort_descending(priority)[:count]))
 
 
 def _share(priority: NDArray[np.float64], count: int, by: str) -> float | None:
-    """Return the share of the contribution that is kept; None where it was not measured."""
+    """Return the share of the contribution that is kept, None if it was not measured."""
     if by != _CONTRIBUTION or count == len(priority):
         return None
     total = float(priority.sum())

@@ -1,4 +1,4 @@
-"""``cogsplat decode``: from a COGS file, or a part of it, to a scene in another format."""
+"""``cogsplat decode``: a COGS file, or a part of it, to a scene of another format."""
 
 from __future__ import annotations
 
@@ -56,10 +56,12 @@ from cogsplat.tools.workflow.scene_output import write_any
     "--level",
     type=click.FloatRange(min=0),
     metavar="L",
-    help="Level of a scene that has some, 0 the coarsest; 1.5 lies between two.",
+    help="Level of a scene with levels, 0 the coarsest; 1.5 lies halfway between 1 and 2.",
 )
-@writing_options(WRITABLE, "Without it, the extension says which.")
-@click.option("--no-refine", is_flag=True, help="The coarse values of the heads alone.")
+@writing_options(WRITABLE, "Without it, the extension of OUT names the format.")
+@click.option(
+    "--no-refine", is_flag=True, help="Decode the coarse values of the heads without refinements."
+)
 @partial_option
 @limits_option
 @threads_option
@@ -85,9 +87,9 @@ def decode(
 ) -> None:
     """Decode a COGS file, or a part of it, to a PLY.
 
-    OUT's extension may name another format. With --bytes the file is taken as if its transfer had
-    stopped there: what is complete is decoded. With --compensate, splats of a prefix are
-    enlarged and made more opaque in place of those that are missing.
+    OUT's extension may name another format. --bytes decodes the complete chunks of a prefix of the
+    file. --compensate enlarges the splats of a prefix and raises their opacities in place of the
+    missing splats.
     """
     format_ = scene_format(out, writing.format_name)
     writing.require(out, format_.name)
@@ -119,15 +121,15 @@ def decode(
         first, last = scene.without_tails[0], scene.without_tails[-1]
         span = f"chunk {first}" if first == last else f"chunks {first} to {last}"
         warnings.warn(
-            f"{cogs}: {span} came without the SH above DC, which lies beyond byte "
+            f"{cogs}: {span} decoded without the SH above DC, which lies beyond byte "
             f"{scene.bytes_read}",
             CogsplatWarning,
             stacklevel=1,
         )
     if scene.lost_extras:
         warnings.warn(
-            f"{cogs}: came without the attributes {', '.join(scene.lost_extras)}, which not every "
-            "chunk brings",
+            f"{cogs}: decoded without the attributes {', '.join(scene.lost_extras)}, which some "
+            "chunks lack",
             CogsplatWarning,
             stacklevel=1,
         )
@@ -152,9 +154,9 @@ def _decode_into_ply(
     Returns
     -------
     scene : LoadedScene
-        Without rows.
+        Facts about the file, without splats.
     rows : int
-        Splats that were written.
+        Number of splats written.
     """
     rows = 0
 
@@ -200,7 +202,7 @@ def _report(
 
 
 def _span(chunks: Sequence[int]) -> tuple[int, int]:
-    """Return first and last chunk as a half-open range."""
+    """Return the half-open range of the chunks."""
     return (chunks[0], chunks[-1] + 1) if chunks else (0, 0)
 
 

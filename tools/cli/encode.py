@@ -165,15 +165,15 @@ _GROUPS: Final = {
     type=click.Choice(PROFILE_NAMES),
     default=_DEFAULTS.profile,
     show_default=True,
-    help="transform, vq: for viewing, by a shared transform or by codebooks. near-lossless: every "
-    "attribute within a bound, for archives.",
+    help="transform, vq: for viewing, with a shared transform or with codebooks. near-lossless: "
+    "for archives, every attribute within an error bound.",
 )
 @quality_option(
     "Nominal PSNR of the profiles for viewing. Without --cameras it is corrected to what is "
     "measured in planned test views, to about 1 dB."
 )
 @target_psnr_option(
-    "Search for the quality that gives this mean PSNR in some of the views of --cameras or, "
+    "Search for the quality with this mean PSNR in some views of --cameras or, "
     "without it, in test views planned around the scene. Other views may be harder or easier."
 )
 @click.option(
@@ -187,36 +187,42 @@ _GROUPS: Final = {
     type=click.Choice(list(PRESETS)),
     default=DEFAULT_PRESET,
     show_default=True,
-    help="fast scores one given view in three, at most 20, or plans fewer views, and orders only a "
-    "tenth of the splats by gain, in small pictures; best plans most views, measures every one in "
-    "full and takes longest.",
+    help="Effort. fast scores one given view in three, at most 20, or plans fewer views, and "
+    "orders a tenth of the splats by gain in small pictures. best plans most views and measures "
+    "each in full.",
 )
 @order_options
 @click.option(
     "--chunk-splats",
     type=click.IntRange(1, MAX_CHUNK_SPLATS),
     metavar="N",
-    help="Most splats in a chunk.  "
+    help="Splats in a chunk at most.  "
     f"[default: {DEFAULT_CHUNK_SPLATS}, with --cells {DEFAULT_CELL_SPLATS}]",
 )
 @click.option(
     "--cells",
     is_flag=True,
-    help="Cut chunks by space as well, finer from layer to layer, so that a client can fetch what "
-    "it looks at.",
+    help="Also cut chunks by cells of space, smaller in later layers, so that a client can fetch "
+    "the cells in view.",
 )
 @click.option(
     "--no-view-table",
     is_flag=True,
-    help="With --cells: store no table of what each chunk adds to the pictures of up to 64 "
-    "viewpoints, from which a client knows what is behind walls.",
+    help="With --cells: store no view table. It holds the contribution of each chunk to up to 64 "
+    "viewpoints, which shows clients what walls hide.",
 )
-@click.option("--no-morton", is_flag=True, help="Keep the order inside chunks as well.")
-@click.option("--no-refine", is_flag=True, help="Write heads fine at once, none coarse first.")
+@click.option(
+    "--no-morton",
+    is_flag=True,
+    help="Store the splats of a chunk in the chosen order, not in Morton order.",
+)
+@click.option(
+    "--no-refine", is_flag=True, help="Write full precision into heads, without refinements."
+)
 @click.option(
     "--no-compensation",
     is_flag=True,
-    help="Store no prefix compensation; order for prefixes that are drawn without it.",
+    help="Store no prefix compensation, and order for prefixes without it.",
 )
 @preview_option
 @click.option(
@@ -224,42 +230,40 @@ _GROUPS: Final = {
     type=click.FloatRange(0, 1, max_open=True),
     show_default=str(PruneConfig().peak),
     metavar="PEAK",
-    help="Drop splats that are not worth their bytes, of those whose weight stays below PEAK in "
+    help="Drop splats that are not worth their bytes, among those whose weight is below PEAK in "
     "every pixel of every view.",
 )
 @click.option("--no-prune", is_flag=True, help="Keep every splat.")
 @no_extras_option
-@click.option(
-    "--store-cameras", is_flag=True, help="Store the cameras of --cameras in the file, all of them."
-)
+@click.option("--store-cameras", is_flag=True, help="Store all cameras of --cameras in the file.")
 @jitter_option
 @top_k_option(None)
 @eval_every_option(0, "do not score in it, measure in it.")
 @click.option(
     "--measure",
     is_flag=True,
-    help="Say how good the file is as its bytes arrive, and where they are.",
+    help="Print PSNR and SSIM of prefixes of the file, and bytes by attribute.",
 )
 @click.option(
     "--report",
     type=PATH,
     metavar="OUT.html",
-    help="Write what --measure finds, with plots and pictures, as one page.",
+    help="Write the results of --measure with plots and pictures as an HTML page.",
 )
 @click.option(
     "--images",
     type=PATH,
     metavar="DIR",
-    help="Photos named as the cameras are: measure against them, too.",
+    help="Folder of photos named like the cameras: also measure against the photos.",
 )
 @click.option(
     "--memory",
     type=number_of_bytes,
     metavar="SIZE",
-    help="Most memory to take, such as 8GiB. A PLY that would take more is worked through in files "
-    "beside OUT, but not by --profile vq. The bytes do not depend on it.",
+    help="Memory limit, such as 8GiB. Arrays of a larger PLY lie in files in the folder of OUT; "
+    "not with --profile vq. It does not change the result.",
 )
-@format_option(["cogs"], "Without it, a name that says another format is refused.")
+@format_option(["cogs"], "Without it, a name with the extension of another format is refused.")
 @background_option
 @edit_options
 @partial_option
@@ -273,15 +277,15 @@ _GROUPS: Final = {
 def encode(**options: Any) -> None:
     """Encode SCENE into a progressive COGS file.
 
-    Splats are scored from the cameras, put in the order of what they contribute, pruned, cut into
-    chunks and compressed. The bytes do not depend on the number of threads.
+    Splats are scored in the cameras, ordered by contribution, pruned, cut into chunks and
+    compressed. The number of threads does not change the result.
     """
     _encode(EncodeOptions(**options))
 
 
 @dataclass(frozen=True)
 class EncodeOptions:
-    """Options of the command, named as click names them."""
+    """Values of the options of ``encode``."""
 
     scene: Path
     out: Path
@@ -333,7 +337,7 @@ class EncodeOptions:
     def require_consistent(self) -> None:
         """Refuse options that contradict each other, and outputs that cannot be written.
 
-        What an encode itself refuses stands in `EncodeConfig` and `EncodeRequest`.
+        `EncodeConfig` and `EncodeRequest` refuse the rest.
         """
         _require_one_aim(self.profile, self.target_psnr, self.target_size)
         if self.prune is not None and self.no_prune:
@@ -359,7 +363,7 @@ class EncodeOptions:
             check_output(self.report, force=self.force, inputs=self.inputs)
 
     def request(self) -> EncodeRequest:
-        """Return the request without what only the scene and its cameras decide."""
+        """Return the request without the parts that depend on the scene and its cameras."""
         bound = PruneConfig() if self.prune is None else PruneConfig(peak=self.prune)
         with usage_errors():
             config = EncodeConfig(
@@ -397,7 +401,7 @@ class EncodeOptions:
         request : EncodeRequest
             Result of `request`.
         views : sequence of Camera or None
-            Cameras to score in, edited as the scene is.
+            Cameras to score in, after the edits.
         file_bytes : int
             Size of the scene's file, for a target size in per cent.
         workspace : Workspace
@@ -431,7 +435,7 @@ class EncodeOptions:
 
 @dataclass(frozen=True, eq=False)
 class _NewFile:
-    """An encoded file, with what the command reports of it."""
+    """An encoded file and the inputs of its summary."""
 
     options: EncodeOptions
     request: EncodeRequest
@@ -483,11 +487,13 @@ def _encode(options: EncodeOptions) -> None:
         stages("write", 1, 1)
         qualities = _measure(options, evaluation, given, made, stages)
     if options.as_json or not options.quiet:
-        _tell(_NewFile(options, request, made, given, len(splats), evaluation, qualities, stages))
+        _print_summary(
+            _NewFile(options, request, made, given, len(splats), evaluation, qualities, stages)
+        )
 
 
 def _edited(options: EncodeOptions, splats: Splats, progress: Progress) -> Splats:
-    """Return the scene with labels from masks, edited, and without extra attributes if asked."""
+    """Return the scene with labels from masks, after the edits, without extras if so chosen."""
     labelled = options.choice.with_labels(
         splats, options.cameras, threads=options.threads, progress=progress
     )
@@ -496,7 +502,7 @@ def _edited(options: EncodeOptions, splats: Splats, progress: Progress) -> Splat
 
 
 def _evaluation(options: EncodeOptions, splats: Splats) -> FileEvaluation | None:
-    """Return the pictures to measure the new file against, where it is measured."""
+    """Return the evaluation of the new file, None if the file is not measured."""
     if not (len(splats) and options.measures):
         return None
     return FileEvaluation.gather(
@@ -518,7 +524,7 @@ def _measure(
     made: EncodeReport,
     stages: Stages,
 ) -> list[PrefixQuality]:
-    """Measure the new file and write its report, where asked; return figures of its prefixes."""
+    """Measure the new file and write its report, if chosen; return PSNR and SSIM of prefixes."""
     if evaluation is None:
         return []
     settings = settings_of(click.get_current_context(), made.scored_views, stages.total_seconds)
@@ -531,8 +537,8 @@ def _measure(
     return qualities
 
 
-def _tell(new: _NewFile) -> None:
-    """Print what the new file holds, or say it as JSON."""
+def _print_summary(new: _NewFile) -> None:
+    """Print the summary of the new file, or its JSON object."""
     options, made, given, stages = new.options, new.made, new.given, new.stages
     with cogsplat.open(options.out) as file:
         told = _report(file, made, new.request.config, stages)
@@ -577,10 +583,11 @@ def _tell(new: _NewFile) -> None:
 def _require_one_aim(
     profile: str, target_psnr: float | None, target_size: ByteCount | None
 ) -> None:
+    """Refuse more than one of quality, target PSNR and target size."""
     aims = {"--target-psnr": target_psnr, "--target-size": target_size}
     named = [option for option, value in aims.items() if value is not None]
     context = click.get_current_context()
-    if context.get_parameter_source("quality") is click.core.ParameterSource.COMMANDLINE:
+    if context.get_parameter_source("quality") is not click.core.ParameterSource.DEFAULT:
         named.append("--quality")
     if len(named) > 1:
         raise click.UsageError(f"{' and '.join(named)}: expected one of them")
@@ -591,7 +598,7 @@ def _require_one_aim(
 
 
 def _scored(made: EncodeReport) -> str:
-    """Say how many views were scored, whose they are and how much of the scene they show."""
+    """Return the scored views as text: count, origin, and the share of the scene they cover."""
     if made.views == "none":
         return count_text(made.scored_views, "view")
     shown = "of what is visible" if made.views == "planned" else "of the splats"
@@ -601,7 +608,7 @@ def _scored(made: EncodeReport) -> str:
 
 
 def _predicted(made: EncodeReport) -> str:
-    """Say what PSNR the encoder measured of the whole scene, and how much views differ."""
+    """Return the predicted PSNR of the whole scene as text: mean and worst view."""
     values = made.test_psnr_db
     if not values:
         return ""
@@ -611,7 +618,7 @@ def _predicted(made: EncodeReport) -> str:
 
 
 def _prediction(made: EncodeReport) -> dict[str, object]:
-    """Return what `_scored` and `_predicted` say."""
+    """Return the JSON keys about scored views and predicted PSNR."""
     values = made.test_psnr_db
     return {
         "predicted_psnr_db": round(sum(values) / len(values), 3) if values else None,
@@ -626,7 +633,7 @@ def _prediction(made: EncodeReport) -> dict[str, object]:
 def _report(
     file: CogsFile, made: EncodeReport, config: EncodeConfig, stages: Stages
 ) -> dict[str, object]:
-    """Return what the new file holds and how it came about."""
+    """Return the JSON keys about the contents of the new file and its encode."""
     splats = file.root.splats
     return {
         "bytes": made.size_bytes,

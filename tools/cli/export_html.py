@@ -1,4 +1,4 @@
-"""``cogsplat export-html``: a page that shows a scene, to send or to put on a web server."""
+"""``cogsplat export-html``: an HTML page with the viewer and a scene."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ from cogsplat.tools.workflow.viewable import viewable
 @click.option(
     "--folder",
     is_flag=True,
-    help="Write a folder instead: a page and the scene beside it, which the page streams from any "
-    "web server for files.",
+    help="Write a folder instead: a page and the scene as a file of its own, which the page "
+    "streams from any web server.",
 )
 @partial_option
 @limits_option
@@ -74,9 +74,9 @@ def export_html(
 ) -> None:
     """Write a page that shows a scene in any browser.
 
-    OUT is one file that holds viewer and scene and opens by a double click; it is a third larger
-    than the scene. With --folder, the scene stays a file of its own and shows while it is fetched.
-    A scene that is no .cogs is encoded first.
+    OUT is one file with viewer and scene, a third larger than the scene; it opens with a double
+    click. With --folder, the scene is a file of its own and is shown while it loads. Scenes of
+    other formats than COGS are encoded first.
     """
     if folder and is_standard_output(out):
         raise click.UsageError("--folder with standard output, expected the name of a folder")
@@ -93,7 +93,7 @@ def export_html(
         open_for_read(given.path) as source,
     ):
         if folder:
-            # Files get their names in the reverse of this order, all or none: the page last.
+            # Files are renamed in the reverse of this order, all or none: the page last.
             for name, content in linked_page(title).items():
                 outputs.enter_context(atomic_write(out / name, force=force)).write(content)
             target = outputs.enter_context(atomic_write(out / SCENE_NAME, force=force))
@@ -125,7 +125,7 @@ def export_html(
 def _room_for(
     folder: Path, names: list[str], force: bool, inputs: list[Path], *, needed: bool
 ) -> Iterator[None]:
-    """Make a folder and see that it takes files of some names; remove it if the block fails."""
+    """Make a folder for files of given names; remove a new folder if the block fails."""
     if not needed:
         yield
         return
@@ -139,6 +139,6 @@ def _room_for(
         yield
     except BaseException:
         if made:
-            # All outputs are written whole or not at all; what else is there is not ours.
+            # A folder that existed before holds files of the user.
             shutil.rmtree(folder, ignore_errors=True)
         raise

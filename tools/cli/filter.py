@@ -52,12 +52,12 @@ Marks = dict[str, NDArray[np.bool_]]
 )
 @click.argument("path", type=INPUT, metavar="SCENE")
 @click.argument("out", type=OutputPath(), metavar="OUT")
-@writing_options(OUTPUT_FORMATS, "Without it, OUT's extension says which.")
+@writing_options(OUTPUT_FORMATS, "Without it, OUT's extension names the format.")
 @click.option(
     "--min-opacity",
     type=click.FloatRange(0, 1),
     metavar="A",
-    help="Leave out splats less opaque than this, 0 to 1.",
+    help="Leave out splats of lower opacity, 0 to 1.",
 )
 @click.option(
     "--min-size",
@@ -81,11 +81,10 @@ Marks = dict[str, NDArray[np.bool_]]
     "--floaters",
     type=click.FloatRange(min=0),
     metavar="D",
-    help="Leave out floaters: splats farther from their neighbours than the scene's median by D "
-    "standard deviations of log distance that contribute less than the median splat. 3 is "
-    "cautious, 2 takes more.",
+    help="Leave out floaters: splats with less contribution than the median whose log distance to "
+    "their neighbours exceeds the median by D standard deviations. 3 is cautious, 2 finds more.",
 )
-@cameras_option("For --floaters and for a .cogs; without it, views are planned.")
+@cameras_option("For --floaters and COGS output. Without it, views are planned.")
 @partial_option
 @limits_option
 @threads_option
@@ -109,8 +108,8 @@ def filter_scene(
 ) -> None:
     """Leave out splats by opacity, size, place or isolation.
 
-    The others keep their order, values and attributes. Splats that cannot be drawn are left out,
-    too.
+    The other splats keep their order, values and attributes. Splats with invalid values are left
+    out as well.
     """
     name = output_format(out, writing)
     if all(limit is None for limit in (min_opacity, min_size, max_size, crop, floaters)):
@@ -119,7 +118,9 @@ def filter_scene(
             "and --floaters"
         )
     if cameras is not None and floaters is None and name != "cogs":
-        raise click.UsageError(f"--cameras with {out} and without --floaters: nothing uses them")
+        raise click.UsageError(
+            f"--cameras with {out} and without --floaters, expected COGS output or --floaters"
+        )
     check_output(out, force=force, inputs=input_files(path, cameras))
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
@@ -176,13 +177,13 @@ def _by_values(
     max_size: float | None,
     crop: Box | None,
 ) -> Marks:
-    """Return what each limit that is given leaves out; a splat may be in several."""
+    """Mark the splats that each limit leaves out, by the name of the option."""
     marks: Marks = {}
-    # Deviations beyond float64 are larger than any limit.
+    # Deviations that overflow float64 are infinite, above any limit.
     with np.errstate(over="ignore"):
         size = np.exp(splats.scales.astype(np.float64).max(axis=1, initial=-np.inf))
     if min_opacity is not None:
-        # σ(o) by the logarithm, which overflows for no logit.
+        # σ(o) from its logarithm, which does not overflow.
         marks["min-opacity"] = (
             np.exp(-np.logaddexp(0.0, -splats.opacities.astype(np.float64))) < min_opacity
         )
@@ -202,6 +203,7 @@ def _floaters(
     threads: int,
     stages: Stages,
 ) -> NDArray[np.bool_]:
+    """Mark floaters."""
     from cogsplat.codec.geometry import floaters
     from cogsplat.codec.scoring.contribution import ScoreConfig, score
 

@@ -55,9 +55,9 @@ if TYPE_CHECKING:
 
 F32 = NDArray[np.float32]
 
-# What SSIM needs (`metrics.ssim`).
+# Pixels per side that SSIM needs (`metrics.ssim`).
 _LEAST_PIXELS: Final = 11
-# Steps of a level that begins with trained splats, and of one that begins with points.
+# Training steps of a level that begins with trained splats, or with points.
 _STEPS, _GROWING_STEPS = 400, 2000
 _MOST_SPLATS: Final = 100_000
 
@@ -69,14 +69,14 @@ _MOST_SPLATS: Final = 100_000
 )
 @click.argument("scene", type=INPUT, metavar="SCENE")
 @click.argument("out", type=OutputPath(), metavar="OUT")
-@cameras_option("Without it, those of SCENE where it is a COLMAP folder, else planned views.")
+@cameras_option("Without it, the cameras of SCENE if it is a COLMAP folder, else planned views.")
 @click.option(
     "--scales",
     type=str,
     default="8,4,2,1",
     show_default=True,
     metavar="N,…",
-    help="By what the pictures of each level are divided in width and height.",
+    help="Divisors of the pictures' width and height, one for each level.",
 )
 @click.option(
     "--shares",
@@ -84,27 +84,27 @@ _MOST_SPLATS: Final = 100_000
     default="8%,25%,60%,100%",
     show_default=True,
     metavar="P%,…",
-    help="Share of the splats of SCENE, or of --splats, that each level and those before it have.",
+    help="Share of the splats of SCENE, or of --splats, in each level with all levels before it.",
 )
 @click.option(
     "--splats",
     "most",
     type=click.IntRange(1),
     metavar="N",
-    help=f"Most splats of all levels where SCENE is points.  [default: {_MOST_SPLATS}]",
+    help=f"Splats of all levels at most, if SCENE is points.  [default: {_MOST_SPLATS}]",
 )
 @click.option(
     "--steps",
     type=click.IntRange(0),
     metavar="N",
-    help="Training steps of each level; a view teaches in each.  "
-    f"[default: {_STEPS}, or {_GROWING_STEPS} where SCENE is points]",
+    help="Training steps of each level, one view per step.  "
+    f"[default: {_STEPS}, or {_GROWING_STEPS} if SCENE is points]",
 )
 @training_images_option
-@quality_option("Nominal PSNR of what is stored, as in encode.")
+@quality_option("Nominal PSNR of the file, as in encode.")
 @training_seed_option
 @eval_every_option(0, "do not train in it, measure in it.")
-@format_option(["cogs"], "Without it, a name that says another format is refused.")
+@format_option(["cogs"], "Without it, a name with the extension of another format is refused.")
 @background_option
 @partial_option
 @limits_option
@@ -131,14 +131,14 @@ def layers(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Make SCENE into levels, each for pictures of another size.
+    """Split SCENE into levels for pictures of different sizes.
 
-    The first level is trained on the smallest pictures; each further one adds splats, which are
-    trained on larger pictures while those of lower levels keep all but their opacities. A reader
-    fetches what one level draws and nothing else.
+    The first level is trained on the smallest pictures. Each further level adds splats trained on
+    larger pictures; splats of lower levels change their opacities only. A reader fetches one level
+    at a time.
 
-    SCENE is a trained scene, or a COLMAP folder with points, from which and from --images splats
-    are trained from the beginning.
+    SCENE is a trained scene, or a COLMAP folder with points. In the second case, splats are trained
+    from the points and --images.
     """
     from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
     from cogsplat.codec.fit.initial_splats import splats_from_points
@@ -148,9 +148,9 @@ def layers(
 
     points = find_points(scene)
     if points is not None and images is None:
-        raise click.UsageError(f"{scene}: points without --images, expected the photos of them")
+        raise click.UsageError(f"{scene}: points without --images, expected photos")
     if points is None and images is not None and cameras is None:
-        raise click.UsageError("--images without --cameras, expected where they were taken from")
+        raise click.UsageError("--images without --cameras, expected the cameras of the photos")
     if points is None and most is not None:
         raise click.UsageError("--splats with a trained scene, expected a COLMAP folder of points")
     try:
@@ -189,7 +189,7 @@ def layers(
             photos = _photos(images, splats, views, background, threads)
         if points is None:
             trained = train_levels(splats, views, config, pictures=photos, progress=stages)
-            full = _full(splats, judged, threads)
+            full = _render_all(splats, judged, threads)
         else:
             assert photos is not None
             trained = grow_levels(
@@ -225,10 +225,11 @@ def layers(
             }
         )
     elif not quiet:
-        _tell(out, size, found, len(judged), held_out=bool(tests))
+        _print_summary(out, size, found, len(judged), held_out=bool(tests))
 
 
 def _require_pixels(cameras: list[Camera], scale: int) -> None:
+    """Refuse cameras whose reduced pictures are too small for SSIM."""
     for camera in cameras:
         if min(camera.width, camera.height) < scale * _LEAST_PIXELS:
             raise click.UsageError(
@@ -240,13 +241,13 @@ def _require_pixels(cameras: list[Camera], scale: int) -> None:
 def _photos(
     folder: Path, splats: cogsplat.Splats, cameras: list[Camera], background: Colour, threads: int
 ) -> list[F32]:
-    """Return the photos of some views, 0 to 1."""
+    """Return the photos of cameras, components 0 to 1."""
     taken = read_photos(folder, splats, cameras, background, threads=threads)
     return [pixels.astype(np.float32) / np.float32(255) for pixels in taken.pictures]
 
 
-def _full(splats: cogsplat.Splats, cameras: list[Camera], threads: int) -> list[F32]:
-    """Return the full pictures of the source."""
+def _render_all(splats: cogsplat.Splats, cameras: list[Camera], threads: int) -> list[F32]:
+    """Return the renders of a scene at full size."""
     from cogsplat.codec.render.rasteriser import RenderConfig, render
 
     info = splats.info
@@ -254,7 +255,7 @@ def _full(splats: cogsplat.Splats, cameras: list[Camera], threads: int) -> list[
     return [render(splats, camera, config) for camera in cameras]
 
 
-def _tell(
+def _print_summary(
     out: Path,
     size: int,
     found: list[tuple[LevelSizes, PictureFigures]],
@@ -262,9 +263,9 @@ def _tell(
     *,
     held_out: bool,
 ) -> None:
-    """Print a row for each level."""
-    whose = "held-out views" if held_out else "views that it was trained in"
-    print_line(f"{out}: {size_text(size)}, judged in {views} {whose}")
+    """Print the summary of the file: one row for each level."""
+    whose = "held-out views" if held_out else "training views"
+    print_line(f"{out}: {size_text(size)}, measured in {views} {whose}")
     rows = [
         (
             f"1/{sizes.scale:g}",

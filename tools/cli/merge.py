@@ -66,14 +66,14 @@ def _of_scene(parse: Callable[[str], Value]) -> Callable[[str], tuple[int, Value
 )
 @click.argument("sources", type=INPUT, nargs=-1, required=True, metavar="A B…")
 @click.argument("out", type=OutputPath(), metavar="OUT")
-@writing_options(OUTPUT_FORMATS, "Without it, OUT's extension says which.")
+@writing_options(OUTPUT_FORMATS, "Without it, OUT's extension names the format.")
 @click.option(
     "--scale",
     "scales",
     type=_of_scene(scale_factor),
     multiple=True,
     metavar="N:S",
-    help="Scale the N-th scene, from 1, about the origin; once for each scene.",
+    help="Scale the N-th scene, from 1, about the origin. Repeat for further scenes.",
 )
 @click.option(
     "--rotate",
@@ -81,7 +81,7 @@ def _of_scene(parse: Callable[[str], Value]) -> Callable[[str], tuple[int, Value
     type=_of_scene(vector),
     multiple=True,
     metavar="N:AX,AY,AZ",
-    help="Then rotate it: degrees about the x, then the y, then the z axis.",
+    help="Rotate the scaled scene, degrees about the x, then the y, then the z axis.",
 )
 @click.option(
     "--translate",
@@ -89,7 +89,7 @@ def _of_scene(parse: Callable[[str], Value]) -> Callable[[str], tuple[int, Value
     type=_of_scene(vector),
     multiple=True,
     metavar="N:X,Y,Z",
-    help="Then move it.",
+    help="Shift the rotated scene, scene units.",
 )
 @partial_option
 @limits_option
@@ -111,16 +111,16 @@ def merge(
 ) -> None:
     """Merge scenes into one.
 
-    The attribute `object` labels the splats of the first scene 1, of the second 2, and on, for
-    chunks, budgets and decoding by object. Axes and origin are those of the first scene. In a COGS
-    file each chunk holds splats of one object, so that one object can be loaded alone.
+    The attribute `object` labels the splats of the first scene with 1, of the second with 2, and so
+    on, for chunks, budgets and decoding by object. Axes and origin are those of the first scene.
+    Each chunk of a COGS file holds one object, so that an object can be loaded alone.
     """
     if len(sources) < 2:
         raise click.UsageError(f"{sources[0]} alone, expected two scenes or more, then the output")
     name = output_format(out, writing)
     if name == COGS_NAME and not writing.extras:
         raise click.UsageError(
-            f"--no-extras with {out}, expected the labels of objects by which a .cogs is cut"
+            f"--no-extras with {out}, expected object labels, by which a .cogs is cut into chunks"
         )
     edits = _edits(len(sources), dict(scales), dict(turns), dict(shifts))
     check_output(out, force=force, inputs=chain.from_iterable(map(input_files, sources)))
@@ -132,14 +132,14 @@ def merge(
                         if objects.ATTRIBUTE in part.extras]  # fmt: skip
             if labelled:
                 warnings.warn(
-                    f"{', '.join(map(str, labelled))}: had labels of objects, which give way to "
-                    "one label for each scene",
+                    f"{', '.join(map(str, labelled))}: object labels are replaced by one "
+                    "label for each scene",
                     CogsplatWarning,
                     stacklevel=1,
                 )
             merged = merging.merge(
                 [
-                    edit.apply(_unlabelled(part), path)
+                    edit.apply(_without_labels(part), path)
                     for edit, part, path in zip(edits, given, sources, strict=True)
                 ]
             )
@@ -180,7 +180,8 @@ def merge(
         )
 
 
-def _unlabelled(splats: Splats) -> Splats:
+def _without_labels(splats: Splats) -> Splats:
+    """Return a scene without object labels."""
     others = {name: values for name, values in splats.extras.items() if name != objects.ATTRIBUTE}
     return replace(splats, extras=others)
 
@@ -191,12 +192,12 @@ def _edits(
     turns: Mapping[int, Vector],
     shifts: Mapping[int, Vector],
 ) -> list[SceneEdits]:
-    """Return how each scene moves.
+    """Return the edits of each scene.
 
     Raises
     ------
     click.UsageError
-        An option names a scene that there is not.
+        An option has the number of no scene.
     """
     named = {"--scale": scales, "--rotate": turns, "--translate": shifts}
     for option, values in named.items():

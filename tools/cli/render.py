@@ -57,22 +57,22 @@ from cogsplat.tools.workflow.inputs import (
     "index",
     type=click.IntRange(min=0),
     metavar="INDEX",
-    help="Which camera, from 0; without --cameras, of the planned views.",
+    help="Index of the camera, from 0; without --cameras, of the planned views.",
 )
 @click.option(
     "--size",
     "picture",
     type=picture_size,
     metavar="WxH",
-    help="Picture size; nothing of the camera's view is cut off.  [default: the camera's]",
+    help="Picture size; the whole view of the camera stays visible.  [default: the camera's]",
 )
-@format_option(["png"], "Without it, a name that says another format is refused.")
+@format_option(["png"], "Without it, a name with the extension of another format is refused.")
 @background_option
 @part_options
 @compensate_option
 @partial_option
 @limits_option
-@device_option("Where the scene is drawn.")
+@device_option("Device that renders.")
 @threads_option
 @force_option
 @quiet_option
@@ -97,7 +97,7 @@ def render(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Draw a scene, or a part of a COGS file, as a PNG."""
+    """Render a scene, or a part of a COGS file, as a PNG."""
     from cogsplat.codec.render.rasteriser import RenderConfig
     from cogsplat.codec.render.rasteriser import render as draw
     from cogsplat.tools.pictures.png import to_image, write_png
@@ -149,6 +149,7 @@ def render(
 
 
 def _camera(scene: LoadedScene, cameras: Path | None, index: int | None) -> Camera:
+    """Return the camera that the options choose."""
     if cameras is None and index is None and scene.first_view is not None:
         return scene.first_view
     views = load_cameras(cameras) if cameras else plan_cameras(scene.splats)
@@ -159,13 +160,13 @@ def _camera(scene: LoadedScene, cameras: Path | None, index: int | None) -> Came
 
 
 def fitted(camera: Camera, width: int, height: int) -> Camera:
-    """Return a camera for another picture size that shows the whole view without distortion.
+    """Return a camera of another picture size that shows the whole view without distortion.
 
     Parameters
     ----------
     camera : Camera
     width, height : int
-        Px; where their ratio is another, the picture shows more at two sides.
+        New size, px. With another ratio of sides, the picture shows more at two sides.
     """
     scale = min(width / camera.width, height / camera.height)
     return replace(

@@ -1,4 +1,4 @@
-"""``cogsplat serve``: files over HTTP, as a host of scenes should serve them."""
+"""``cogsplat serve``: an HTTP server for scenes, with an adjustable link."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _THOUSANDS: Final = {"": 1.0, "k": 1e3, "m": 1e6, "g": 1e9}
 
 
 class BitRate(click.ParamType["float"]):
-    """Bits a second: ``10M``, ``500k``, ``10Mbit/s``."""
+    """Parameter type of a bit rate, such as ``10M``, ``500k`` or ``10Mbit/s``."""
 
     name = "rate"
 
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> float:
-        """Return bits a second."""
+        """Return the rate in bits per second."""
         match = _RATE.fullmatch(str(value).strip())
         rate = float(match[1]) * _THOUSANDS[match[2].lower()] if match else 0.0
         if not rate:
@@ -52,49 +52,50 @@ class BitRate(click.ParamType["float"]):
     type=click.IntRange(0, _LARGEST_PORT),
     default=0,
     metavar="N",
-    help="Port to listen on; 0 (default) takes a free one.",
+    help="Port to listen on, 0 (default) for any free port.",
 )
 @click.option(
     "--host",
     default=HOST,
     show_default=True,
     metavar="ADDRESS",
-    help="Address to listen on; 0.0.0.0 lets other machines in.",
+    help="Address to listen on; 0.0.0.0 accepts other machines.",
 )
 @click.option(
     "--certificate",
     nargs=2,
     type=PATH,
     metavar="CERT.pem KEY.pem",
-    help="Serve https, with HTTP/2, by a certificate and its key.",
+    help="Certificate and key for HTTPS with HTTP/2.",
 )
 @click.option(
-    "--throttle", type=BitRate(), metavar="BITS", help="Bits a second of all answers: 10M."
+    "--throttle",
+    type=BitRate(),
+    metavar="BITS",
+    help="Bandwidth of all answers, bits per second, such as 10M.",
 )
 @click.option(
     "--latency",
     type=click.FloatRange(0, 60_000),
     default=0.0,
     metavar="MS",
-    help="Milliseconds from a request to the first byte of its answer.",
+    help="Time from a request to the first byte of its answer, milliseconds.",
 )
 @click.option(
     "--loss",
     type=click.FloatRange(0, 1),
     default=0.0,
     metavar="SHARE",
-    help="Share of the answers that break off in the middle.",
+    help="Share of the answers that end early.",
 )
 @click.option(
     "--fail-rate",
     type=click.FloatRange(0, 1),
     default=0.0,
     metavar="SHARE",
-    help="Share of the requests that are answered with status 503.",
+    help="Share of the requests answered with status 503.",
 )
-@click.option(
-    "--seed", type=int, default=0, metavar="N", help="Of what --loss and --fail-rate choose."
-)
+@click.option("--seed", type=int, default=0, metavar="N", help="Seed of --loss and --fail-rate.")
 @quiet_option
 @json_option
 def serve(
@@ -112,10 +113,10 @@ def serve(
 ) -> None:
     """Serve a file or a folder over HTTP.
 
-    Byte ranges, validators, and headers that let pages of any origin read what is served, until
-    Ctrl-C. The address of a .cogs file itself is a page that shows it. Whatever lies in a folder is
-    served, but for names that begin with a dot. With --throttle, --latency, --loss and --fail-rate
-    the link is as bad as asked for, to see how scenes arrive. Takes the extra serve.
+    Answers have byte ranges, ETags, and CORS headers for all origins. The address of a .cogs file
+    is a page that shows it. All files of a folder are served except names that begin with a dot.
+    --throttle, --latency, --loss and --fail-rate simulate a slow or faulty link. Ctrl-C stops the
+    server. Needs the extra serve.
     """
     if not path.exists():
         raise StorageError("not-found", f"{path}: is not there, expected a file or a folder")
@@ -137,7 +138,7 @@ def serve(
             print_line("Ctrl-C stops the server")
         server.serve_forever()
     except KeyboardInterrupt:
-        # The way to stop it, not an interrupted piece of work.
+        # Ctrl-C is the regular end of the server.
         return
     finally:
         server.close()

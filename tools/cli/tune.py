@@ -1,4 +1,4 @@
-"""``cogsplat tune``: fewer splats, trained to show what the scene shows, in a COGS file."""
+"""``cogsplat tune``: train fewer splats to match the pictures of a scene, and encode them."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
     from cogsplat.codec.fit.tuning import CheckpointArrays, Milestone
 
 _DEFAULT_DB: Final = 40.0
-# `TuneConfig.prefix_weight` where the first bytes are to be made for with a preview.
+# `TuneConfig.prefix_weight` with a preview, whose purpose is the quality of the first bytes.
 _PREFIX_WEIGHT: Final = 0.5
 
 _GROUPS: Final = {
@@ -97,44 +97,44 @@ _GROUPS: Final = {
 @click.argument("out", type=OutputPath(), metavar="OUT")
 @cameras_option("Without it, views are planned around the scene.")
 @target_psnr_option(
-    "Leave out splats and store the others until renders have this PSNR against renders of SCENE, "
-    "in views between those of --cameras that nothing is trained in. 40 where no target is given. "
-    "Where encoding SCENE untrained meets it in fewer bytes, that is what is written."
+    "Remove splats down to this PSNR against renders of SCENE, in held-out views between those "
+    "of --cameras. 40 without any target. If encoding SCENE untrained reaches it in fewer bytes, "
+    "that encode is written."
 )
 @click.option(
     "--target-size",
     type=byte_count,
     metavar="SIZE",
-    help="Show SCENE as well as a file of this size can: 2MB, 500KiB, 10% of SCENE.",
+    help="Reach the best PSNR in a file of this size: 2MB, 500KiB, 10% of SCENE.",
 )
 @click.option(
     "--minutes",
     type=click.FloatRange(0, min_open=True),
     metavar="N",
-    help="Train until so much time is over, at most 12 times the usual number of steps. Without "
-    "it, that number is fixed, and the result is the same on every run.",
+    help="Time limit, minutes; at most 12 times the usual steps are trained. Without it, the "
+    "number of steps is fixed and every run has the same result.",
 )
 @training_images_option
 @click.option(
     "--keep",
     type=click.FloatRange(0, 1, min_open=True),
     metavar="SHARE",
-    help="Keep this share of the splats. Without it, as few as the target allows.",
+    help="Share of the splats to keep. Without it, the fewest that reach the target.",
 )
 @click.option(
     "--profile",
     type=click.Choice(["transform", "vq"]),
     default="transform",
     show_default=True,
-    help="What OUT is stored as, as in encode. The codebooks of vq train with the splats.",
+    help="Profile of OUT, as in encode. The codebooks of vq train with the splats.",
 )
 @click.option(
     "--preset",
     type=click.Choice(["fast", "balanced", "best"]),
     default="fast",
     show_default=True,
-    help="How the tuned scene is scored and ordered, as in encode; balanced and best show more of "
-    "it in the first bytes.",
+    help="Effort of scoring and ordering, as in encode. balanced and best raise the PSNR of the "
+    "first bytes.",
 )
 @preview_option
 @training_seed_option
@@ -143,25 +143,25 @@ _GROUPS: Final = {
     "--ply",
     type=PATH,
     metavar="OUT.ply",
-    help="Write the trained splats as well, as they were before they were stored.",
+    help="Also write the trained splats before quantisation.",
 )
 @click.option(
     "--checkpoint",
     type=PATH,
     metavar="FILE",
-    help="Keep there, after every round, what --resume needs.",
+    help="Write a checkpoint for --resume to this file after every round.",
 )
 @click.option(
     "--resume",
     is_flag=True,
-    help="Go on from --checkpoint, where that is there, by the steps that were planned when it was "
-    "written, also with --minutes: every run from one checkpoint has the same result.",
+    help="Resume from --checkpoint if the file exists, with the steps planned when it was written, "
+    "also with --minutes. Every run from one checkpoint has the same result.",
 )
-@format_option(["cogs"], "Without it, a name that says another format is refused.")
+@format_option(["cogs"], "Without it, a name with the extension of another format is refused.")
 @background_option
 @partial_option
 @limits_option
-@device_option("Where pictures are drawn and differentiated.")
+@device_option("Device that renders and differentiates pictures.")
 @threads_option
 @force_option
 @quiet_option
@@ -191,11 +191,11 @@ def tune(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Train fewer splats to show what SCENE shows, and encode them.
+    """Train fewer splats to match the pictures of SCENE, and encode them.
 
-    In rounds, splats whose absence changes the pictures least are left out and the others trained
-    to make up for them; then what is left trains on through the encoder's quantisers. How much
-    smaller the file becomes depends on the scene and on its cameras.
+    Each round removes the splats that change the pictures least and trains the others to
+    compensate. Then the rest trains through the encoder's quantisers. The reduction in size depends
+    on the scene and its cameras.
     """
     from cogsplat.codec.fit.preview_training import PreviewConfig, TrainedPreview
     from cogsplat.codec.fit.trainer import TrainConfig
@@ -207,9 +207,9 @@ def tune(
     if target_psnr is not None and target_size is not None:
         raise click.UsageError("--target-psnr and --target-size: expected one of them")
     if images is not None and cameras is None:
-        raise click.UsageError("--images without --cameras, expected where they were taken from")
+        raise click.UsageError("--images without --cameras, expected the cameras of the photos")
     if resume and checkpoint is None:
-        raise click.UsageError("--resume without --checkpoint, expected the file to go on from")
+        raise click.UsageError("--resume without --checkpoint, expected the file to resume from")
     check_name(out, COGS, insisted=format_name is not None)
     inputs = list(input_files(scene, cameras, images))
     check_output(out, force=force, inputs=inputs)
@@ -255,27 +255,27 @@ def tune(
             preset=preset,
             profile=profile,
             prefix_weight=0.0 if preview is None else _PREFIX_WEIGHT,
-            # Photos have errors of their own, and those of the worst are no fault of the scene.
+            # The worst photos may have errors of their own, so they get no extra weight.
             train=TrainConfig(worst_views=0.0 if photos else 1.0, seed=seed, threads=threads),
         )
         metadata = FileMetadata(None if chosen.planned else chosen.cameras[0])
         first = None
         if preview is not None:
             first = TrainedPreview(PreviewConfig(share=preview, seed=seed, threads=threads))
-        of = fingerprint(
+        run = fingerprint(
             splats, f"{target} {config} {preview} {[view.name for view in chosen.cameras]}"
         )
         if minutes is not None:
-            # What was done until now is of these minutes as well.
+            # The time spent until here counts as well.
             left = 60 * minutes - (time.monotonic() - begin)
             config = replace(config, seconds=max(left, 0.1 * 60 * minutes))
         state = None
         if checkpoint is not None and resume and checkpoint.exists():
-            state = read_checkpoint(checkpoint, of)
+            state = read_checkpoint(checkpoint, run)
 
-        def keep_state(state: CheckpointArrays) -> None:
+        def save_state(state: CheckpointArrays) -> None:
             if checkpoint is not None:
-                write_checkpoint(checkpoint, of, state)
+                write_checkpoint(checkpoint, run, state)
 
         made = tuned_scene(
             splats,
@@ -288,8 +288,8 @@ def tune(
             size_of=metadata.file_bytes,
             preview=first,
             resume=state,
-            checkpoint=None if checkpoint is None else keep_state,
-            notify=_tell if shown else None,
+            checkpoint=None if checkpoint is None else save_state,
+            notify=_print_milestone if shown else None,
             progress=stages,
         )
         with stages.stage("write"):
@@ -303,7 +303,7 @@ def tune(
 
 
 def _target(psnr_db: float | None, size: ByteCount | None, file_bytes: int) -> Target:
-    """Return what is aimed at: a size, or a PSNR, 40 dB where none is given."""
+    """Return the target: a size, or a PSNR, 40 dB by default."""
     from cogsplat.codec.encode.config import Target
 
     if size is None:
@@ -314,8 +314,8 @@ def _target(psnr_db: float | None, size: ByteCount | None, file_bytes: int) -> T
     return Target(size_bytes=wanted)
 
 
-def _tell(milestone: Milestone) -> None:
-    """Say on standard error how far tuning is."""
+def _print_milestone(milestone: Milestone) -> None:
+    """Print a milestone of tuning to standard error."""
     size = f", {size_text(milestone.size_bytes)}" if milestone.size_bytes else ""
     click.echo(
         f"{milestone.stage}: {milestone.splats:,} splats, {milestone.psnr_db:.2f} dB, the worst "
@@ -337,7 +337,7 @@ def _report(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Say what was written."""
+    """Print the summary of the new file, or its JSON object."""
     values = made.report.test_psnr_db
     mean = sum(values) / len(values)
     whose = "planned" if planned else "given"

@@ -33,22 +33,22 @@ from cogsplat.tools.terminal.standard_streams import PATH
 )
 @click.argument("folder", type=PATH, metavar="FOLDER")
 @click.argument("bucket", metavar="s3://BUCKET/PREFIX")
-@click.option("--endpoint", metavar="URL", help="Of a server that speaks S3, such as R2 or MinIO.")
-@click.option("--region", metavar="NAME", help="Of the bucket.")
-@click.option("--dry-run", is_flag=True, help="Say what would be done, and do nothing.")
+@click.option("--endpoint", metavar="URL", help="Address of an S3 server such as R2 or MinIO.")
+@click.option("--region", metavar="NAME", help="Region of the bucket.")
+@click.option("--dry-run", is_flag=True, help="Print the plan without writing or deleting.")
 @click.option(
     "--delete",
     is_flag=True,
-    help="Afterwards delete the objects that no manifest in the bucket needs; asks first.",
+    help="Delete unused objects of the bucket after the upload, with confirmation.",
 )
-@click.option("--yes", is_flag=True, help="Delete without asking.")
+@click.option("--yes", is_flag=True, help="Delete without confirmation.")
 @click.option(
     "--older-than",
     type=click.FloatRange(min=0),
     default=24.0,
     show_default=True,
     metavar="HOURS",
-    help="Delete only what was written so long ago: readers may have the manifest before.",
+    help="Least age of deleted objects, hours: readers may still hold an older manifest.",
 )
 @click.option(
     "--concurrency",
@@ -56,7 +56,7 @@ from cogsplat.tools.terminal.standard_streams import PATH
     default=8,
     show_default=True,
     metavar="N",
-    help="Objects that are written at once.",
+    help="Number of simultaneous uploads.",
 )
 @partial_option
 @limits_option
@@ -77,13 +77,12 @@ def upload(
 ) -> None:
     """Upload a folder of objects to a bucket.
 
-    Only what is not there is sent, with its media type and cache headers: objects first, the
-    manifest last, so that readers never see one whose objects are missing. An upload that broke
-    off goes on when it is begun again. Credentials come from the environment
-    (AWS_ACCESS_KEY_ID …), as for gs:// and az:// addresses.
+    Only missing objects are sent, with media type and cache headers. The manifest is sent last, so
+    that readers never find one with missing objects. A repeated upload resumes an interrupted one.
+    Credentials come from the environment (AWS_ACCESS_KEY_ID …), as for gs:// and az:// addresses.
     """
     if partial_accepted():
-        raise click.UsageError("--partial: a scene is uploaded whole, expected it without")
+        raise click.UsageError("--partial with an upload, expected a complete folder")
     if not names_folder(folder):
         raise click.UsageError(
             f"{folder}: is a file, expected a folder: `cogsplat convert {folder} folder/` makes one"
@@ -92,7 +91,7 @@ def upload(
     target = Bucket(bucket, {name: value for name, value in settings.items() if value})
     with (
         Stages(shown=not (quiet or as_json)) as stages,
-        # Opened as a scene first: what is no scene, or lacks an object, is not sent.
+        # Opening it first refuses a folder that is no scene or lacks an object.
         cogsplat.open(folder, limits=current_limits()),
         closing(FolderSource(folder)) as source,
     ):
@@ -104,7 +103,7 @@ def upload(
         unused = find_unused(target, older_than=timedelta(hours=older_than))
         if unused.names and not dry_run:
             if not yes:
-                _ask(unused, target.name, as_json=as_json)
+                _confirm(unused, target.name, as_json=as_json)
             delete_unused(unused, target)
     if as_json:
         print_json(
@@ -135,7 +134,8 @@ def upload(
             )
 
 
-def _ask(unused: UnusedObjects, name: str, *, as_json: bool) -> None:
+def _confirm(unused: UnusedObjects, name: str, *, as_json: bool) -> None:
+    """Ask whether to delete objects; abort without consent."""
     question = (
         f"Delete {count_text(len(unused.names), 'object')} ({size_text(unused.size_bytes)}) of "
         f"{name} that {count_text(len(unused.manifests), 'manifest')} do not need?"

@@ -37,16 +37,16 @@ _LARGEST_PORT = 65535
     "--against",
     type=INPUT,
     metavar="OTHER",
-    help="Compare with another scene, of any format, at a line that can be moved.",
+    help="Compare with another scene of any format, side by side at a movable line.",
 )
 @click.option(
     "--port",
     type=click.IntRange(0, _LARGEST_PORT),
     default=0,
     metavar="N",
-    help="Port to listen on; 0 (default) takes a free one.",
+    help="Port to listen on, 0 (default) for any free port.",
 )
-@click.option("--no-open", is_flag=True, help="Print the address only; open no browser.")
+@click.option("--no-open", is_flag=True, help="Print the address without opening a browser.")
 @partial_option
 @limits_option
 @threads_option
@@ -63,8 +63,8 @@ def view(
 ) -> None:
     """Show a scene in the browser.
 
-    A server on 127.0.0.1 gives the viewer and the scene, and nothing else, to browsers of this
-    machine until Ctrl-C. A scene that is no .cogs is shown as it is, without being encoded.
+    A server on 127.0.0.1 serves the viewer and the scene to browsers of this machine until Ctrl-C.
+    Scenes of other formats than COGS are not encoded.
     """
     shown = not (quiet or as_json)
     with ExitStack() as open_things:
@@ -86,10 +86,10 @@ def view(
             print_line(f"{scene}: {count_text(given.splats, 'splat')} at {server.url}")
             print_line("Ctrl-C stops the server")
         if not no_open:
-            # Some browsers of terminals return only when they are left.
+            # A text browser in the terminal returns only when it is closed.
             threading.Thread(target=webbrowser.open, args=[server.url], daemon=True).start()
         try:
             server.serve_forever()
         except KeyboardInterrupt:
-            # The way to stop it, not an interrupted piece of work.
+            # Ctrl-C is the regular end of the server.
             return

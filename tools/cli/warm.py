@@ -15,7 +15,7 @@ from cogsplat.tools.terminal.output import count_text, print_facts, print_json, 
 from cogsplat.tools.terminal.progress import Stages
 from cogsplat.tools.workflow.compile_ahead import CompileAhead
 
-# What `cogsplat tune` calls beside the kernels of an encode.
+# Modules with the kernels of training.
 _TRAINING: Final = tuple(
     f"cogsplat.codec.fit.{name}"
     for name in ("tile_kernels", "splat_kernels", "splat_adam", "image_losses")
@@ -23,7 +23,7 @@ _TRAINING: Final = tuple(
 
 
 def every_kernel(*, planned: bool, training: bool = False) -> list[DeclaredKernel]:
-    """Return the kernels of all commands; those that plan views or train where it is asked for."""
+    """Return the kernels of all commands, with planning of views and training as chosen."""
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.needed_kernels import needed_kernels
 
@@ -36,11 +36,11 @@ def every_kernel(*, planned: bool, training: bool = False) -> list[DeclaredKerne
 @quiet_option
 @json_option
 def warm(threads: int, quiet: bool, as_json: bool) -> None:
-    """Compile what all commands run, ahead of the first of them.
+    """Compile the kernels of all commands.
 
-    Otherwise the first commands compile what they need themselves. The machine code is kept in
-    the folder that NUMBA_CACHE_DIR names or, without it, beside the installed package or in the
-    user's cache folder.
+    Without it, each command compiles the kernels it needs at its first run. The machine code is
+    kept in the folder NUMBA_CACHE_DIR or, without it, in the installed package or the user's cache
+    folder.
     """
     with Stages(shown=not (quiet or as_json)) as stages:
         kernels = every_kernel(planned=True, training=True)
@@ -48,8 +48,8 @@ def warm(threads: int, quiet: bool, as_json: bool) -> None:
         if not folders:
             raise StorageError(
                 "no-kernel-folder",
-                "no folder for compiled kernels can be written, neither beside the package nor in "
-                "the user's cache, expected NUMBA_CACHE_DIR to name one",
+                "no folder for compiled kernels can be written, in the package or in the user's "
+                "cache, expected NUMBA_CACHE_DIR to name one",
             )
         stages("import", 1, 1)
         with CompileAhead(kernels, thread_count(threads)) as ahead:

@@ -304,8 +304,8 @@ def _with_parameters(
             "--first-view",
             type=click.IntRange(min=0),
             metavar="INDEX",
-            help="Index of the camera to serve first, from 0: splats that contribute to its picture "
-            "move forward. Without --cameras, an index of the planned views.",
+            help="Index of the camera to serve first, from 0: its splats move forward. Without "
+            "--cameras, an index of the planned views.",
         ),
         click.option(
             "--first-view-share",
@@ -328,8 +328,8 @@ def _with_parameters(
             "--frustum-share",
             type=click.FloatRange(0, 1),
             metavar="SHARE",
-            help="Serve the first view by its frustum instead: share of every prefix that lies in the "
-            "frustum until its splats are used up.",
+            help="Serve the first view by its frustum instead: share of every prefix that lies "
+            "in the frustum until its splats are used up.",
         ),
         click.option(
             "--frustum-margin",

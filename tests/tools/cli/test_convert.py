@@ -186,7 +186,7 @@ def test_misuse_is_told_before_any_work(run: Run, tmp_path: Path, arguments: lis
 
 
 @pytest.mark.parametrize(
-    ("out", "said"), [("out.xyz", "no format has this"), ("out.ksplat", "ksplat is not written")]
+    ("out", "said"), [("out.xyz", "no format has this"), ("out.ksplat", "ksplat cannot be written")]
 )
 @pytest.mark.parametrize("command", ["convert", "decode"])
 def test_unwritable_target_is_misuse_told_before_reading(
