@@ -153,7 +153,7 @@ def test_a_prefix_without_attributes_says_so(
     assert run("encode", labelled[0], cogs, "--cameras", small.cameras, "-q").code == 0
     told = run("decode", cogs, out, "--bytes", "50%")
     assert told.code == 0
-    assert "came without the attributes number, label, heat" in told.err
+    assert "decoded without the attributes number, label, heat" in told.err
     assert not cogsplat.read(out).extras
     told = run("decode", cogs, out, "--splats", 100, "--force")
     assert "attributes" not in told.err

@@ -140,7 +140,7 @@ def test_names_of_another_format_are_misuse(
 ) -> None:
     ran = run(command, small.ply, tmp_path / name, "--force")
     assert ran.code == 2
-    assert f"its name says {Path(name).suffix}" in ran.err
+    assert f"the name ends in {Path(name).suffix}" in ran.err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -80,7 +80,7 @@ def test_labels_of_parts_give_way_with_a_warning(run: Run, tmp_path: Path) -> No
     cogsplat.write(replace(synth(5), extras={"object": np.full(5, 9, "u1")}), a)
     told = run("merge", a, a, out)
     assert told.code == 0
-    assert "had labels of objects" in told.err
+    assert "object labels are replaced" in told.err
     assert set(labels_of(cogsplat.read(out)).tolist()) == {1, 2}
 
 
@@ -154,7 +154,7 @@ def test_decimate_without_rendering_goes_by_volume_and_opacity(
     np.testing.assert_array_equal(cogsplat.read(out).extras["row"], rows)
     more = run("decimate", labelled, out, "--to", 9999, "--by", "antimatter", "--force")
     assert (more.code, len(cogsplat.read(out))) == (0, 300)
-    assert "300 splats that can be drawn, fewer than" in more.err
+    assert "300 valid splats, fewer than" in more.err
 
 
 def test_counts_are_rounded_up_and_capped() -> None:
@@ -169,7 +169,10 @@ def test_counts_are_rounded_up_and_capped() -> None:
         (["merge", "SCENE", "SCENE", "out.ply", "--translate", "1,2,3"], "number of a scene"),
         (["filter", "SCENE", "out.ply"], "nothing to leave out"),
         (["filter", "SCENE", "out.ply", "--min-opacity", "2"], "min-opacity"),
-        (["filter", "SCENE", "out.ply", "--min-size", "1", "--cameras", "SCENE"], "nothing uses"),
+        (
+            ["filter", "SCENE", "out.ply", "--min-size", "1", "--cameras", "SCENE"],
+            "COGS output or --floaters",
+        ),
         (["decimate", "SCENE", "out.ply", "--to", "0"], "expected splats such as"),
         (["decimate", "SCENE", "out.ply", "--to", "101%"], "expected splats such as"),
         (["decimate", "SCENE", "out.jpg", "--to", "10"], "out.jpg"),

@@ -92,7 +92,7 @@ def test_web_servers_and_unknown_buckets_are_refused(
     run: Run, small: SmallScene, bucket: str
 ) -> None:
     told = run("convert", small.ply, "https://example.org/a.splat")
-    assert (told.code, "web servers take no files" in told.err) == (2, True)
+    assert (told.code, "web servers accept no files" in told.err) == (2, True)
     told = run("convert", small.ply, "s3://no-such-bucket/a.splat", "--json")
     assert json.loads(told.out)["error"]["code"] in {"not-found", "store-failed"}
 

@@ -117,8 +117,8 @@ def test_photos_teach_and_a_checkpoint_goes_on(run: Run, small: SmallScene, tmp_
     ("words", "said"),
     [
         (["--target-psnr", 40, "--target-size", 1000], "expected one of them"),
-        (["--images", "."], "expected where they were taken from"),
-        (["--resume"], "expected the file to go on from"),
+        (["--images", "."], "expected the cameras of the photos"),
+        (["--resume"], "expected the file to resume from"),
         (["--target-size", "0%"], "expected"),
         (["--ply", "OUT"], "expected"),
     ],

@@ -34,7 +34,7 @@ def test_names_that_fit_or_say_nothing(name: str, extensions: tuple[str, ...]) -
     ],
 )
 def test_names_that_say_another_format(name: str, extensions: tuple[str, ...], said: str) -> None:
-    with pytest.raises(click.UsageError, match=f"its name says {said}, expected"):
+    with pytest.raises(click.UsageError, match=f"the name ends in {said}, expected"):
         check_name(Path(name), extensions)
     check_name(Path(name), extensions, insisted=True)
 
@@ -43,5 +43,5 @@ def test_outputs_that_are_one_file(tmp_path: Path) -> None:
     check_distinct(tmp_path / "a", None, tmp_path / "b", None)
     (tmp_path / "link").symlink_to(tmp_path / "a")
     for other in ("a", "b/../a", "link"):
-        with pytest.raises(click.UsageError, match="another output"):
+        with pytest.raises(click.UsageError, match="as well, expected two files"):
             check_distinct(tmp_path / "a", tmp_path / other)
