@@ -16,7 +16,7 @@ from cogsplat.codec.render.cuda_views import CudaScene, CudaView
 from cogsplat.codec.render.projection import Footprints, project
 from cogsplat.codec.render.rasteriser import RenderConfig, cuda_view
 from cogsplat.codec.render.shading import footprint_colours
-from cogsplat.codec.render.tiles import TileLists, gather, tile_lists
+from cogsplat.codec.render.tiles import TileLists, add_pair_sums, tile_lists
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
@@ -180,7 +180,7 @@ class ForwardPass:
                 pair_sums,
             )
             lists.for_ranges(differentiate, threads)
-            gather(lists.members, pair_sums, sums, 0)
+            add_pair_sums(lists.members, pair_sums, sums, 0)
         return sums
 
     def add_gradients(self, sums: F64, gradients: Gradients) -> F64:

@@ -1,1 +1,1 @@
-"""Rotations, spherical harmonics, Morton codes, frames, bounds, frusta, neighbours."""
+"""Geometry: rotations, spherical harmonics, Morton codes, frames, bounds, frusta, neighbours."""

@@ -1,4 +1,4 @@
-"""Axis-aligned boxes around splats and their footprints, for chunks and scenes."""
+"""Axis-aligned bounding boxes of splats."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ CUT_SIGMA: Final = 3.33
 
 
 def box(splats: Splats) -> NDArray[np.float64]:
-    """Return the box around all splats, each up to where its density falls to 1/255.
+    """Return the bounding box of all splats, each extended to where its density is 1/255.
 
     Parameters
     ----------
     splats : Splats
-        At least one row, all finite.
+        Splats with finite values only; at least one.
 
     Returns
     -------
@@ -29,7 +29,7 @@ def box(splats: Splats) -> NDArray[np.float64]:
         Minimum then maximum corner, scene units.
     """
     turned = matrices(unit(splats.quats))
-    # exp of a log scale above 80 leaves float32; nothing drawn is that large.
+    # exp of a log scale above 80 overflows float32; no drawn splat is that large.
     deviations = np.exp(np.minimum(splats.scales.astype(np.float64), 80.0))
     reach = CUT_SIGMA * np.sqrt(np.square(turned * deviations[:, None, :]).sum(axis=2))
     means = splats.means.astype(np.float64)

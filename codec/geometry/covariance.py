@@ -1,4 +1,4 @@
-"""Trace-normalised covariances of splats, and back to scales and quats (Niedermayr, 3.2)."""
+"""Trace-normalised covariances from scales and quats, and back (Niedermayr et al. 2024, 3.2)."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from . import rotations
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-# Off-diagonal entries stand for two of the matrix: so weighted, distances are Frobenius'.
+# Row, column and weight of the stored entries. Off-diagonal entries occur twice in the matrix; with
+# weight 2, distances of vectors are Frobenius distances of matrices.
 _UPPER: Final = ((0, 0, 1.0), (1, 1, 1.0), (2, 2, 1.0), (0, 1, 2.0), (0, 2, 2.0), (1, 2, 2.0))
 
 MIN_RELATIVE_SCALE: Final = 1e-4
-"""Thinnest axis of a shape relative to its norm: below it no pixel changes, and logs stay small."""
+"""Lower bound of a shape's thinnest axis relative to its norm; smaller axes change no pixel."""
 
 
 def scale_factor(scales: F32) -> F32:
@@ -29,14 +30,14 @@ def scale_factor(scales: F32) -> F32:
 
 
 def vectors(quats: F32, scales: F32) -> F32:
-    """Return the trace-normalised covariances R·diag(ŝ²)·Rᵀ as (n, 6) float32.
+    """Return the trace-normalised covariances R·diag(ŝ²)·Rᵀ as (n, 6) float32 vectors.
 
     Parameters
     ----------
     quats : (n, 4) float32
-        Unit, wxyz.
+        Unit quaternions, wxyz.
     scales : (n, 3) float32
-        Log.
+        Log scales.
     """
     relative = np.exp(2 * (scales - scale_factor(scales)[:, None]).astype(np.float64))
     turned = rotations.matrices(quats)
@@ -46,7 +47,7 @@ def vectors(quats: F32, scales: F32) -> F32:
 
 
 def principal_axes(covariances: F64) -> tuple[F64, F64]:
-    """Return the variances of Gaussians along their axes, and the rotations to these axes.
+    """Decompose covariances into variances along the principal axes and rotations.
 
     Parameters
     ----------
@@ -55,9 +56,9 @@ def principal_axes(covariances: F64) -> tuple[F64, F64]:
     Returns
     -------
     variances : (n, 3) float64
-        Rising; of a matrix that is singular but for rounding, the least may be below 0.
+        Variances, ascending; rounding may make the smallest one slightly negative.
     quats : (n, 4) float64
-        Unit, wxyz.
+        Rotations of the principal axes: unit quaternions, wxyz.
 
     Examples
     --------
@@ -78,9 +79,9 @@ def decompose(rows: F32) -> tuple[F32, F32]:
     Returns
     -------
     quats : (C, 4) float32
-        Unit, wxyz, w the largest component.
+        Unit quaternions, wxyz, with w the largest component.
     scales : (C, 3) float32
-        Log, with ‖exp(scales)‖ = 1.
+        Log scales with ‖exp(scales)‖ = 1.
     """
     covariance = np.empty((len(rows), 3, 3))
     for column, (i, j, weight) in enumerate(_UPPER):

@@ -1,4 +1,4 @@
-"""Floaters: splats that lie apart from all others and that the views hardly need."""
+"""Floaters: isolated splats that contribute little to the views."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 
 NEIGHBOURS: Final = 16
-"""Nearest splats whose mean distance says how far apart a splat lies."""
+"""Number of nearest splats whose mean distance measures a splat's isolation."""
 
-# The median absolute deviation of a normal distribution, times this, is its standard deviation.
+# Ratio of standard deviation to median absolute deviation of a normal distribution.
 _NORMAL_MAD: Final = 1.4826
 
 
 def neighbour_distances(means: NDArray[np.float32], threads: int = 0) -> F64:
-    """Return the mean distance of each splat to its `NEIGHBOURS` nearest, or to all if fewer.
+    """Return the mean distance of each splat to its `NEIGHBOURS` nearest splats.
 
     Parameters
     ----------
     means : (N, 3) float32
-        Centres, finite, scene units.
+        Finite centres, scene units.
     threads : int
-        0 for all cores. The result does not depend on it.
+        Number of threads; 0 for all cores. The result does not depend on it.
 
     Returns
     -------
     (N,) float64
-        Scene units; zero where there is one splat only.
+        Distances, scene units; 0 in a scene of one splat.
     """
     from scipy.spatial import cKDTree
 
@@ -38,7 +38,7 @@ def neighbour_distances(means: NDArray[np.float32], threads: int = 0) -> F64:
         return np.zeros(len(means))
     points = means.astype(np.float64)
     distances, _ = cKDTree(points).query(points, k=others + 1, workers=threads or -1)
-    # The nearest is the splat itself, or one in the same place.
+    # The first neighbour is the splat itself, or one at the same position.
     found: F64 = distances[:, 1:].mean(axis=1)
     return found
 
@@ -46,20 +46,20 @@ def neighbour_distances(means: NDArray[np.float32], threads: int = 0) -> F64:
 def floaters(
     means: NDArray[np.float32], contribution: F64, deviations: float, *, threads: int = 0
 ) -> NDArray[np.bool_]:
-    """Mark splats that are isolated and contribute less than the median splat.
+    """Return a mask of splats that are isolated and contribute less than the median splat.
 
     Parameters
     ----------
     means : (N, 3) float32
-        Centres, finite, scene units.
+        Finite centres, scene units.
     contribution : (N,) float64
-        Of each splat to the pictures of the views, as `codec.scoring.contribution` has it.
+        Contribution of each splat (`Scores.contribution`).
     deviations : float
-        A splat is isolated where the logarithm of its neighbour distance exceeds the scene's
-        median by so many standard deviations, these estimated from the median absolute deviation.
-        Logarithms, because distances in trained scenes span orders of magnitude.
+        Threshold of isolation, in standard deviations of the log neighbour distance above the
+        scene's median. The standard deviation is estimated from the median absolute deviation.
+        Logarithms are used because distances in trained scenes span orders of magnitude.
     threads : int
-        0 for all cores. The result does not depend on it.
+        Number of threads; 0 for all cores. The result does not depend on it.
 
     Returns
     -------
@@ -67,9 +67,9 @@ def floaters(
 
     Notes
     -----
-    Distances to nearest neighbours against their distribution over the scene are the statistical
-    outlier removal of Rusu et al. (2008). By distance alone it would take the background of
-    captured scenes, which is sparse and seen in every view; hence the condition on contribution.
+    This is the statistical outlier removal of Rusu et al. (2008). By distance alone it would remove
+    the background of captured scenes, which is sparse and visible in every view; therefore the
+    contribution counts too.
     """
     if not len(means):
         return np.zeros(0, bool)

@@ -1,4 +1,4 @@
-"""Camera frusta: which means lie beyond the near plane and project into the image, how deep."""
+"""Camera frusta: means that project into an image, and their depth."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from cogsplat.codec.splats import Splats
 
 F64 = NDArray[np.float64]
 
-# 3DGS, in_frustum: means nearer than this are not drawn. Scene units.
+# 3DGS, in_frustum: depth up to which means are not drawn, scene units.
 NEAR = 0.2
-# 3DGS, renderCUDA: fainter than this adds nothing.
+# 3DGS, renderCUDA: alpha below which a splat is not blended.
 ALPHA_MIN = 1.0 / 255.0
 
 
 def in_frustum(splats: Splats, camera: Camera, margin: float) -> NDArray[np.bool_]:
-    """Mark the splats whose means project into an image (PRoGS, section 3.3).
+    """Return a mask of the splats whose means project into a widened image (PRoGS, section 3.3).
 
     Parameters
     ----------
     splats : Splats
     camera : Camera
-        In the frame of the means.
+        Camera in the frame of the means.
     margin : float
-        The image is widened at each side by this share of its size.
+        Extension of the image at each side, as a share of its size.
 
     Returns
     -------
     (N,) bool
-        True where the mean is inside, occluded or not; footprints do not count.
+        True if the mean is inside, occluded or not.
     """
     with np.errstate(all="ignore"):  # means behind the camera, or not finite, fail the tests below
         local = splats.means @ camera.rotation.T + camera.translation
@@ -44,7 +44,7 @@ def in_frustum(splats: Splats, camera: Camera, margin: float) -> NDArray[np.bool
 
 
 def in_picture(means: F64, camera: Camera, near_plane: float) -> NDArray[np.bool_]:
-    """Mark the (N, 3) means that project into a camera's image, occluded or not: (N,) bool."""
+    """Return an (N,) bool mask of the (N, 3) means that project into a camera's image."""
     local = means @ camera.rotation.T + camera.translation
     z = local[:, 2]
     x, y = camera.fx * local[:, 0] + camera.cx * z, camera.fy * local[:, 1] + camera.cy * z
@@ -60,14 +60,14 @@ def visible_depth(splats: Splats, camera: Camera) -> float:
     Parameters
     ----------
     splats : Splats
-        Every mean counts once, whatever its opacity, occluded or not.
+        Scene; every mean counts once, regardless of opacity and occlusion.
     camera : Camera
-        Means nearer than 0.2 (`NEAR`) do not count.
+        Camera in the frame of the means. Means nearer than 0.2 (`NEAR`) are ignored.
 
     Returns
     -------
     float
-        Scene units; 0 where no mean projects into the image.
+        Depth, scene units; 0 if no mean projects into the image.
     """
     with np.errstate(all="ignore"):  # means behind the camera, or not finite, fail the tests below
         local = splats.means @ camera.rotation.T + camera.translation

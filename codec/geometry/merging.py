@@ -1,4 +1,4 @@
-"""Several scenes as one: in the first one's frame, with the highest SH degree among them."""
+"""Merging of scenes: one scene in the frame of the first, with the highest SH degree."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from .transforms import convert_axes
 
 
 def merge(parts: Sequence[Splats]) -> Splats:
-    """Join scenes row-wise, each where its own frame places it in the world.
+    """Concatenate scenes with different frames; world positions are preserved.
 
     Parameters
     ----------
     parts : sequence of Splats
-        At least one. Axes and origins may differ; SH coefficients that a part lacks become zeros.
+        Scenes, at least one. Axes and origins may differ; missing SH coefficients become zeros.
 
     Returns
     -------
     Splats
-        The rows of the first part, then those of the second, and on; `info` is the first one's.
-        ``origin + means`` of every splat stays where it was, rounded once to float32. Extras that
-        not all parts have in one type and shape are left out.
+        Rows of all parts in order, with the `info` of the first part. The world position
+        ``origin + means`` of every splat is preserved, rounded once to float32. Extras are kept
+        only if all parts have them in the same type and shape.
 
     Raises
     ------
     ValueError
-        No part.
+        There are no parts.
     DataError
-        ``colour-spaces-differ``: colours of linear and of display-referred parts do not mix;
-        ``moved-too-far``: a centre is beyond float32 relative to the first origin.
+        ``colour-spaces-differ``: some parts have linear colours, others display-referred colours;
+        ``moved-too-far``: a centre overflows float32 relative to the first origin.
 
     Warns
     -----
     CogsplatWarning
-        Extras are left out, or a part was trained with another kernel than the first.
+        Extras are omitted, or a part was trained with a different kernel than the first.
 
     Examples
     --------
@@ -77,7 +77,7 @@ def merge(parts: Sequence[Splats]) -> Splats:
 
 
 def _shared_extras(parts: Sequence[Splats]) -> list[str]:
-    """Return names of extras that all parts have alike; warn of the others."""
+    """Return names of the extras common to all parts, and warn of the extras that are omitted."""
     kinds = [
         {(name, values.dtype.str, values.shape[1:]) for name, values in part.extras.items()}
         for part in parts
@@ -94,16 +94,17 @@ def _shared_extras(parts: Sequence[Splats]) -> list[str]:
 
 
 def _with_degree(part: Splats, degree: int) -> Splats:
+    """Return the part with zero coefficients added up to an SH degree."""
     missing = sh_coefficients(degree) - sh_coefficients(part.sh_degree)
     return replace(part, shN=np.pad(part.shN, ((0, 0), (0, missing), (0, 0))))
 
 
 def _at_origin(part: Splats, origin: tuple[float, float, float], number: int) -> Splats:
-    """Return the part with its means relative to another origin."""
+    """Return the part with its means relative to `origin`; `number` is for error messages."""
     if part.info.origin == origin:
         return part
     shift = np.array(part.info.origin) - np.array(origin)
-    # Rows with NaN or infinite values stay such rows.
+    # NaN and infinite values are preserved.
     with np.errstate(invalid="ignore", over="ignore"):
         means = (part.means.astype(np.float64) + shift).astype(np.float32)
     lost = np.isfinite(part.means).all(axis=1) & ~np.isfinite(means).all(axis=1)

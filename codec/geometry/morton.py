@@ -1,4 +1,4 @@
-"""Morton codes: three axis codes interleaved bit by bit, and orders of means by them."""
+"""Morton codes: three axis codes interleaved bit by bit, and the spatial order of means."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ U32 = NDArray[np.uint32]
 U64 = NDArray[np.uint64]
 
 MAX_AXIS_BITS: Final = 21
-"""Three axes of 21 bits fill a 63-bit code."""
+"""Bits of an axis code at most: three axes of 21 bits make a 63-bit Morton code."""
 
 MAX_LEVELS: Final = 1 << MAX_AXIS_BITS
 
@@ -28,12 +28,14 @@ _SPREAD: Final = (
 
 
 def _spread(values: U64) -> U64:
+    """Spread the lowest 21 bits of each value to every third bit."""
     for shift, mask in _SPREAD:
         values = (values | (values << np.uint64(shift))) & np.uint64(mask)
     return values
 
 
-def _gather(values: U64) -> U64:
+def _compact(values: U64) -> U64:
+    """Collect every third bit of each value: the inverse of `_spread`."""
     values = values & np.uint64(_SPREAD[-1][1])
     masks = [mask for _, mask in _SPREAD]
     for index in range(len(_SPREAD) - 1, -1, -1):
@@ -58,7 +60,7 @@ def deinterleave(morton: U64) -> U32:
     """Return the (n, 3) axis codes of Morton codes."""
     out = np.empty((len(morton), 3), np.uint32)
     for axis in range(3):
-        out[:, axis] = _gather(morton >> np.uint64(axis))
+        out[:, axis] = _compact(morton >> np.uint64(axis))
     return out
 
 
@@ -67,10 +69,10 @@ _ORDER_AXIS_BITS: Final = 16
 
 
 def spatial_order(means: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Return an order of (n, 3) means in which neighbours in space mostly follow each other.
+    """Return an order of (n, 3) means in which consecutive means are mostly close in space.
 
-    A Morton order of ranks along the axes, so that a few splats far away do not push all the others
-    into one cell.
+    It is a Morton order of ranks along the axes: ranks prevent a few distant splats from forcing
+    all remaining splats into one cell.
     """
     n = len(means)
     codes = np.empty((n, 3), np.uint32)

@@ -10,9 +10,9 @@ F64 = NDArray[np.float64]
 
 
 def unit(quats: F32) -> F32:
-    """Return (n, 4) unit wxyz quaternions with w ≥ 0, for any non-zero norm."""
+    """Normalise (n, 4) wxyz quaternions of any non-zero norm, with w ≥ 0."""
     wide = quats.astype(np.float64)
-    # The largest entry first: its square may overflow or vanish in a file's denormal rows.
+    # Divide by the largest entry first: squares of extreme entries overflow or underflow.
     wide /= np.abs(wide).max(axis=1, keepdims=True)
     wide /= np.sqrt(np.square(wide).sum(axis=1, keepdims=True))
     wide[wide[:, 0] < 0] *= -1
@@ -32,11 +32,11 @@ def matrices(quats: F32 | F64) -> F64:
 
 
 def from_matrices(rotations: F64) -> F64:
-    """Return (n, 4) unit wxyz quaternions, w ≥ 0, of proper rotation matrices."""
+    """Return (n, 4) unit wxyz quaternions, w ≥ 0, from proper rotation matrices."""
     m = rotations
     diagonal = np.stack([m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]], axis=1)
     signs = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], np.float64)
-    # Four ways to compute the quaternion, each divided by one component: use the largest.
+    # Each of four formulas divides by one component: use the largest component.
     squares = np.maximum(1 + (diagonal[:, None, :] * signs).sum(axis=2), 0)
     largest = squares.argmax(axis=1)
     w = np.stack(
@@ -58,7 +58,7 @@ def from_matrices(rotations: F64) -> F64:
 
 
 def multiply(a: F64, b: F64) -> F64:
-    """Return the wxyz products a·b, broadcast over leading axes."""
+    """Return the products a·b of wxyz quaternions, broadcast over leading axes."""
     aw, ax, ay, az = np.moveaxis(a, -1, 0)
     bw, bx, by, bz = np.moveaxis(b, -1, 0)
     return np.stack(
@@ -73,7 +73,7 @@ def multiply(a: F64, b: F64) -> F64:
 
 
 def _cube_group() -> tuple[F64, NDArray[np.int64]]:
-    """Return the 24 rotations of a cube and the permutation of the scales that goes with each."""
+    """Return the 24 rotations of a cube, each with its permutation of the scales."""
     half = np.sqrt(0.5)
     found: list[F64] = []
     generators = np.array([[half, half, 0, 0], [half, 0, half, 0], [half, 0, 0, half]])
@@ -95,25 +95,25 @@ _CUBE_QUATS, _CUBE_AXES = _cube_group()
 def largest_w(quats: F32, scales: F32) -> tuple[F32, F32]:
     """Permute a Gaussian's axes so that w is the largest component of its quaternion.
 
-    Permuting the axes together with their scales, or flipping two of them, leaves the Gaussian
-    unchanged. Of the 24 proper ways the one with the largest w leaves the other three components
-    within ±0.39, and no index of the largest to store.
+    Permuting the axes together with their scales, or flipping two axes, leaves the Gaussian
+    unchanged. Of the 24 equivalent quaternions, the one with the largest w has its remaining
+    components within ±0.39, and the index of the largest component need not be stored.
 
     Parameters
     ----------
     quats : (n, 4) float32
-        Unit, wxyz.
+        Unit quaternions, wxyz.
     scales : (n, 3) float32
-        Log.
+        Log scales.
 
     Returns
     -------
     quats : (n, 4) float32
-        Unit, wxyz, w ≥ 0 and the largest.
+        Unit quaternions, wxyz, with w ≥ 0 the largest component.
     scales : (n, 3) float32
-        Permuted to match.
+        Log scales, permuted like the axes.
     """
-    # w of q·g for every g at once; the products are made for the chosen g alone.
+    # w of q·g for all g first; the full product only for the chosen g.
     conjugate = _CUBE_QUATS * np.array([1.0, -1, -1, -1])
     w = np.abs(np.einsum("nk,gk->ng", quats.astype(np.float64), conjugate))
     best = w.argmax(axis=1)

@@ -1,4 +1,4 @@
-"""Real spherical harmonics in the convention of 3DGS, and the colours they give."""
+"""Real spherical harmonics in the convention of 3DGS, and view-dependent colours."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ C3_1 = 0.4570457994644658  # sqrt(21 / (32 pi))
 C3_0 = 0.3731763325901154  # sqrt(7 / (16 pi))
 C3_XX_YY = 1.445305721320277  # sqrt(105 / (16 pi))
 
-# What 3DGS adds to the sum of bases, so that zero coefficients are mid-grey.
+# Offset that 3DGS adds to the SH sum: zero coefficients are mid-grey.
 COLOUR_OFFSET = 0.5
 
 
 def terms(x: Number, y: Number, z: Number) -> tuple[Number, ...]:
     """Return the 15 bases above DC of a unit direction, by band, m from -l to l.
 
-    3DGS keeps the Condon-Shortley phase: bases of odd m are negated. Works on float64 scalars and
-    arrays, so numpy and compiled kernels share it.
+    3DGS keeps the Condon-Shortley phase: bases of odd m are negated. The function accepts float64
+    scalars and arrays; numpy code and compiled kernels share it.
     """
     xx, yy, zz = x * x, y * y, z * z
     return (
@@ -62,17 +62,17 @@ def basis(directions: NDArray[np.floating], degree: int) -> NDArray[np.float64]:
     directions : (N, 3) float
         Unit vectors from the camera to the splat.
     degree : int
-        0 to 3.
+        SH degree, 0 to 3.
 
     Returns
     -------
     (N, K) float64
-        K = (degree + 1)², DC first, then band by band.
+        Values of the K = (degree + 1)² bases, DC first, then band by band.
 
     Raises
     ------
     ValueError
-        A degree that 3DGS scenes do not have.
+        The degree is not 0 to 3.
     """
     if not 0 <= degree <= MAX_SH_DEGREE:
         raise ValueError(f"SH degree {degree}, expected 0 to {MAX_SH_DEGREE}")
@@ -102,7 +102,7 @@ def colours(
     Returns
     -------
     (N, 3) float32
-        SH sum + 0.5, clamped at 0 from below only (3DGS).
+        SH sum + 0.5, clamped to at least 0 as in 3DGS.
     """
     degree = {0: 0, 3: 1, 8: 2, 15: 3}[shN.shape[1]]
     values = basis(directions, degree)

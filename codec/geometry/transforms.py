@@ -1,4 +1,4 @@
-"""Changes of a scene's frame: axes, similarity transforms, and the rotation of SH that follows."""
+"""Changes of a scene's frame: axes, similarity transforms, and rotation of SH."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ F64 = NDArray[np.float64]
 
 _OPPOSITE = {"R": "L", "L": "R", "U": "D", "D": "U", "F": "B", "B": "F"}
 
-# How far a given rotation may be from orthonormal; what remains of it goes into the colours.
+# Tolerance of a rotation's orthonormality; a deviation changes the colours.
 _ROTATION_TOLERANCE = 1e-6
 
-# Entries of an SH rotation this close to 0, 1 or -1 are meant to be it: float64 solves of bands of
-# at most 7 bases on well spread directions are accurate to 1e-14.
+# Tolerance for rounding entries of an SH rotation to 0, 1 or -1. Float64 solves of bands of at most
+# 7 bases on well-spread directions are accurate to 1e-14.
 _SNAP = 1e-12
 
-# Directions an SH rotation is solved on, many times the 7 bases of the widest band.
+# Number of directions on which an SH rotation is solved: many times the 7 bases of the widest band.
 _DIRECTIONS = 64
 
 
 @dataclass(frozen=True)
 class AxesChange:
-    """A signed permutation of axes between two frames: ``new[i] = signs[i] * old[order[i]]``.
+    """Signed permutation of axes between two frames: ``new[i] = signs[i] * old[order[i]]``.
 
     Parameters
     ----------
     order : tuple of int
-        For each new axis the old one that it is taken from.
+        Old axis of each new axis.
     signs : tuple of int
-        1, or -1 where the new axis points the other way.
+        1 if the new axis has the direction of the old one, -1 if the opposite.
     """
 
     order: tuple[int, int, int]
@@ -51,49 +51,49 @@ class AxesChange:
 
     @property
     def matrix(self) -> F64:
-        """The change of axes as an orthogonal matrix, (3, 3) float64: ``new = matrix @ old``."""
+        """Orthogonal matrix of the change, (3, 3) float64: ``new = matrix @ old``."""
         out = np.zeros((3, 3))
         out[range(3), self.order] = self.signs
         return out
 
     @property
     def handedness(self) -> int:
-        """1 where the frames have the same handedness, -1 where one is the other's mirror image."""
+        """1 if both frames have the same handedness, -1 if they are mirror images."""
         return round(float(np.linalg.det(self.matrix)))
 
     @property
     def only_flips(self) -> bool:
-        """Whether axes are flipped only, none of them permuted."""
+        """Whether the change flips axes without permuting any."""
         return self.order == (0, 1, 2)
 
     @property
     def quat_signs(self) -> tuple[int, int, int]:
-        """Signs that x, y, z of quaternions are multiplied by after they are permuted.
+        """Signs of the x, y, z components of quaternions, applied after their permutation.
 
-        With R the rotation and S the scales of a splat, ``M R S² R' M'`` is also
-        ``(M R M') (M S² M') (M R' M')``: the axes of the Gaussian are renamed with those of the
+        With R the rotation and S the scales of a splat, ``M R S² R' M'`` equals
+        ``(M R M') (M S² M') (M R' M')``. The axes of the Gaussian are permuted with the axes of the
         frame, so rotations stay proper in a mirrored frame and no value is rounded.
         """
         x, y, z = (self.handedness * sign for sign in self.signs)
         return x, y, z
 
     def sh_signs(self, degree: int) -> F32:
-        """Return signs of SH coefficients above DC, (K-1,) float32, where axes are only flipped."""
+        """Return signs of SH coefficients above DC, (K-1,) float32, if `only_flips` holds."""
         return np.diagonal(sh_rotation(self.matrix, degree)).astype(np.float32)
 
 
 def axes_change(source: str, target: str) -> AxesChange:
-    """Return the change of axes from one frame to another.
+    """Return the change of axes from a source frame to a target frame.
 
     Parameters
     ----------
     source, target : str
-        As `SceneInfo.axes`: one letter of R L, one of U D and one of F B, in any order.
+        Axes of the frames (`SceneInfo.axes`): one letter each of R L, U D and F B, in any order.
 
     Raises
     ------
     ValueError
-        One of them names no frame.
+        A name is not a valid frame.
     """
     order, signs = [], []
     for name in (source, target):
@@ -107,33 +107,33 @@ def axes_change(source: str, target: str) -> AxesChange:
 
 
 def is_axes(name: str) -> bool:
-    """Tell whether a name has one letter for each of right/left, up/down, front/back."""
+    """Return whether a name has one letter for each of right/left, up/down, front/back."""
     return len(name) == 3 and all(len({a, b} & set(name)) == 1 for a, b in ("RL", "UD", "FB"))
 
 
 def convert_axes(splats: Splats, axes: str) -> Splats:
-    """Return a scene in a frame with other axes, which may have the other handedness.
+    """Convert a scene to a frame with different axes, possibly of different handedness.
 
     Parameters
     ----------
     splats : Splats
-        In the frame of ``splats.info.axes``.
+        Scene in the frame ``splats.info.axes``.
     axes : str
-        The new frame, such as ``"RUB"``.
+        Axes of the new frame, such as ``"RUB"``.
 
     Returns
     -------
     Splats
-        With ``info.axes`` and ``info.origin`` to match; the scene itself where it is in that frame
-        already. Values are moved and negated, so converting back gives the same bits; only SH
-        coefficients are combined where axes change places, exact to float32.
+        Scene with updated ``info.axes`` and ``info.origin``; `splats` itself if it has these axes.
+        Values are only permuted and negated, so converting back gives the same bits. SH
+        coefficients are an exception if axes are permuted: they are combined, exact to float32.
 
     Raises
     ------
     DataError
-        ``bad-scene-info``: ``splats.info.axes`` names no frame.
+        ``bad-scene-info``: ``splats.info.axes`` is not a valid frame.
     ValueError
-        `axes` names none.
+        `axes` is not a valid frame.
     """
     if not is_axes(splats.info.axes):
         raise DataError(
@@ -145,7 +145,7 @@ def convert_axes(splats: Splats, axes: str) -> Splats:
         return splats
     signs = np.array(change.signs, np.float32)
     quats = np.take(splats.quats, [0, *(1 + k for k in change.order)], axis=1)
-    # Signalling NaN, which files may hold, passes through.
+    # Files may hold signalling NaNs, which are preserved.
     with np.errstate(invalid="ignore"):
         quats[:, 1:] *= np.array(change.quat_signs, np.float32)
         means = np.take(splats.means, change.order, axis=1) * signs
@@ -156,7 +156,7 @@ def convert_axes(splats: Splats, axes: str) -> Splats:
         scales=np.take(splats.scales, change.order, axis=1),
         quats=quats,
         shN=rotate_sh(splats.shN, change.matrix),
-        extras=_turned_normals(splats.extras, change.matrix),
+        extras=_rotate_normals(splats.extras, change.matrix),
         info=replace(splats.info, axes=axes, origin=(origin[0], origin[1], origin[2])),
     )
 
@@ -164,15 +164,15 @@ def convert_axes(splats: Splats, axes: str) -> Splats:
 _NORMALS: Final = ("nx", "ny", "nz")
 
 
-def _turned_normals(extras: Mapping[str, Extra], turn: F64) -> dict[str, Extra]:
-    """Return extras with normals (PLY's ``nx ny nz``) rotated as the scene is."""
+def _rotate_normals(extras: Mapping[str, Extra], turn: F64) -> dict[str, Extra]:
+    """Return extras with normals (PLY's ``nx ny nz``) rotated by the matrix `turn`."""
     turned = dict(extras)
     if all(
         name in extras and extras[name].ndim == 1 and extras[name].dtype.kind == "f"
         for name in _NORMALS
     ):
         vectors = np.stack([extras[name].astype(np.float64) for name in _NORMALS], axis=1)
-        # NaN and infinite values stay such values.
+        # NaN and infinite values are preserved.
         with np.errstate(invalid="ignore", over="ignore"):
             vectors = vectors @ turn.T
             for column, name in enumerate(_NORMALS):
@@ -181,21 +181,21 @@ def _turned_normals(extras: Mapping[str, Extra], turn: F64) -> dict[str, Extra]:
 
 
 def sh_rotation(rotation: F64, degree: int) -> F64:
-    """Return the matrix that rotates SH coefficients as `rotation` rotates directions.
+    """Return the matrix that rotates SH coefficients with a rotation of directions.
 
     Parameters
     ----------
     rotation : (3, 3) float64
-        Orthogonal; mirrors are allowed.
+        Orthogonal matrix, possibly a reflection.
     degree : int
-        0 to 3.
+        SH degree, 0 to 3.
 
     Returns
     -------
     (K-1, K-1) float64
-        Block diagonal, a block per band: the coefficients ``matrix @ c`` give at ``rotation @ d``
-        what c gives at d. Rotated bases of a band are combinations of that band's bases, so each
-        block is solved for by least squares on fixed directions.
+        Block-diagonal matrix with a block per band. Coefficients ``matrix @ c`` have at
+        ``rotation @ d`` the value of c at d. Rotated bases of a band are combinations of the band's
+        bases, so each block is a least-squares solution on fixed directions.
     """
     count = sh_coefficients(degree) - 1
     out = np.zeros((count, count))
@@ -212,32 +212,31 @@ def sh_rotation(rotation: F64, degree: int) -> F64:
 
 
 def rotate_sh(shN: F32, rotation: F64) -> F32:
-    """Return SH coefficients after a rotation of their scene.
+    """Rotate SH coefficients with their scene.
 
     Parameters
     ----------
     shN : (N, K-1, 3) float32
         Coefficients above DC of degree 0 to 3.
     rotation : (3, 3) float64
-        Orthogonal, ``new = rotation @ old``; mirrors are allowed.
+        Orthogonal matrix, possibly a reflection: ``new = rotation @ old``.
 
     Returns
     -------
     (N, K-1, 3) float32
-        A colour at ``rotation @ d`` is what it was at d, to 1e-5; to the bit where the rotation
-        only flips axes.
+        Coefficients whose colour at ``rotation @ d`` equals the old colour at d, within 1e-5;
+        exactly if the rotation only flips axes.
     """
     n, count, channels = shN.shape
     degree = next(d for d in range(MAX_SH_DEGREE + 1) if sh_coefficients(d) - 1 == count)
     matrix = sh_rotation(rotation, degree)
     if np.array_equal(matrix, np.diag(np.diagonal(matrix))):
-        # Signalling NaN, which files may hold, passes through as well.
+        # Files may hold signalling NaNs, which are preserved.
         with np.errstate(invalid="ignore"):
             return shN * np.diagonal(matrix).astype(np.float32)[:, None]
-    # One product for all bands and channels: rows of 45 numbers suit a matrix product better than
-    # many small blocks.
+    # One matrix product over rows of 45 numbers is faster than many small blocks.
     whole = np.kron(matrix, np.eye(channels)).astype(np.float32)
-    # Rows with NaN or infinite values stay such rows.
+    # NaN and infinite values are preserved.
     with np.errstate(invalid="ignore", over="ignore"):
         turned: F32 = shN.reshape(n, count * channels) @ whole.T
     return turned.reshape(n, count, channels)
@@ -254,34 +253,33 @@ def transform(
     Parameters
     ----------
     splats : Splats
-        Any scene.
     scale : float
-        Positive.
+        Scale factor, positive.
     rotation : (3, 3) float64, optional
-        A proper rotation in the scene's own axes.
+        Proper rotation in the scene's own axes.
     translation : tuple of float
-        Scene units after scaling.
+        Translation, scene units after scaling.
 
     Returns
     -------
     Splats
-        ``world' = scale · rotation @ world + translation`` with ``world = origin + means``;
-        `translation` goes into the means, the origin is scaled and rotated. Float64 throughout,
-        rounded once.
+        Scene with ``world' = scale · rotation @ world + translation``, where
+        ``world = origin + means``. The translation is added to the means; the origin is scaled and
+        rotated. Computed in float64 and rounded once.
 
     Raises
     ------
     ValueError
-        A scale that is not positive and finite, a rotation that is none or mirrors.
+        The scale is not positive and finite, or the rotation is not a proper rotation.
     """
-    turn = _checked_rotation(rotation)
+    turn = _require_rotation(rotation)
     if not (math.isfinite(scale) and scale > 0):
         raise ValueError(f"scale {scale}, expected a positive finite number")
     if not all(math.isfinite(value) for value in translation):
         raise ValueError(f"translation {translation}, expected finite numbers")
     linear = scale * turn
     x, y, z = (float(value) for value in linear @ np.array(splats.info.origin))
-    # Rows with NaN or infinite values stay such rows.
+    # NaN and infinite values are preserved.
     with np.errstate(invalid="ignore", over="ignore"):
         means = splats.means.astype(np.float64) @ linear.T + np.array(translation)
         quats = multiply(from_matrices(turn[None])[0], splats.quats.astype(np.float64))
@@ -291,7 +289,7 @@ def transform(
             scales=(splats.scales.astype(np.float64) + math.log(scale)).astype(np.float32),
             quats=quats.astype(np.float32),
             shN=rotate_sh(splats.shN, turn),
-            extras=_turned_normals(splats.extras, turn),
+            extras=_rotate_normals(splats.extras, turn),
             info=replace(splats.info, origin=(x, y, z)),
         )
 
@@ -302,27 +300,26 @@ def transform_camera(
     rotation: F64 | None = None,
     translation: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Camera:
-    """Return the camera that sees a scene after `transform` as `camera` sees it before.
+    """Transform a camera with its scene, so that it shows the same image.
 
     Parameters
     ----------
     camera : Camera
-        In the scene's frame before.
+        Camera in the scene's frame before `transform`.
     scale, rotation, translation
-        As given to `transform`. A camera is placed relative to the means, so the origin plays no
-        part.
+        Arguments of `transform`. Cameras are relative to the means, so the origin is irrelevant.
 
     Returns
     -------
     Camera
-        Same image; depths are `scale` times as large.
+        Camera with the same image; its depths are multiplied by `scale`.
 
     Raises
     ------
     ValueError
-        As `transform`.
+        See `transform`.
     """
-    turned = camera.rotation @ _checked_rotation(rotation).T
+    turned = camera.rotation @ _require_rotation(rotation).T
     if not (math.isfinite(scale) and scale > 0):
         raise ValueError(f"scale {scale}, expected a positive finite number")
     return replace(
@@ -332,7 +329,8 @@ def transform_camera(
     )
 
 
-def _checked_rotation(rotation: F64 | None) -> F64:
+def _require_rotation(rotation: F64 | None) -> F64:
+    """Return a rotation as float64, the identity for None; raise `ValueError` if it is not one."""
     if rotation is None:
         return np.eye(3)
     wide = np.asarray(rotation, np.float64)
@@ -349,7 +347,7 @@ def _checked_rotation(rotation: F64 | None) -> F64:
 
 @functools.cache
 def _spread_directions() -> F64:
-    """Return (_DIRECTIONS, 3) unit vectors on a Fibonacci spiral, spread evenly and unaligned."""
+    """Return (_DIRECTIONS, 3) unit vectors spread evenly on a Fibonacci spiral."""
     k = np.arange(_DIRECTIONS) + 0.5
     z = 1 - 2 * k / _DIRECTIONS
     around = np.pi * (1 + math.sqrt(5)) * k

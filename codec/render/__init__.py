@@ -1,1 +1,1 @@
-"""Rasteriser, and all that is measured by blending splats tile by tile (numba)."""
+"""Rasteriser, and measurements that blend splats tile by tile (numba, or gsplat on CUDA)."""

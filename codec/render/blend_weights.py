@@ -1,4 +1,4 @@
-"""Blend weights: how much each splat weighs in the pixels of one view, summed by splat."""
+"""Blending weights of splats in one view, summed over its pixels by splat."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from .blending import (
 )
 from .jit import kernel
 from .projection import Footprints
-from .tiles import TILE, TileLists, gather
+from .tiles import TILE, TileLists, add_pair_sums
 
 _ZERO = np.float32(0.0)
 
 WEIGHT, SQUARE, PEAK = range(3)
-"""Columns of a view's sums: Σw, Σw² and the largest w, of the weights w = T·alpha."""
-# Rows of a tile's lanes.
+"""Columns of a view's sums over pixels, with weights w = T·alpha: Σw, Σw² and the largest w."""
+# Offsets of these sums, and of one row of weights, in the lanes of a tile.
 _SQUARES, _PEAKS, _ROW = np.uintp(TILE), np.uintp(2 * TILE), np.uintp(3 * TILE)
 
-# No pixel blends more: ln(1e-4) / ln(1 - 1/255) = 2344 splats of the least alpha.
-MOST_WEIGHTS = 2346
+# Splats of a pixel at most: ln(1e-4) / ln(1 - 1/255) = 2344 splats of the smallest alpha.
+MAX_WEIGHTS = 2346
 
 
 @called_with(
@@ -112,16 +112,15 @@ def _weigh_largest(
     first: int,
     last: int,
 ) -> None:
-    """Do what `_weigh` does, with the `top_k` largest weights of each pixel in Σw.
+    """Sum weights as `_weigh` does, with only the `top_k` largest weights of each pixel in Σw.
 
-    A kernel of its own: beside the choice of the largest, the loop over lanes of the other would
-    take twice as long, and most runs need one of the two.
+    The kernels are separate because selecting the largest weights would make the loop over lanes of
+    `_weigh` take twice as long.
     """
     live = np.empty(PIXELS, np.float32)
-    # By column of the tile: nothing, Σw², the largest w, and the weights of one row.
+    # By column of the tile: unused, Σw², the largest w, and the weights of one row.
     lanes = np.empty(4 * TILE, np.float32)
-    # The largest weights of each pixel so far, with their pairs; once there are K, the smallest is
-    # the one to beat.
+    # The K largest weights of each pixel so far, their pairs, and the threshold for the next one.
     best = np.empty((PIXELS, top_k), np.float32)
     owners = np.empty((PIXELS, top_k), np.int64)
     filled = np.zeros(PIXELS, np.int32)
@@ -170,7 +169,7 @@ def _weigh_largest(
                             else:
                                 best[at, smallest[at]] = weight
                                 owners[at, smallest[at]] = pair
-                            # Of equal weights the furthest yields, as in a stable sort.
+                            # Among equal weights the furthest is replaced, as in a stable sort.
                             low = 0
                             for k in range(1, top_k):
                                 if best[at, k] < best[at, low] or (
@@ -212,23 +211,23 @@ def add_weights(
     Parameters
     ----------
     lists : TileLists
-        Of the footprints.
+        Tile lists of the footprints.
     footprints : Footprints
-        M of them.
+        Footprints of M splats.
     camera : Camera
-        The camera of the footprints.
+        Camera of the footprints.
     top_k : int
-        The largest weights of a pixel that count in Σw (PRoGS, section 3.1); of equal weights the
-        nearest count. At 0 all of at least `least_weight` do, in a third of the time.
+        Number of a pixel's largest weights that count in Σw (PRoGS, section 3.1); ties go to the
+        nearest. 0 counts all weights of at least `least_weight`, in a third of the time.
     threads : int
-        At least 1. The sums do not depend on it.
+        Number of threads, at least 1. The sums do not depend on it.
     sums : (M, 3) float64
-        Columns `WEIGHT`, `SQUARE` and `PEAK`, over pixels; changed in place.
+        Columns `WEIGHT`, `SQUARE` and `PEAK`, changed in place.
     least_weight : float
-        Weights below this do not count in Σw; without effect where `top_k` is not 0.
+        Minimum of the weights that count in Σw; ignored unless `top_k` is 0.
     """
     pair_sums = np.empty((len(lists.members), 3), np.float32)
-    by_size = 0 < top_k < MOST_WEIGHTS
+    by_size = 0 < top_k < MAX_WEIGHTS
     of_tiles = (
         lists.first,
         lists.starts,
@@ -243,4 +242,4 @@ def add_weights(
     else:
         least = np.float32(least_weight if top_k == 0 else 0.0)
         lists.for_ranges(partial(_weigh, *of_tiles, least, pair_sums), threads)
-    gather(lists.members, pair_sums, sums, 1)
+    add_pair_sums(lists.members, pair_sums, sums, 1)

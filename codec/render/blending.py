@@ -1,8 +1,12 @@
-"""Alpha blending of footprints in a 16x16 px tile, front to back: the rules that every walk shares.
+"""Alpha blending of footprints in a 16x16 px tile, front to back: rules of every tile kernel.
 
-A walk takes one splat at a time through a tile, a row of 16 pixels after the other. The loop over
-the 16 pixels calls `blend_pixel`, which has no branches, so that the compiler turns it into vector
-instructions together with what the walk adds to it.
+A kernel blends one splat at a time, row by row of 16 pixels. The loop over the 16 pixels calls
+`blend_pixel`, which has no branches, so that the compiler vectorises it together with the kernel's
+own arithmetic.
+
+Kernels that need the colour behind each splat walk a tile twice (Kerbl et al. 2023, appendix C).
+`draw_and_reopen` draws the tile; the second walk, from the front again, subtracts each splat and
+sums its result over the pixels in lanes, one per column of the tile (`store_lane_sums`).
 """
 
 from __future__ import annotations
@@ -18,16 +22,16 @@ from .tiles import TILE
 
 F32 = NDArray[np.float32]
 
-# 3DGS, renderCUDA: alpha is capped here, and a splat that would bring the transmittance below
-# TRANSMITTANCE_MIN ends the pixel unblended. Both compared in float32, as there: two capped splats
-# leave (1 - 0.99f)², which is below 1e-4f in float32 and would not be in float64.
+# 3DGS, renderCUDA: alpha is capped at this value. A splat that would bring the transmittance below
+# TRANSMITTANCE_MIN ends the pixel and is not blended. Both compare in float32, as in 3DGS: two
+# capped splats leave (1 - 0.99f)², which is below 1e-4f in float32 but not in float64.
 ALPHA_MAX = np.float32(0.99)
 TRANSMITTANCE_MIN = np.float32(1e-4)
 _ALPHA_MIN = np.float32(ALPHA_MIN)
 
 # exp(t) = p(t / 8)⁸ for t in [-6, 0], p interpolated at the Chebyshev nodes of [-0.75, 0]: relative
-# error 4e-8 before rounding, under 2e-6 with it. Plain arithmetic, so that the compiler does a
-# whole tile row at once. exp(-6) < 1/255, so everything beyond is cut anyway.
+# error 4e-8 before rounding, under 2e-6 with it. Plain arithmetic, so that the compiler vectorises
+# a whole tile row. exp(-6) < 1/255, so smaller exponents are cut anyway.
 _EXPONENT_MIN = np.float32(-6.0)
 _EXPONENT_STEP = np.float32(1.0 / 8.0)
 _E0 = np.float32(0.9999999976614112)
@@ -43,18 +47,18 @@ _ONE = np.float32(1.0)
 _HALF = np.float32(0.5)
 
 PIXELS = TILE * TILE
-# A tile's state is one array of several planes of PIXELS values each, so that the compiler sees
-# that they do not overlap. The first holds what `blend_pixel` takes as `live`. Offsets are
-# unsigned: checks for an index that counts from the end would stop vectorisation.
+# A tile's state is one array of several planes of PIXELS values each, so that the compiler knows
+# that they do not overlap. The first plane is `live` of `blend_pixel`. Offsets are unsigned: checks
+# for negative indices would prevent vectorisation.
 LANES = np.uintp(TILE)
-# Looking through the pixels of a tile takes about as long as blending two splats.
+# Interval of the check for a finished tile, which takes about as long as blending two splats.
 _PAIRS_PER_CHECK = 16
 RED, GREEN, BLUE, REST = (np.uintp(k * PIXELS) for k in range(1, 5))
 PLANES = 5
-"""Planes that `blend_tile` fills."""
+"""Number of planes that `blend_tile` fills."""
 OFF_RED, OFF_GREEN, OFF_BLUE = (np.uintp(k * PIXELS) for k in range(PLANES, PLANES + 3))
 PLANES_COMPARED = 8
-"""The same and those that `compare_tile` fills."""
+"""Number of planes that `blend_tile` and `compare_tile` fill."""
 
 
 @inner_kernel
@@ -71,27 +75,29 @@ def falloff(exponent: np.float32) -> np.float32:
 def blend_pixel(
     live: np.float32, opacity: np.float32, exponent: np.float32
 ) -> tuple[np.float32, np.float32, np.float32, np.bool_, np.float32]:
-    """Blend one splat into one pixel behind what is already there.
+    """Blend one splat into one pixel behind the splats before it.
 
     Parameters
     ----------
     live : float32
         Transmittance T before the splat; 0 for a pixel that has ended or lies outside the image.
     opacity : float32
-        Of the splat, 0 to 1.
+        Opacity of the splat, 0 to 1.
     exponent : float32
-        Of its Gaussian in this pixel, at most 0.
+        Exponent of the splat's Gaussian in this pixel, at most 0.
 
     Returns
     -------
-    raw, alpha : float32
-        opacity · exp(exponent), and the same capped at `ALPHA_MAX`.
+    raw : float32
+        opacity · exp(exponent).
+    alpha : float32
+        `raw` capped at `ALPHA_MAX`.
     weight : float32
-        T · alpha where the splat is drawn, else 0.
+        T · alpha if the splat is drawn, else 0.
     drawn : bool
-        Whether it reaches alpha 1/255 and leaves enough transmittance to be blended.
+        Whether alpha is at least 1/255 and enough transmittance is left to blend the splat.
     after : float32
-        `live` for the next splat: 0 once this one has ended the pixel.
+        `live` for the next splat: 0 once this splat has ended the pixel.
     """
     raw = opacity * falloff(exponent)
     alpha = min(ALPHA_MAX, raw)
@@ -106,20 +112,21 @@ def blend_pixel(
 
 @inner_kernel
 def all_ended(pair: int, state: F32) -> bool:
-    """Return whether no pixel of a tile is live any more; looked up after some of the pairs only.
+    """Return whether all pixels of a tile have ended; checked after every 16th pair only.
+
+    Blending further splats into a finished tile changes nothing. Counting the pixels that each
+    splat ends would take almost as long as blending it.
 
     Parameters
     ----------
     pair : int
-        Number of the pair of a tile and a splat that was blended last. A walk that goes on behind
-        the last live pixel changes nothing: counting the pixels that each splat ends would take
-        almost as long as blending it.
+        Number of the pair of a tile and a splat that was blended last.
     state : (at least PIXELS,) float32
-        Its first plane holds what `blend_pixel` takes as `live`.
+        State of the tile; its first plane is `live` of `blend_pixel`.
     """
     if pair % _PAIRS_PER_CHECK != 0:
         return False
-    # Of integers: the compiler may not reorder a sum of floats, and so would not vectorise it.
+    # Integers: the compiler may not reorder float sums, and so would not vectorise them.
     live = state.view(np.uint32)
     any_live = np.uint32(0)
     for pixel in range(PIXELS):
@@ -129,7 +136,7 @@ def all_ended(pair: int, state: F32) -> bool:
 
 @inner_kernel
 def tile_area(tile: int, width: int, height: int) -> tuple[int, int, int, int]:
-    """Return the first row and column of a tile, px, and how many of each lie in the image."""
+    """Return a tile's first row and column, px, and its row and column counts in the image."""
     tiles_x = (width + TILE - 1) // TILE
     top = tile // tiles_x * TILE
     left = tile % tiles_x * TILE
@@ -140,9 +147,9 @@ def tile_area(tile: int, width: int, height: int) -> tuple[int, int, int, int]:
 def footprint_in_tile(
     ellipse: F32, top: int, left: int
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32, np.float32]:
-    """Return narrow, shear, flat and opacity of one of `Footprints.ellipse`, then its centre.
+    """Return narrow, shear, flat, opacity and the centre's x and y of a `Footprints.ellipse` row.
 
-    The centre's x and y are px from the centre of the tile's first pixel.
+    The centre is relative to the centre of the tile's first pixel, px.
     """
     centre_x = ellipse[X] - np.float32(left) - _HALF
     centre_y = ellipse[Y] - np.float32(top) - _HALF
@@ -151,7 +158,7 @@ def footprint_in_tile(
 
 @inner_kernel
 def rows_in_tile(rows: NDArray[np.int32], top: int, num_rows: int) -> tuple[int, int]:
-    """Return the half-open rows of a tile that one of `Footprints.rows` may cover."""
+    """Return the half-open range of a tile's rows that a `Footprints.rows` row may cover."""
     return max(rows[0] - top, 0), min(rows[1] - top, num_rows)
 
 
@@ -185,35 +192,35 @@ def blend_tile(
     Parameters
     ----------
     state : (at least PLANES * PIXELS,) float32
-        Filled plane by plane: `blend_pixel`'s live, then at the offsets `RED`, `GREEN`, `BLUE` the
-        picture, at `REST`, where it is kept, the transmittance behind the last splat drawn (live is
-        0 where a pixel has ended). Planes beyond these are set to 0.
+        Output planes: `live` of `blend_pixel`; the picture at `RED`, `GREEN`, `BLUE`; optionally at
+        `REST` the transmittance behind the last drawn splat (`live` is 0 once a pixel has ended).
+        Further planes are set to 0.
     begin, end : int
-        The tile's run in `members`.
+        Range of the tile in `members`.
     members : (P,) int32
         Rows of the footprints, nearest first.
     ellipse, rows : (M, 8) float32, (M, 2) int32
-        Of `Footprints`.
+        Arrays of `Footprints`.
     colours : (M, 3) float32
-        Of the footprints, in the scene's colour space.
+        Colours of the footprints in the scene's colour space.
     present : (M,) bool
-        Which footprints are drawn.
+        Mask of the footprints to draw.
     top, left, num_rows, num_columns : int
-        From `tile_area`.
+        Result of `tile_area`.
     keep_rest : bool
-        Whether the plane at `REST` is filled. Only a background needs it, and filling it takes
-        about a tenth of a walk's time.
+        Whether to fill the plane at `REST`. Only a background needs it, and it takes about a tenth
+        of the kernel's time.
 
     Returns
     -------
     int
-        Where the walk ended, at most `end`: no pixel of the tile shows the splats from here on in
-        `members`.
+        End of the range of `members` that was blended, at most `end`; no pixel of the tile shows
+        later splats.
     """
     state[:] = _ZERO
     open_pixels(state, num_rows, num_columns)
     if keep_rest:
-        # Not a slice: numba compiles its error messages about shapes for seconds.
+        # A slice assignment would take numba seconds to compile (error messages about shapes).
         for pixel in range(PIXELS):
             state[np.uintp(pixel) + REST] = state[pixel]
     for pair in range(begin, end):
@@ -244,6 +251,83 @@ def blend_tile(
 
 
 @inner_kernel
+def draw_and_reopen(
+    state: F32,
+    sums: F32,
+    columns: int,
+    tile: int,
+    lists_first: int,
+    starts: NDArray[np.int64],
+    members: NDArray[np.int32],
+    ellipse: F32,
+    rows: NDArray[np.int32],
+    colours: F32,
+    present: NDArray[np.bool_],
+    width: int,
+    height: int,
+) -> tuple[int, int, int, int, int, int]:
+    """Draw a tile over black, and prepare it for a second walk from the front.
+
+    Parameters
+    ----------
+    state : (at least PLANES * PIXELS,) float32
+        Output planes: the picture of `blend_tile`, and `live` of `open_pixels`.
+    sums : (P, columns) float32
+        Sums by pair of a tile and a splat; set to 0 for the pairs that no pixel of the tile shows.
+    columns : int
+        Number of columns of `sums`; a constant, so that the compiler unrolls loops.
+    tile : int
+        Number of the tile in the image.
+    lists_first, starts, members
+        Attributes of `TileLists`.
+    ellipse, rows, colours, present
+        Arguments of `blend_tile`.
+    width, height : int
+        Image size, px.
+
+    Returns
+    -------
+    top, left, num_rows, num_columns : int
+        Result of `tile_area`.
+    begin, stop : int
+        Range of `members` for the second walk.
+    """
+    top, left, num_rows, num_columns = tile_area(tile, width, height)
+    begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
+    stop = blend_tile(
+        state,
+        begin,
+        end,
+        members,
+        ellipse,
+        rows,
+        colours,
+        present,
+        top,
+        left,
+        num_rows,
+        num_columns,
+        False,
+    )
+    for pair in range(stop, end):
+        for column in range(columns):
+            sums[pair, column] = _ZERO
+    open_pixels(state, num_rows, num_columns)
+    return top, left, num_rows, num_columns, begin, stop
+
+
+@inner_kernel
+def store_lane_sums(lanes: F32, sums: F32, columns: int, pair: int) -> None:
+    """Store the sums over a tile's lanes as the `columns` sums of a pair."""
+    for column in range(columns):
+        row = np.uintp(column * TILE)
+        total = _ZERO
+        for lane in range(LANES):
+            total += lanes[row + lane]
+        sums[pair, column] = total
+
+
+@inner_kernel
 def compare_tile(
     state: F32,
     target: F32,
@@ -253,26 +337,25 @@ def compare_tile(
     num_columns: int,
     error: float,
 ) -> float:
-    """Compare a tile that `blend_tile` has drawn with a picture, and reopen it for a second walk.
+    """Add a drawn tile's squared error against a target, and keep the differences.
 
     Parameters
     ----------
     state : (PLANES_COMPARED * PIXELS,) float32
-        The planes at `OFF_RED`, `OFF_GREEN`, `OFF_BLUE` become target less picture, 0 outside the
-        image; the first becomes that of `open_pixels`.
+        State of a tile drawn by `blend_tile`. The planes at `OFF_RED`, `OFF_GREEN`, `OFF_BLUE`
+        become target minus picture, and 0 outside the image.
     target : (H, W, 3) float32
-        The whole picture, in the scene's colour space.
+        Target for the whole picture, in the scene's colour space.
     top, left, num_rows, num_columns : int
-        From `tile_area`.
+        Result of `tile_area`.
     error : float
-        Sum of squared differences so far.
+        Sum of squared differences of earlier tiles.
 
     Returns
     -------
     float
-        The same with those of this tile's pixels and channels.
+        `error` plus the squared differences of this tile's pixels and channels.
     """
-    open_pixels(state, num_rows, num_columns)
     for y in range(num_rows):
         for x in range(num_columns):
             pixel = y * TILE + x

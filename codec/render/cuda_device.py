@@ -1,4 +1,4 @@
-"""The CUDA device that PyTorch and gsplat work on, and what is raised where there is none."""
+"""CUDA device of PyTorch and gsplat, and the errors if there is none or its memory is full."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any, Final
 from cogsplat.codec.errors import LimitError, MissingExtraError
 
 DEVICES: Final = ("cpu", "cuda")
-"""Where views are drawn and weighed: by our kernels, or by gsplat on a CUDA device."""
+"""Devices that draw views: ``cpu`` by compiled kernels, ``cuda`` by gsplat."""
 
 
 def require_device(device: str) -> None:
-    """Raise ValueError for anything but one of `DEVICES`."""
+    """Raise ValueError unless the name is in `DEVICES`."""
     if device not in DEVICES:
         raise ValueError(f"device {device!r}, expected one of {DEVICES}")
 
@@ -25,8 +25,8 @@ def cuda_device() -> Any:
     Raises
     ------
     MissingExtraError
-        ``needs-extra`` without PyTorch or gsplat; ``no-cuda-device`` where PyTorch finds none or
-        gsplat has no kernels for it: it compiles them, with CUDA's compiler, when it is first used.
+        ``needs-extra``: PyTorch or gsplat is missing. ``no-cuda-device``: PyTorch finds no device,
+        or gsplat has no kernels for it; gsplat compiles them on first use with CUDA's compiler.
     """
     try:
         import gsplat  # noqa: F401
@@ -42,7 +42,7 @@ def cuda_device() -> Any:
             "no-cuda-device",
             f"PyTorch {torch.__version__} finds no CUDA device, expected one, or the device cpu",
         )
-    # What gsplat says while it compiles is no part of a command's output.
+    # gsplat's messages during compilation must not mix with a command's output.
     with redirect_stdout(sys.stderr):
         from gsplat.cuda import _backend
     if _backend._C is None:
@@ -56,7 +56,7 @@ def cuda_device() -> Any:
 
 @contextmanager
 def within_device_memory() -> Iterator[None]:
-    """Raise `LimitError` (``device-memory``) where the device has no more memory."""
+    """Raise `LimitError` (``device-memory``) if the device runs out of memory within the block."""
     import torch
 
     try:

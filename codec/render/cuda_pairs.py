@@ -1,4 +1,4 @@
-"""Pairs of a pixel and a splat on a CUDA device: what each weighs by the rules of `blending`."""
+"""Pairs of a pixel and a splat on a CUDA device, with weights by the rules of `blending`."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from cogsplat.codec.geometry.frustum import ALPHA_MIN
 from .blending import ALPHA_MAX, TRANSMITTANCE_MIN
 from .projection import FLAT, NARROW, OPACITY, SHEAR, X, Y
 
-# PyTorch comes with an extra: its tensors have no type here.
+# PyTorch is an optional dependency, so its tensors have no static type here.
 Tensor = Any
 
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Pairs of a pixel and a splat that is drawn in it: by pixel, the nearest splat first.
+    """Pairs of a pixel and a splat drawn in it, sorted by pixel, then nearest splat first.
 
     Parameters
     ----------
     splat : (P,) int64 tensor
         Number of the footprint.
     pixel : (P,) int64 tensor
-        Row by row over the whole picture.
+        Number of the pixel, row by row over the whole picture.
     first : (P,) int64 tensor
-        Place of the first pair of the same pixel.
+        Number of the first pair of the same pixel.
     u, v : (P,) float32 tensor
-        Offset from the centre, in which alpha is ``opacity · exp(-u² - v²)``.
+        Offset from the footprint's centre, scaled so that alpha is ``opacity · exp(-u² - v²)``.
     alpha : (P,) float32 tensor
-        At most `blending.ALPHA_MAX`.
+        Alpha, at most `blending.ALPHA_MAX`.
     free : (P,) bool tensor
-        Where alpha is not capped: elsewhere its derivatives are 0.
+        Whether alpha is not capped; the derivatives of a capped alpha are 0.
     weight : (P,) float64 tensor
-        T·alpha.
+        Blending weight T·alpha.
     """
 
     splat: Tensor
@@ -47,34 +47,31 @@ class Pairs:
     free: Tensor
     weight: Tensor
 
-    def lost(self, colours: Tensor, pictures: Tensor) -> Tensor:
-        """Return what pixels gain by ln alpha, which they lose without the splat.
+    def colour_by_log_alpha(self, colours: Tensor, pictures: Tensor) -> Tensor:
+        """Return the derivative of each pair's pixel colour by ln alpha.
+
+        It is also the change of the colour, negated, if the splat is deleted.
 
         Parameters
         ----------
         colours : (M, 3) float64 tensor
-            Of the footprints.
+            Colours of the footprints.
         pictures : (H·W, 3) float64 tensor
-            All that shows behind a splat counts: with a background or without.
+            Picture by pixel, with background if the derivative should include it.
 
         Returns
         -------
         (P, 3) float64 tensor
-            T·alpha·colour less what is behind times alpha / (1 - alpha) (Kerbl et al. 2023,
+            T·alpha·colour - (colour behind the splat)·alpha / (1 - alpha) (Kerbl et al. 2023,
             appendix C).
         """
         shown = self.weight[:, None] * colours[self.splat]
-        behind = pictures[self.pixel] - _running(shown, self.first)
+        behind = pictures[self.pixel] - _running_sums(shown, self.first)
         alpha = self.alpha.double()
         return shown - behind * (alpha / (1.0 - alpha))[:, None]
 
     def largest(self, top_k: int) -> Tensor:
-        """Return whether each weight is among the largest of its pixel, of equal ones the nearest.
-
-        Parameters
-        ----------
-        top_k : int
-            How many of a pixel are.
+        """Return a mask of the `top_k` largest weights of each pixel; ties go to the nearest splat.
 
         Returns
         -------
@@ -89,14 +86,14 @@ class Pairs:
         return kept
 
 
-def _running(values: Tensor, first: Tensor) -> Tensor:
-    """Return sums of the values of a pixel up to each pair, this one included."""
+def _running_sums(values: Tensor, first: Tensor) -> Tensor:
+    """Return the running sum of values within each pixel, the pair itself included."""
     sums = values.cumsum(0)
     return sums - (sums - values)[first]
 
 
 def _first(pixel: Tensor) -> Tensor:
-    """Return the place of the first pair of each pair's pixel; pairs come by pixel."""
+    """Return the number of the first pair of each pair's pixel; pairs must be sorted by pixel."""
     import torch
 
     _, place, counts = torch.unique_consecutive(pixel, return_inverse=True, return_counts=True)
@@ -104,16 +101,16 @@ def _first(pixel: Tensor) -> Tensor:
 
 
 def drawn_pairs(splat: Tensor, pixel: Tensor, ellipse: Tensor, width: int) -> Pairs:
-    """Return those of some pairs that are drawn, with their weights.
+    """Select the pairs that are drawn, and compute their weights.
 
     Parameters
     ----------
     splat, pixel : (L,) int64 tensor
-        By pixel, the nearest splat first, and all that may be drawn.
+        Candidate pairs, sorted by pixel, then nearest splat first; none may be missing.
     ellipse : (M, 8) float32 tensor
-        Of the footprints.
+        `Footprints.ellipse` of the footprints.
     width : int
-        Of the picture, px.
+        Width of the picture, px.
     """
     of = ellipse[splat]
     dx, dy = pixel % width + 0.5 - of[:, X], pixel // width + 0.5 - of[:, Y]
@@ -124,8 +121,8 @@ def drawn_pairs(splat: Tensor, pixel: Tensor, ellipse: Tensor, width: int) -> Pa
     touched = alpha >= float(np.float32(ALPHA_MIN))
     splat, pixel, u, v, raw, alpha = (value[touched] for value in (splat, pixel, u, v, raw, alpha))
     through = (-alpha.double()).log1p()
-    after = _running(through, _first(pixel))
-    # What follows a pair that would end the pixel leaves less transmittance still.
+    after = _running_sums(through, _first(pixel))
+    # After a pair that ends the pixel, the transmittance stays below the limit.
     drawn = after.exp() >= float(TRANSMITTANCE_MIN)
     weight = (after - through).exp() * alpha
     values = (splat, pixel, u, v, alpha, raw <= float(ALPHA_MAX), weight)

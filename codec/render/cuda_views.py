@@ -1,10 +1,11 @@
-"""Views of a scene on a CUDA device, where gsplat projects splats and lists what reaches a pixel.
+"""Views of a scene on a CUDA device, projected by gsplat.
 
-gsplat (Ye et al. 2024) gives centres, conics, opacity factors, colours, lists by tile in the order
-of depth, and pairs of a pixel and a splat. What each pair weighs follows here from the rules of
-`blending`, because gsplat's own blend caps alpha at 0.999 where 3DGS and we do at 0.99. The same
-rules hold, but not to the bit: the device adds in another order at every run, gsplat projects in
-float32, and splats whose depths are equal in float32 keep the order of their rows.
+gsplat (Ye et al. 2024) computes centres, conics, opacity factors, colours, tile lists by depth, and
+pairs of a pixel and a splat. The weight of each pair is computed here by the rules of `blending`,
+because gsplat caps alpha at 0.999 and 3DGS at 0.99.
+
+Results agree with the CPU only up to rounding. The device adds in a different order in every run,
+gsplat projects in float32, and splats with equal float32 depths keep the order of their rows.
 """
 
 from __future__ import annotations
@@ -29,30 +30,30 @@ from .tiles import TILE
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
-# PyTorch comes with an extra: its tensors have no type here.
+# PyTorch is an optional dependency, so its tensors have no static type here.
 Tensor = Any
 
-# Pixels whose pairs are held at once: a hundred bytes for each of some 50 pairs in a pixel.
+# Pixels whose pairs are in memory at once; a pixel has some 50 pairs of a hundred bytes each.
 _BAND_PIXELS: Final = 1 << 17
-# gsplat ends a pixel at a transmittance of 1e-4 after alphas of at most 0.999. Two alphas of 0.99
-# end it here, so that one pixel goes on behind at most one that the other cap makes ten times as
-# dense. Begun with a hundred times the transmittance, gsplat lists all that we draw, and more.
+# Initial transmittance passed to gsplat, so that it lists every pair drawn here. gsplat ends a
+# pixel at 1e-4 and caps alpha at 0.999. Here two alphas of 0.99 end a pixel, so at most one splat
+# in front of a drawn one is ten times as dense in gsplat: a factor of 100 more than covers it.
 _OPEN: Final = 100.0
 _ALL: Final = 1 << 30
 _FAR: Final = 3e38
 
 
 class CudaView:
-    """A scene seen by a camera, on the device.
+    """Footprints and pairs of a scene seen by a camera, on the CUDA device.
 
-    Made by `CudaScene.view`.
+    Create it with `CudaScene.view`.
 
     Attributes
     ----------
     footprints : Footprints
-        M of them, as `projection.project` gives, but for rounding.
+        Footprints of M splats, equal to `projection.project` up to rounding.
     colours : (M, 3) float32
-        That they show to the camera.
+        Colours of the footprints in this view.
     """
 
     def __init__(
@@ -92,14 +93,14 @@ class CudaView:
         )
 
     def picture(self, background: Sequence[float]) -> F32:
-        """Return the picture over a background: (H, W, 3) float32, as `rasteriser.render`."""
+        """Return the picture over a background, (H, W, 3) float32; see `rasteriser.render`."""
         with within_device_memory():
             picture = self._pictures(background).float().cpu().numpy()
         shape = (self._camera.height, self._camera.width, 3)
         return np.ascontiguousarray(picture.reshape(shape), np.float32)
 
     def weights(self, top_k: int, least_weight: float) -> F64:
-        """Return sums over pixels: (M, 3) float64, as `blend_weights.add_weights` adds them."""
+        """Return sums of weights over pixels, (M, 3) float64; see `blend_weights.add_weights`."""
         import torch
 
         sums = torch.zeros((len(self.colours), 3), dtype=torch.float64, device=self._depths.device)
@@ -115,17 +116,18 @@ class CudaView:
         return self._array(sums)
 
     def moments(self) -> F64:
-        """Return moments: (M, 13) float64, as `sensitivities.add_moments` adds them."""
+        """Return moments of the footprints, (M, 13) float64; see `sensitivities.add_moments`."""
         import torch
 
         sums = torch.zeros(
             (len(self.colours), COLUMNS), dtype=torch.float64, device=self._depths.device
         )
         with within_device_memory():
-            # As there, without a background.
+            # Without a background, as in `add_moments`.
             pictures = self._pictures((0.0, 0.0, 0.0))
             for pairs in self.pairs():
-                g = pairs.lost(self._colours, pictures).square().sum(1) * pairs.free
+                by_log_alpha = pairs.colour_by_log_alpha(self._colours, pictures)
+                g = by_log_alpha.square().sum(1) * pairs.free
                 u, v = pairs.u.double(), pairs.v.double()
                 powers = ((0, 0), (2, 0), (1, 1), (0, 2), (4, 0), (3, 1), (2, 2), (1, 3), (0, 4))
                 for column, (p, q) in enumerate(powers):
@@ -133,19 +135,20 @@ class CudaView:
         return self._array(sums)
 
     def loss_sums(self, by_picture: F32, background: Sequence[float]) -> F64:
-        """Return what a loss asks of the footprints.
+        """Return a loss's gradient sums by footprint, for back-propagation.
 
         Parameters
         ----------
         by_picture : (H, W, 3) float32
             Derivative of the loss by the picture over the background.
         background : sequence of float
+            Background colour, RGB.
 
         Returns
         -------
         (M, 10) float64
-            Derivatives by the three colours; with g the derivative by ln alpha in a pixel, its
-            moments 1, u, v, uu, uv, vv; the squared change of the picture without the splat.
+            Derivatives by the three colours; the moments 1, u, v, uu, uv, vv of g, the derivative
+            by ln alpha in a pixel; the squared change of the picture if the splat is deleted.
         """
         import torch
 
@@ -156,17 +159,18 @@ class CudaView:
             pictures = self._pictures(background)
             for pairs in self.pairs():
                 by_pair = by[pairs.pixel]
-                lost = pairs.lost(self._colours, pictures)
-                g = (by_pair * lost).sum(1) * pairs.free
+                by_log_alpha = pairs.colour_by_log_alpha(self._colours, pictures)
+                g = (by_pair * by_log_alpha).sum(1) * pairs.free
                 u, v = pairs.u.double(), pairs.v.double()
                 terms = [*(pairs.weight[:, None] * by_pair).unbind(1)]
-                terms += [g, g * u, g * v, g * u * u, g * u * v, g * v * v, lost.square().sum(1)]
+                terms += [g, g * u, g * v, g * u * u, g * u * v, g * v * v]
+                terms.append(by_log_alpha.square().sum(1))
                 for column, term in enumerate(terms):
                     sums[:, column].index_add_(0, pairs.splat, term)
         return self._array(sums)
 
     def pairs(self) -> Iterator[Pairs]:
-        """Yield the pairs of bands of the picture, from top to bottom."""
+        """Yield the pairs of horizontal bands of the picture, from top to bottom."""
         import gsplat
         import torch
 
@@ -200,12 +204,13 @@ class CudaView:
             yield drawn_pairs(splat, pixel + top * camera.width, self._ellipse, camera.width)
 
     def _pictures(self, background: Sequence[float]) -> Tensor:
-        """Return the picture by pixel, (H·W, 3) float64; the one drawn last is kept."""
+        """Return the picture by pixel, (H·W, 3) float64; the last picture is cached."""
         if self._drawn is None or self._drawn[0] != tuple(background):
             self._drawn = tuple(background), self._draw(background)
         return self._drawn[1]
 
     def _draw(self, background: Sequence[float]) -> Tensor:
+        """Draw the picture by pixel, (H·W, 3) float64."""
         import torch
 
         camera = self._camera
@@ -213,29 +218,30 @@ class CudaView:
         behind = torch.tensor(tuple(background), dtype=torch.float64, device=device)
         pictures = behind.repeat(camera.height * camera.width, 1)
         for pairs in self.pairs():
-            # A splat takes what is behind away and puts its own colour there.
+            # A splat replaces the background by its own colour, in proportion to its weight.
             colours = self._colours[pairs.splat] - behind
             pictures.index_add_(0, pairs.pixel, pairs.weight[:, None] * colours)
         return pictures
 
     def _array(self, tensor: Tensor) -> F64:
+        """Copy a tensor to a float64 array in memory."""
         return np.asarray(tensor.cpu().numpy(), np.float64)
 
 
 class CudaScene:
-    """The splats of a scene on the device.
+    """Splats of a scene on the CUDA device.
 
     Parameters
     ----------
     splats : Splats
-        Rows that cannot be drawn are left out.
+        Scene; splats that cannot be drawn are ignored.
 
     Raises
     ------
     MissingExtraError
-        As `cuda_device`.
+        The device is not available; see `cuda_device`.
     LimitError
-        ``device-memory``, here and from all methods, of views too.
+        ``device-memory``: the device is out of memory, here or in any method of a view.
     """
 
     def __init__(self, splats: Splats) -> None:
@@ -271,7 +277,7 @@ class CudaScene:
         Parameters
         ----------
         camera, kernel_px, antialiased, near_plane
-            As in `projection.project`.
+            See `projection.project`.
         sh_degree : int or None
             Highest SH degree used; None for the scene's own.
         """
@@ -335,7 +341,7 @@ class CudaScene:
 def _ellipse(
     camera: Camera, centres: Tensor, conics: Tensor, opacities: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return the columns of `Footprints.ellipse`, and which of them reach a pixel's centre."""
+    """Return the columns of `Footprints.ellipse`, and a mask of ellipses on a pixel centre."""
     import torch
 
     x, y = centres.unbind(1)

@@ -24,21 +24,21 @@ from .blending import (
     PLANES_COMPARED,
     RED,
     blend_pixel,
-    blend_tile,
     compare_tile,
+    draw_and_reopen,
     footprint_in_tile,
     rows_in_tile,
-    tile_area,
+    store_lane_sums,
 )
 from .jit import kernel
 from .projection import FLAT, NARROW, SHEAR, Footprints, project
-from .tiles import TILE, gather, tile_lists
+from .tiles import TILE, add_pair_sums, tile_lists
 
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
 
-# Derivatives of a footprint by ln alpha and by ln scale, and their rows in a tile's lanes.
+# Number of derivatives (by ln alpha, by ln scale), and their offsets in the lanes of a tile.
 _SUMS = 2
 _BY_ALPHA, _BY_SCALE = (np.uintp(k * TILE) for k in range(_SUMS))
 
@@ -61,38 +61,32 @@ def _differentiate(
     kernel_px: np.float32,
     sums: NDArray[np.float32],
 ) -> float:
-    """Fill the derivatives of every pair of a tile and a splat; return the sum of squared errors.
+    """Sum the derivatives of every pair of a tile and a splat; return the sum of squared errors.
 
-    Each tile is walked twice. `blend_tile` draws it; the second walk, from the front again, takes
-    each splat's colour off and so knows what lies behind it, on which the derivative by its alpha
-    depends (Kerbl et al. 2023, appendix C).
+    Each tile is walked twice: the derivative by a splat's alpha depends on the colour behind it
+    (Kerbl et al. 2023, appendix C).
     """
     height, width = target.shape[0], target.shape[1]
     state = np.empty(PLANES_COMPARED * PIXELS, np.float32)
     lanes = np.empty(_SUMS * TILE, np.float32)
     error = 0.0
     for tile in range(lists_first, lists_last):
-        top, left, num_rows, num_columns = tile_area(tile, width, height)
-        begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
-        stop = blend_tile(
+        top, left, num_rows, num_columns, begin, stop = draw_and_reopen(
             state,
-            begin,
-            end,
+            sums,
+            _SUMS,
+            tile,
+            lists_first,
+            starts,
             members,
             ellipse,
             rows,
             colours,
             present,
-            top,
-            left,
-            num_rows,
-            num_columns,
-            False,
+            width,
+            height,
         )
         error = compare_tile(state, target, top, left, num_rows, num_columns, error)
-        for pair in range(stop, end):
-            for k in range(_SUMS):
-                sums[pair, k] = _ZERO
         for pair in range(begin, stop):
             i = members[pair]
             narrow, shear, flat, opacity, centre_x, centre_y = footprint_in_tile(
@@ -131,7 +125,7 @@ def _differentiate(
                     # A capped alpha has derivative 0.
                     moves = drawn & (raw <= ALPHA_MAX)
                     slope = slope if moves else _ZERO
-                    # The exponent's gradient in the image, 1/px. It corrects for the kernel, the
+                    # Gradient of the exponent in the image, 1/px. It corrects for the kernel, the
                     # part of the projected covariance that does not scale with the splat.
                     along = _TWO * narrow * u
                     across = _TWO * flat * dy - shear * along
@@ -140,12 +134,7 @@ def _differentiate(
                     wider = wider if moves else _ZERO
                     lanes[lane + _BY_ALPHA] += slope
                     lanes[lane + _BY_SCALE] += slope * wider
-            for k in range(_SUMS):
-                row = np.uintp(k * TILE)
-                total = _ZERO
-                for lane in range(LANES):
-                    total += lanes[row + lane]
-                sums[pair, k] = total
+            store_lane_sums(lanes, sums, _SUMS, pair)
     return error
 
 
@@ -158,11 +147,11 @@ class Gradient:
     rows : (M,) int32
         Rows of the scene whose footprint reaches the image, nearest first.
     opacities : (M,) float64
-        Derivative by the opacity's logit.
+        Derivative by the opacity logit.
     scales : (M,) float64
-        Derivative by a number added to all three log scales.
+        Derivative by a common offset of all three log scales.
     error : float
-        The sum of squared errors itself.
+        Sum of squared errors.
     """
 
     rows: NDArray[np.int32]
@@ -172,7 +161,7 @@ class Gradient:
 
 
 def _opacity_by_scale(footprints: Footprints, kernel_px: float) -> NDArray[np.float64]:
-    """Return the derivative of the anti-aliased opacities' logarithm by the log scale: (M,)."""
+    """Return the derivative of the log of the anti-aliased opacities by the log scale: (M,)."""
     ellipse = footprints.ellipse.astype(np.float64)
     var_y = 0.5 / ellipse[:, FLAT]
     det = 0.5 * var_y / ellipse[:, NARROW] ** 2
@@ -180,7 +169,7 @@ def _opacity_by_scale(footprints: Footprints, kernel_px: float) -> NDArray[np.fl
     bare_x = (det + cov * cov) / var_y - kernel_px
     bare_y = var_y - kernel_px
     bare = bare_x * bare_y - cov * cov
-    # det = s⁴ bare + s² kernel trace + kernel², s the factor on the scales; bare itself goes by s⁴.
+    # With s the factor on the scales: det = s⁴ bare + s² kernel trace + kernel².
     slope: NDArray[np.float64] = 2.0 - (2.0 * bare + kernel_px * (bare_x + bare_y)) / det
     return slope
 
@@ -199,18 +188,18 @@ def gradient(
     Parameters
     ----------
     splats : Splats
-        N of them, all in the picture. Anti-aliased where ``splats.info`` says so. Their SH
-        coefficients are not read.
+        Splats of the picture, N rows, with the anti-aliasing of ``splats.info``. Their SH
+        coefficients are not used.
     colours : (n, 3) float32
-        Colours that they show to the camera (`shading.row_colours`); rows beyond N are not read.
+        Colours of the splats seen from the camera (`shading.row_colours`); at least N rows.
     camera : Camera
-        In the frame of the means.
+        Camera in the frame of the means.
     target : (H, W, 3) float32
-        What the picture should be, over black, in the scene's colour space.
+        Target picture over black, in the scene's colour space.
     kernel_px : float
         Variance added to projected covariances, px².
     near_plane : float
-        Means at or before this camera-space depth are not drawn, scene units.
+        Camera-space depth up to which nothing is drawn, scene units.
 
     Returns
     -------
@@ -239,7 +228,7 @@ def gradient(
             np.float32(kernel_px),
             pair_sums,
         )
-        gather(lists.members, pair_sums, sums, 0)
+        add_pair_sums(lists.members, pair_sums, sums, 0)
     logits = splats.opacities[footprints.index].astype(np.float64)
     by_scale = sums[:, 1]
     if antialiased:

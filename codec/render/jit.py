@@ -1,4 +1,4 @@
-"""`kernel`, `inner_kernel`: the numba options of every loop over splats or pixels."""
+"""Decorators `kernel` and `inner_kernel`: numba options of all loops over splats or pixels."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ def kernel(function: Function) -> Function:
     Parameters
     ----------
     function : callable
-        Python that numba compiles (nopython mode).
+        Python function for numba's nopython mode.
 
     Returns
     -------
     callable
-        Takes the same arguments. It runs without the interpreter's lock, so that several threads
-        can run kernels at once, and divides as numpy does (no ZeroDivisionError).
+        Compiled function with the same arguments. It runs without the interpreter's lock, so that
+        several threads can run kernels in parallel, and divides as numpy does (no
+        ZeroDivisionError).
 
     Notes
     -----
@@ -30,19 +31,19 @@ def kernel(function: Function) -> Function:
     runs and thread counts on one machine, but not between machines: decode arithmetic must not use
     them.
 
-    Compiled code is kept on disk (`compiling.compiled`), and is built anew when the kernel's module
-    changes. numba does not see changes in kernels that it calls from other modules: while
-    such a module is being edited, set ``NUMBA_CACHE_DIR`` to a fresh folder.
+    Compiled code is cached on disk (`compiling.jit_kernel`) and rebuilt when the kernel's module
+    changes. numba does not notice changes of inner kernels in other modules: while editing such a
+    module, set ``NUMBA_CACHE_DIR`` to a fresh folder.
     """
     return jit_kernel(function, fuses=True)
 
 
 def inner_kernel(function: Function) -> Function:
-    """Compile a function that only kernels call, as `kernel` does, as a part of their code.
+    """Compile a function that only kernels call, as part of their code; see `kernel`.
 
     Parameters
     ----------
     function : callable
-        Python that numba compiles (nopython mode).
+        Python function for numba's nopython mode.
     """
     return jit_kernel(function, fuses=True, cached=False)

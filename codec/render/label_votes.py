@@ -1,4 +1,4 @@
-"""Label votes: how much each splat weighs in the pixels of every label of a mask."""
+"""Label votes: blending weights of each splat, summed by the mask label of the pixels."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _vote(
     labels: NDArray[np.int32],
     votes: NDArray[np.float64],
 ) -> None:
-    """Add the weight of every splat in every pixel to its vote for the pixel's label."""
+    """Add the weight of every splat in every pixel to the splat's votes for the pixel's label."""
     height, width = labels.shape
     live = np.empty(PIXELS, np.float32)
     weights = np.empty(TILE, np.float32)
@@ -70,18 +70,18 @@ def _vote(
 def label_votes(
     splats: Splats, camera: Camera, labels: NDArray[np.int32], count: int
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """Sum the weights of each splat by the label of the pixels in which it is seen.
+    """Sum the blending weights of each splat by the label of the pixels.
 
     Parameters
     ----------
     splats : Splats
-        Drawn with the kernel and anti-aliasing of ``splats.info``.
+        Scene, drawn with the kernel and anti-aliasing of ``splats.info``.
     camera : Camera
-        In the frame of the means.
+        Camera in the frame of the means.
     labels : (H, W) int32
-        The mask of the camera's image: numbers from 0 to ``count - 1``.
+        Mask of the camera's image, with labels from 0 to ``count - 1``.
     count : int
-        How many labels there are.
+        Number of labels.
 
     Returns
     -------

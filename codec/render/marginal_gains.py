@@ -1,4 +1,4 @@
-"""Marginal gains: how the error of a picture changes when one splat is added or taken out."""
+"""Marginal gains: drop of a picture's squared error when one splat is added or removed."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from .blending import (
     PLANES_COMPARED,
     RED,
     blend_pixel,
-    blend_tile,
     compare_tile,
+    draw_and_reopen,
     footprint_in_tile,
     rows_in_tile,
-    tile_area,
+    store_lane_sums,
 )
 from .jit import kernel
 from .projection import Footprints
-from .tiles import TILE, gather, tile_lists
+from .tiles import TILE, add_pair_sums, tile_lists
 
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
@@ -38,7 +38,7 @@ _TWO = np.float32(2.0)
     "boolean[::1], float32[:, :, ::1], float32[:, ::1]"
 )
 @kernel
-def _measure(
+def _measure_gains(
     lists_first: int,
     lists_last: int,
     starts: NDArray[np.int64],
@@ -50,37 +50,33 @@ def _measure(
     target: NDArray[np.float32],
     sums: NDArray[np.float32],
 ) -> float:
-    """Fill the gain of every pair of a tile and a splat; return the sum of squared errors.
+    """Sum the gain of every pair of a tile and a splat; return the sum of squared errors.
 
-    Each tile is walked twice. `blend_tile` draws the splats that are present. The second walk, from
-    the front again over all splats, knows at each one the transmittance before it and the colour
-    that lies behind it: adding or taking out the splat changes nothing else.
+    Each tile is walked twice: `blend_tile` draws the splats that are present. The second walk, over
+    all splats, has at each splat the transmittance before it and the colour behind it, which
+    determine the effect of adding or removing the splat.
     """
     height, width = target.shape[0], target.shape[1]
     state = np.empty(PLANES_COMPARED * PIXELS, np.float32)
     lanes = np.empty(TILE, np.float32)
     error = 0.0
     for tile in range(lists_first, lists_last):
-        top, left, num_rows, num_columns = tile_area(tile, width, height)
-        begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
-        stop = blend_tile(
+        top, left, num_rows, num_columns, begin, stop = draw_and_reopen(
             state,
-            begin,
-            end,
+            sums,
+            1,
+            tile,
+            lists_first,
+            starts,
             members,
             ellipse,
             rows,
             colours,
             present,
-            top,
-            left,
-            num_rows,
-            num_columns,
-            False,
+            width,
+            height,
         )
         error = compare_tile(state, target, top, left, num_rows, num_columns, error)
-        for pair in range(stop, end):
-            sums[pair, 0] = _ZERO
         for pair in range(begin, stop):
             i = members[pair]
             narrow, shear, flat, opacity, centre_x, centre_y = footprint_in_tile(
@@ -94,8 +90,7 @@ def _measure(
                 row_x = centre_x + shear * dy
                 row_exponent = -flat * dy * dy
                 base = np.uintp(y * TILE)
-                # Pixels outside the image have transmittance 0, nothing behind and no error: they
-                # add nothing.
+                # Pixels outside the image have transmittance, colours and error 0: they add 0.
                 if present[i]:
                     for lane in range(LANES):
                         at = base + lane
@@ -103,7 +98,7 @@ def _measure(
                         _, alpha, weight, drawn, after = blend_pixel(
                             state[at], opacity, row_exponent - u * u
                         )
-                        # Without the splat, what lies behind it is 1 / (1 - alpha) as bright.
+                        # Without the splat, the colour behind it is 1 / (1 - alpha) as bright.
                         odds = alpha / (_ONE - alpha) if drawn else _ZERO
                         state[at] = after
                         behind_red = state[at + RED] - weight * red
@@ -136,10 +131,7 @@ def _measure(
                             + change_green * (_TWO * state[at + OFF_GREEN] - change_green)
                             + change_blue * (_TWO * state[at + OFF_BLUE] - change_blue)
                         )
-            total = _ZERO
-            for lane in range(LANES):
-                total += lanes[lane]
-            sums[pair, 0] = total
+            store_lane_sums(lanes, sums, 1, pair)
     return error
 
 
@@ -149,33 +141,33 @@ def marginal_gains(
     present: NDArray[np.bool_],
     target: NDArray[np.float32],
 ) -> tuple[NDArray[np.float64], float]:
-    """Measure what adding each absent splat, or taking out each present one, does for a picture.
+    """Measure each splat's marginal gain: the drop of the error if it is added or removed.
 
     Parameters
     ----------
     footprints : Footprints
-        M of them, of all splats that count: present and absent.
+        Footprints of M splats, present and absent.
     colours : (M, 3) float32
-        What they show to the camera, in the scene's colour space (`shading.footprint_colours`).
+        Colours of the footprints, in the scene's colour space (`shading.footprint_colours`).
     present : (M,) bool
-        Which are in the picture.
+        Mask of the splats in the picture.
     target : (H, W, 3) float32
-        What the picture should be, over black.
+        Target picture over black.
 
     Returns
     -------
     gains : (M,) float64
-        By how much the sum of squared errors over pixels and channels falls when this one splat
-        alone is added or taken out; negative where it rises. Exact but for pixels that the splat
-        would end (`blending.TRANSMITTANCE_MIN`) or keep from ending.
+        Drop of the sum of squared errors over pixels and channels when this splat alone is added or
+        removed; negative if the error rises. Exact except in pixels whose end
+        (`blending.TRANSMITTANCE_MIN`) the splat changes.
     error : float
-        The sum of squared errors as it is.
+        Sum of squared errors of the picture.
     """
     gains = np.zeros((len(footprints), 1), np.float64)
     error = 0.0
     for lists in tile_lists(footprints, target.shape[1], target.shape[0]):
         pair_gains = np.empty((len(lists.members), 1), np.float32)
-        error += _measure(
+        error += _measure_gains(
             lists.first,
             lists.last,
             lists.starts,
@@ -187,5 +179,5 @@ def marginal_gains(
             target,
             pair_gains,
         )
-        gather(lists.members, pair_gains, gains, 0)
+        add_pair_sums(lists.members, pair_gains, gains, 0)
     return gains[:, 0], error

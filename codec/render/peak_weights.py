@@ -1,4 +1,4 @@
-"""Peak weights: how clearly each splat is seen in the small picture of one camera."""
+"""Peak weights: the largest blending weight of each splat in one small picture."""
 
 from __future__ import annotations
 
@@ -26,12 +26,11 @@ _ONE = np.float32(1.0)
 @called_with("float32[:, ::1], int32[:, ::1], int64, int64, float32[::1]")
 @kernel
 def _peaks(ellipse: F32, rows: NDArray[np.int32], width: int, height: int, peaks: F32) -> None:
-    """Blend footprints nearest first over the whole picture and keep the largest weight of each.
+    """Blend footprints nearest first over the whole picture and store each one's largest weight.
 
-    A loop of its own instead of `blending.blend_pixel` in tiles: in a picture of a few thousand
-    pixels most splats reach only some pixels, and tile lists would cost more than they save.
-    Unlike the rasteriser it draws the splat that ends a pixel: a surface that closes the view is
-    seen.
+    This kernel has no tiles: in a picture of a few thousand pixels most splats reach only a few
+    pixels, and tile lists would cost more than they save. Unlike the rasteriser it draws the splat
+    that ends a pixel, because a surface that closes the view is visible.
     """
     live = np.ones((height, width), np.float32)
     unfinished = width * height
@@ -69,24 +68,24 @@ def _peaks(ellipse: F32, rows: NDArray[np.int32], width: int, height: int, peaks
 def peak_weights(
     splats: Splats, camera: Camera, near_plane: float = NEAR
 ) -> tuple[NDArray[np.int32], F32]:
-    """Return the splats that reach the picture of a camera, and the largest weight of each.
+    """Return the splats that reach a camera's picture, with the largest weight of each.
 
     Parameters
     ----------
     splats : Splats
-        Drawn with the kernel and anti-aliasing of ``splats.info``. Rows that cannot be drawn are
-        left out.
+        Scene, drawn with the kernel and anti-aliasing of ``splats.info``. Splats that cannot be
+        drawn are ignored.
     camera : Camera
-        In the frame of the means; its picture should be small.
+        Camera in the frame of the means; its picture should be small.
     near_plane : float
-        Means at or before this camera-space depth are left out, scene units.
+        Camera-space depth up to which nothing is drawn, scene units.
 
     Returns
     -------
     index : (M,) int32
         Rows of the scene, nearest first.
     peaks : (M,) float32
-        Largest T·alpha in a pixel; 0 for splats that others hide.
+        Largest T·alpha in a pixel; 0 for hidden splats.
     """
     footprints = project(
         splats,

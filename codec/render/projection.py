@@ -1,4 +1,4 @@
-"""EWA projection: splats as ellipses on a camera's image, cut where alpha falls below 1/255."""
+"""EWA projection: splats as ellipses on a camera's image, bounded where alpha is 1/255."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from cogsplat.codec.splats import Splats
 from .depth_order import depth_order
 from .jit import inner_kernel, kernel
 
-# 3DGS, computeCov2D: the Jacobian is taken inside the image widened by this share of its half size
-# (1.3 tan(fov / 2) for a centred principal point).
+# 3DGS, computeCov2D: the point of the Jacobian is clamped to the image widened by this share of its
+# half size (1.3 tan(fov / 2) for a centred principal point).
 GUARD = 0.3
-# Bounds of an ellipse are widened by so many px, and by this share of its place and size, because
-# the ellipse is rounded to float32. Which pixels a splat reaches is decided by its alpha there.
+# Bounds of an ellipse are widened by this many px and this share of its position and size, because
+# the ellipse is rounded to float32. The alpha in a pixel decides whether a splat reaches it.
 _SLACK_PX = 0.01
 _SLACK = 1e-6
-# Footprints beyond this, in px or its powers, are left out: their squares would leave float32.
+# Limit of a footprint's values, px or powers: the squares of larger values overflow float32.
 _HUGE = 1e18
 
 # Columns of `Footprints.ellipse`.
@@ -41,14 +41,14 @@ class Footprints:
     Parameters
     ----------
     index : (M,) int32
-        Row of each in the scene.
+        Row of each footprint's splat in the scene.
     order : (M,) int32
-        Place of each among the visible rows in ascending order.
+        Rank of each footprint by row, among the footprints.
     ellipse : (M, 8) float32
         x, y (px), narrow (1/px), shear, flat (1/px²), opacity (0 to 1, rescaled when
         anti-aliased), half width along the centre's row and half height (px) at alpha 1/255.
     rows : (M, 2) int32
-        First image row that may be covered and the one after the last.
+        Half-open range of image rows that may be covered.
     """
 
     index: NDArray[np.int32]
@@ -59,14 +59,14 @@ class Footprints:
     def __len__(self) -> int:
         return len(self.index)
 
-    def ascending(self) -> NDArray[np.int32]:
-        """Return the visible rows in ascending order, in which a scene is read fastest: (M,)."""
+    def sorted_rows(self) -> NDArray[np.int32]:
+        """Return `index` in ascending order, (M,): the order in which a scene is read fastest."""
         rows = np.empty_like(self.index)
         rows[self.order] = self.index
         return rows
 
-    def places(self) -> NDArray[np.int32]:
-        """Return the footprint's number of each of the `ascending` rows: (M,)."""
+    def row_order(self) -> NDArray[np.int32]:
+        """Return the number of the footprint of each of the `sorted_rows`, (M,)."""
         places = np.empty_like(self.order)
         places[self.order] = np.arange(len(self.order), dtype=np.int32)
         return places
@@ -76,14 +76,14 @@ class Footprints:
 def fill_rotation(
     qw: float, qx: float, qy: float, qz: float, rotation: NDArray[np.float64]
 ) -> float:
-    """Fill the rotation of a splat; return 2 ÷ the squared length of its quaternion.
+    """Compute the rotation matrix of a quaternion; return 2 / (its squared length).
 
     Parameters
     ----------
     qw, qx, qy, qz : float
-        A quaternion of any length but 0.
+        Quaternion of any non-zero length.
     rotation : (3, 3) float64
-        Filled: from the splat's axes to the scene's.
+        Output: rotation from the splat's axes to the scene's.
     """
     norm = 2.0 / (qw * qw + qx * qx + qy * qy + qz * qz)
     rotation[0, 0] = 1.0 - norm * (qy * qy + qz * qz)
@@ -100,7 +100,7 @@ def fill_rotation(
 
 @inner_kernel
 def slack(centre: float, extent: float) -> float:
-    """Return by how much the bounds of an ellipse are widened, px."""
+    """Return the margin added to the bounds of an ellipse, px."""
     return _SLACK_PX + _SLACK * (abs(centre) + extent)
 
 
@@ -128,9 +128,9 @@ def _project(
     ellipse: NDArray[np.float32],
     rows: NDArray[np.int32],
 ) -> int:
-    """Fill the outputs with the splats that may reach a pixel and return how many there are.
+    """Write the footprints that may reach a pixel to the outputs and return their number.
 
-    Every test is written so that NaN fails it.
+    Every comparison is written so that NaN fails it.
     """
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     guard_x = GUARD * width / (2.0 * fx)
@@ -163,7 +163,7 @@ def _project(
         xy, xz, yz = norm * qx * qy, norm * qx * qz, norm * qy * qz
         wx, wy, wz = norm * qw * qx, norm * qw * qy, norm * qw * qz
 
-        # Rows of the projection's Jacobian, times world to camera: two vectors in world axes.
+        # Rows of the projection's Jacobian times the world-to-camera rotation, in world axes.
         jx = -min(max(x, low_x), high_x)
         jy = -min(max(y, low_y), high_y)
         ax = (fx / z) * (r[0, 0] + jx * r[2, 0])
@@ -173,7 +173,7 @@ def _project(
         by = (fy / z) * (r[1, 1] + jy * r[2, 1])
         bz = (fy / z) * (r[1, 2] + jy * r[2, 2])
 
-        # The same in the splat's axes, times its standard deviations: covariance = m mᵀ.
+        # These rows in the splat's axes, times its standard deviations m: covariance = m mᵀ.
         s0, s1, s2 = math.exp(scales[i, 0]), math.exp(scales[i, 1]), math.exp(scales[i, 2])
         a0 = s0 * (ax * (1.0 - yy - zz) + ay * (xy + wz) + az * (xz - wy))
         a1 = s1 * (ax * (xy - wz) + ay * (1.0 - xx - zz) + az * (yz + wx))
@@ -184,7 +184,7 @@ def _project(
         var_x = a0 * a0 + a1 * a1 + a2 * a2
         var_y = b0 * b0 + b1 * b1 + b2 * b2
         cov = a0 * b0 + a1 * b1 + a2 * b2
-        # Cauchy-Binet: a sum of squares, where var_x var_y - cov² cancels for thin splats.
+        # Cauchy-Binet: a sum of squares, because var_x var_y - cov² cancels for thin splats.
         n0, n1, n2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
         det_bare = n0 * n0 + n1 * n1 + n2 * n2
         det = det_bare + kernel_px * (var_x + var_y) + kernel_px * kernel_px
@@ -240,15 +240,15 @@ def project(
     Parameters
     ----------
     splats : Splats
-        Rows that cannot be drawn (NaN, zero quaternions) are left out.
+        Scene; splats that cannot be drawn (NaN, zero quaternions) are ignored.
     camera : Camera
-        In the frame of the means.
+        Camera in the frame of the means.
     kernel_px : float
         Variance added to the diagonal of the projected covariance, px².
     antialiased : bool
-        Rescale opacities by the area the kernel adds (Mip-Splatting, section 4.2).
+        Whether to rescale opacities by the area that the kernel adds (Mip-Splatting, section 4.2).
     near_plane : float
-        Means at or before this camera-space depth are left out, scene units.
+        Camera-space depth up to which nothing is drawn, scene units.
 
     Returns
     -------

@@ -34,18 +34,18 @@ class RenderConfig:
     kernel_px : float
         Variance added to projected covariances, px²; 0.3 in 3DGS, 0.1 in Mip-Splatting.
     antialiased : bool
-        Rescale opacities by the area the kernel adds (Mip-Splatting, section 4.2).
+        Whether to rescale opacities by the area that the kernel adds (Mip-Splatting, section 4.2).
     background : tuple of float
-        RGB behind the splats, in the scene's colour space.
+        Background colour, RGB in the scene's colour space.
     near_plane : float
-        Means at or before this camera-space depth are not drawn, scene units.
+        Camera-space depth up to which nothing is drawn, scene units.
     sh_degree : int or None
         Highest SH degree used; None for the scene's own.
     threads : int
-        0 for every core this process may use. The picture does not depend on it.
+        Number of threads; 0 for every core this process may use. The picture does not depend on it.
     device : str
-        ``cpu``, or ``cuda`` to draw with gsplat on a CUDA device (extra ``train``): the same
-        picture but for rounding, which differs from run to run (`cuda_views`).
+        ``cpu``, or ``cuda`` to draw with gsplat on a CUDA device (extra ``train``). CUDA pictures
+        differ by rounding, from run to run too (`cuda_views`).
     """
 
     kernel_px: float = 0.3
@@ -86,7 +86,7 @@ def _draw_tiles(
     first: int,
     last: int,
 ) -> None:
-    """Draw those tiles of an image from ``first`` to ``last``, half-open, that are wanted."""
+    """Draw the tiles of an image from ``first`` to ``last``, half-open, that ``wanted`` marks."""
     height, width = image.shape[0], image.shape[1]
     state = np.empty(PLANES * PIXELS, np.float32)
     for tile in range(first, last):
@@ -124,7 +124,7 @@ def _draw(
     threads: int,
     wanted: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float32]:
-    """Render one view on so many threads, or (tiles in y, tiles in x) wanted tiles of it."""
+    """Render one view, or only the tiles that the (tiles in y, tiles in x) mask `wanted` marks."""
     if wanted is None:
         wanted = np.ones(_tiles(camera), np.bool_)
     footprints = project(
@@ -157,12 +157,12 @@ def _draw(
 
 
 def _tiles(camera: Camera) -> tuple[int, int]:
-    """Return the tiles of an image in y and in x."""
+    """Return the numbers of tiles of an image in y and in x."""
     return -(-camera.height // TILE), -(-camera.width // TILE)
 
 
-def _config_of(splats: Splats) -> RenderConfig:
-    """Return the kernel and anti-aliasing that the scene states, over black."""
+def _default_config(splats: Splats) -> RenderConfig:
+    """Return the default configuration: the scene's kernel and anti-aliasing, over black."""
     return RenderConfig(kernel_px=splats.info.kernel_px, antialiased=splats.info.antialiased)
 
 
@@ -174,23 +174,23 @@ def render(
     Parameters
     ----------
     splats : Splats
-        Rows that cannot be drawn are left out.
+        Scene; splats that cannot be drawn are ignored.
     camera : Camera
-        In the frame of the means (``info.origin`` is not applied).
+        Camera in the frame of the means (``info.origin`` is not applied).
     config : RenderConfig or None
-        None for the kernel and anti-aliasing the scene states in `Splats.info`, over black.
+        None for the kernel and anti-aliasing of `Splats.info`, over black.
 
     Returns
     -------
     (H, W, 3) float32
-        In the scene's colour space, not clipped.
+        Picture in the scene's colour space, not clipped.
 
     Raises
     ------
     MissingExtraError
-        ``needs-extra``, ``no-cuda-device``: the device ``cuda`` without one, or without gsplat.
+        ``needs-extra`` or ``no-cuda-device``: the device ``cuda`` is not available.
     LimitError
-        ``device-memory``.
+        ``device-memory``: the CUDA device is out of memory.
 
     Notes
     -----
@@ -209,14 +209,14 @@ def render(
     >>> image.shape, image.dtype.name
     ((48, 64, 3), 'float32')
     """
-    config = config or _config_of(splats)
+    config = config or _default_config(splats)
     if config.device == "cuda":
         return cuda_view(CudaScene(splats), camera, config).picture(config.background)
     return _draw(splats, camera, config, thread_count(config.threads))
 
 
 def cuda_view(scene: CudaScene, camera: Camera, config: RenderConfig) -> CudaView:
-    """Return the view of a scene on a CUDA device that a configuration describes."""
+    """Project a scene on a CUDA device into a camera, with the settings of a `RenderConfig`."""
     return scene.view(
         camera,
         kernel_px=config.kernel_px,
@@ -229,25 +229,26 @@ def cuda_view(scene: CudaScene, camera: Camera, config: RenderConfig) -> CudaVie
 def render_tiles(
     splats: Splats, camera: Camera, every: int, config: RenderConfig | None = None
 ) -> NDArray[np.float32]:
-    """Render one tile in so many of a view, spread over the image.
+    """Render every n-th tile of a view, spread over the image.
 
-    Of large pictures, some of the tiles tell how far two scenes are apart as well as all of them.
+    In large pictures, a sample of the tiles measures the difference of two scenes well enough.
 
     Parameters
     ----------
     splats, camera, config
-        As in `render`.
+        See `render`.
     every : int
-        At least 1, for all tiles.
+        Interval n of the tiles; 1 renders all.
 
     Returns
     -------
     (P, 3) float32
-        The pixels of those tiles in the order of the image; the same ones for every scene.
+        Pixels of the sampled tiles in the order of the image; the sample depends on the image size
+        only.
     """
-    config = config or _config_of(splats)
+    config = config or _default_config(splats)
     down, across = np.indices(_tiles(camera))
-    # Lines of tiles that lean by about a golden section: they follow neither rows nor columns.
+    # The offset per row of tiles is about a golden section, so the sample avoids rows and columns.
     wanted = (across + max(1, round(0.382 * every)) * down) % every == 0
     if config.device == "cuda":
         image = render(splats, camera, config)
@@ -270,16 +271,16 @@ def render_views(
     Parameters
     ----------
     splats, config
-        As in `render`.
+        See `render`.
     cameras : sequence of Camera
-        In the frame of the means.
+        Cameras in the frame of the means.
     progress : Progress
         Called with ``("render", views done, views)``; raising from it stops the work.
 
     Returns
     -------
     list of (H, W, 3) float32
-        In the order of the cameras, not clipped; each equals what `render` gives, bit for bit.
+        Pictures in the order of the cameras, not clipped, bit-identical to those of `render`.
 
     Examples
     --------
@@ -290,7 +291,7 @@ def render_views(
     >>> [image.shape for image in render_views(splats, cameras)]
     [(48, 64, 3), (48, 64, 3)]
     """
-    config = config or _config_of(splats)
+    config = config or _default_config(splats)
     threads = thread_count(config.threads)
     by_view = len(cameras) >= threads
     images: list[NDArray[np.float32]] = []

@@ -1,6 +1,6 @@
-"""Sensitivities: what a small error of each stored value costs in error of the pictures.
+"""Sensitivities: squared error of the pictures per squared error of each stored value.
 
-Rate allocation takes quantiser steps from them.
+Rate allocation derives quantiser steps from them.
 """
 
 from __future__ import annotations
@@ -27,21 +27,20 @@ from .blending import (
     PLANES,
     RED,
     blend_pixel,
-    blend_tile,
+    draw_and_reopen,
     footprint_in_tile,
-    open_pixels,
     rows_in_tile,
-    tile_area,
+    store_lane_sums,
 )
 from .jit import inner_kernel, kernel
 from .projection import FLAT, GUARD, NARROW, SHEAR, Footprints, fill_rotation
-from .tiles import TILE, TileLists, gather
+from .tiles import TILE, TileLists, add_pair_sums
 
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 
 PAIRS_AT_ONCE = 1 << 22
-"""Most pairs of a tile and a splat to list at once: each takes 36 bytes of moments."""
+"""Pairs of a tile and a splat listed at once, at most; each takes 36 bytes of moments."""
 
 # Moments Σ g·u^p·v^q (see `_moments`), named by p and q, and their rows in a tile's lanes.
 M00, M20, M11, M02, M40, M31, M22, M13, M04 = range(9)
@@ -57,29 +56,30 @@ COLUMNS = 13
 class Sensitivities:
     """Mean squared error of the pictures per squared error of one stored value of one splat.
 
-    An error δ of the value alone costs ``sensitivity · δ²``, and independent errors of several
-    values cost the sum: the diagonal of the Gauss-Newton matrix. The mean is over channels, pixels
-    and views, given and jittered ones half each, as in `Scores.energy`; colours are not clipped.
+    An error δ of one value costs ``sensitivity · δ²``; independent errors of several values add up
+    (the diagonal of the Gauss-Newton matrix). The mean is over channels, pixels and views, with
+    given and jittered views half each, as in `Scores.energy`. Colours are not clipped.
 
     Parameters
     ----------
     opacities : (N,) float64
-        Of the logit.
+        Sensitivity to the opacity logits.
     means : (N, 3) float64
-        Along the world's axes, per squared scene unit.
+        Sensitivity to the means along the world's axes, per squared scene unit.
     scales : (N, 3) float64
-        Of the logarithms.
+        Sensitivity to the log scales.
     rotations : (N, 3) float64
-        Of small rotations about the splat's own axes, per squared radian: ``q ← q · (1, δ / 2)``.
+        Sensitivity to small rotations about the splat's own axes, per squared radian:
+        ``q ← q · (1, δ / 2)``.
     sh0 : (N, 3) float64
-        Of the DC coefficients, each channel for itself; nothing where its colour is clamped at 0.
+        Sensitivity to the DC coefficients, by channel; 0 if the colour is clamped at 0.
 
     Notes
     -----
-    Exact derivatives of the blend, with two exceptions. What changes by jumps is left out: the cut
-    at alpha 1/255, where a pixel ends, the order in depth. So is the change of shape and colour
-    that follows from the new direction of a shifted mean; it is smaller by the factor of the
-    splat's size over its distance.
+    The derivatives of the blend are exact with two exceptions. Discontinuities are ignored: the cut
+    at alpha 1/255, the end of a pixel, the depth order. The change of shape and colour with the
+    direction of a shifted mean is ignored too; it is smaller by the ratio of the splat's size to
+    its distance.
     """
 
     opacities: NDArray[np.float64]
@@ -89,14 +89,14 @@ class Sensitivities:
     sh0: NDArray[np.float64]
 
     def take(self, rows: NDArray[np.int64], gather: Gather = IN_MEMORY.gather) -> Sensitivities:
-        """Return the sensitivities of some splats; `gather` as `Workspace.gather`."""
+        """Return the sensitivities of the splats `rows`, copied by a `Workspace.gather`."""
         return Sensitivities(
             *(gather(getattr(self, name), rows) for name in self.__dataclass_fields__)
         )
 
 
 def from_columns(columns: NDArray[np.float64]) -> Sensitivities:
-    """Name the (N, 13) columns that `view_sensitivities` gives and callers add up: as views."""
+    """Return sums of `view_sensitivities`, (N, 13), as `Sensitivities`; the arrays are views."""
     return Sensitivities(
         opacities=columns[:, _OPACITY],
         means=columns[:, _MEANS:_SCALES],
@@ -127,38 +127,30 @@ def _moments(
 ) -> None:
     """Sum the moments of every pair of a tile and a splat, for the tiles ``first`` to ``last``.
 
-    With (u, v) the offset from the centre in which alpha is ``opacity · exp(-u² - v²)``, and
-    g = Σ over channels of (∂C/∂alpha · alpha)², the moments are Σ over pixels of g·u^p·v^q.
-    A pixel's ∂C/∂alpha is T·c less the colour behind the splat over 1 - alpha (Kerbl et al. 2023,
-    appendix C). The tile is therefore walked twice: `blend_tile` blends its colours, and the second
-    walk takes them off again from the front.
+    (u, v) is the offset from the centre, scaled so that alpha is ``opacity · exp(-u² - v²)``. With
+    g = Σ over channels of (∂C/∂alpha · alpha)², the moments are Σ over pixels of g·u^p·v^q. The
+    derivative ∂C/∂alpha is T·c minus the colour behind the splat over 1 - alpha (Kerbl et al. 2023,
+    appendix C), so each tile is walked twice.
     """
     state = np.empty(PLANES * PIXELS, np.float32)
     lanes = np.empty(MOMENTS * TILE, np.float32)
     for tile in range(first, last):
-        top, left, num_rows, num_columns = tile_area(tile, width, height)
-        begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
-        stop = blend_tile(
+        top, left, num_rows, _, begin, stop = draw_and_reopen(
             state,
-            begin,
-            end,
+            sums,
+            MOMENTS,
+            tile,
+            lists_first,
+            starts,
             members,
             ellipse,
             rows,
             colours,
             present,
-            top,
-            left,
-            num_rows,
-            num_columns,
-            False,
+            width,
+            height,
         )
-        for rest in range(stop, end):
-            for moment in range(MOMENTS):
-                sums[rest, moment] = _ZERO
-        end = stop
-        open_pixels(state, num_rows, num_columns)
-        for pair in range(begin, end):
+        for pair in range(begin, stop):
             i = members[pair]
             narrow, shear, flat, opacity, centre_x, centre_y = footprint_in_tile(
                 ellipse[i], top, left
@@ -197,7 +189,7 @@ def _moments(
                     g = slope_red * slope_red + slope_green * slope_green + slope_blue * slope_blue
                     # A capped alpha has derivative 0.
                     g = g if drawn & (raw <= ALPHA_MAX) else _ZERO
-                    # Where nothing is drawn, u may be too large for its powers.
+                    # u of a splat that is not drawn may be so large that its powers overflow.
                     u = u if drawn else _ZERO
                     gu = g * u
                     guu = gu * u
@@ -212,12 +204,7 @@ def _moments(
                     lanes[lane + _L22] += guu * vv
                     lanes[lane + _L13] += gu * vv * v
                     lanes[lane + _L04] += gvv * vv
-            for moment in range(MOMENTS):
-                row = np.uintp(moment * TILE)
-                total = _ZERO
-                for lane in range(LANES):
-                    total += lanes[row + lane]
-                sums[pair, moment] = total
+            store_lane_sums(lanes, sums, MOMENTS, pair)
 
 
 def add_moments(
@@ -233,17 +220,17 @@ def add_moments(
     Parameters
     ----------
     lists : TileLists
-        Of the footprints.
+        Tile lists of the footprints.
     footprints : Footprints
-        M of them.
+        Footprints of M splats.
     colours : (M, 3) float32
-        Of the footprints.
+        Colours of the footprints.
     camera : Camera
-        The camera of the footprints.
+        Camera of the footprints.
     threads : int
-        At least 1. The sums do not depend on it.
+        Number of threads, at least 1. The sums do not depend on it.
     moments : (M, 13) float64
-        Σ over pixels and channels in the first nine columns, see `_moments`; changed in place.
+        Moments in the first nine columns (see `_moments`), changed in place.
     """
     pair_sums = np.empty((len(lists.members), MOMENTS), np.float32)
     everything = np.ones(len(footprints), np.bool_)
@@ -262,7 +249,7 @@ def add_moments(
         pair_sums,
     )
     lists.for_ranges(sum_up, threads)
-    gather(lists.members, pair_sums, moments, 0)
+    add_pair_sums(lists.members, pair_sums, moments, 0)
 
 
 @inner_kernel
@@ -273,7 +260,7 @@ def _quartic(moments: NDArray[np.float64], c: float, p: float, q: float, r: floa
     total += p * p * moments[M40] + r * r * moments[M04]
     total += 2.0 * q * (p * moments[M31] + r * moments[M13])
     total += (q * q + 2.0 * p * r) * moments[M22]
-    # Where terms cancel, rounding may leave less than nothing.
+    # Cancellation may leave a small negative sum.
     return float(max(total, 0.0))
 
 
@@ -283,7 +270,7 @@ def _quartic(moments: NDArray[np.float64], c: float, p: float, q: float, r: floa
     "float64[::1], float64[::1], int64, int64, boolean, float64[:, ::1]"
 )
 @kernel
-def _map(
+def _moments_to_sensitivities(
     index: NDArray[np.int32],
     places: NDArray[np.int32],
     ellipse: NDArray[np.float32],
@@ -301,10 +288,10 @@ def _map(
     antialiased: bool,
     columns: NDArray[np.float64],
 ) -> None:
-    """Turn the moments of footprints into sums of squared derivatives by stored values, in place.
+    """Convert the moments of footprints to sums of squared derivatives by stored values, in place.
 
-    Rows of `columns` hold the moments before and the sums after. Footprints come in the order
-    `places`, so that the scene, which may be mapped, is read by ascending rows.
+    Rows of `columns` hold moments on input and sums on output. Footprints are processed in the
+    order `places`, so that a scene mapped from a file is read by ascending rows.
     """
     m = np.empty(MOMENTS, np.float64)
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
@@ -314,7 +301,7 @@ def _map(
     low_y, high_y = -cy / fy - guard_y, (height - cy) / fy + guard_y
     local = np.empty(3, np.float64)
     splat_rotation = np.empty((3, 3), np.float64)
-    # The splat's three axes, of unit length in the scene, projected: in px, and in (u, v).
+    # Projections of the splat's three axes, of unit length in the scene: in px, and in (u, v).
     bare = np.empty((3, 2), np.float64)
     axes = np.empty((3, 2), np.float64)
     variances = np.empty(3, np.float64)
@@ -413,27 +400,27 @@ def view_sensitivities(
     moments: NDArray[np.float64],
     squares: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Turn the moments of one view into the sensitivities of the stored values, in place.
+    """Convert the moments of one view to the sensitivities of the stored values, in place.
 
     Parameters
     ----------
     splats, camera, footprints, colours
-        What the moments were measured on.
+        Inputs of `add_moments`.
     moments : (M, 13) float64
-        From `add_moments`, over all tiles. Overwritten: of a large view, two such arrays would take
-        as much as the scene.
+        Moments over all tiles, from `add_moments`; overwritten, because a second such array of a
+        large view would take as much memory as the scene.
     squares : (M,) float64
         Sum over pixels of the squared weight of each footprint.
 
     Returns
     -------
     (M, 13) float64
-        The array `moments`: by footprint, what `from_columns` names; sums over pixels, mean over
+        The array `moments` with the columns of `from_columns`: sums over pixels, means over
         channels.
     """
-    _map(
+    _moments_to_sensitivities(
         footprints.index,
-        footprints.places(),
+        footprints.row_order(),
         footprints.ellipse,
         squares,
         colours,

@@ -1,4 +1,4 @@
-"""Shading: the colours that splats show to a camera, from their SH coefficients."""
+"""Shading: colours of splats seen from a camera, from their SH coefficients."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _shade(
     higher: int,
     colours: NDArray[np.float32],
 ) -> None:
-    """Fill the colours of indexed splats seen from `position`, with `higher` bases above DC."""
+    """Write the colours of indexed splats seen from `position`, with `higher` bases above DC."""
     for row in range(len(index)):
         i = index[row]
         red = np.float32(sh.C0) * sh0[i, 0]
@@ -59,15 +59,15 @@ def _shade(
 def row_colours(
     splats: Splats, rows: NDArray[np.int32], camera: Camera, sh_degree: int | None = None
 ) -> NDArray[np.float32]:
-    """Return the colours that some splats show to a camera, clamped at 0.
+    """Return the colours of the splats `rows` seen from a camera, clamped at 0.
 
     Parameters
     ----------
     splats : Splats
     rows : (n,) int32
-        In any order.
+        Rows of the splats, in any order.
     camera : Camera
-        In the frame of the means.
+        Camera in the frame of the means.
     sh_degree : int or None
         Highest SH degree used; None for the scene's own.
 
@@ -91,30 +91,30 @@ def footprint_colours(
     rows: NDArray[np.int32] | None = None,
     sh_degree: int | None = None,
 ) -> NDArray[np.float32]:
-    """Return the colours of footprints in the order of the footprints, clamped at 0.
+    """Return the colours of footprints, in their order, clamped at 0.
 
-    The same as `row_colours` of the footprints' rows. SH coefficients are most of a scene's bytes:
-    read in ascending rows instead of nearest first, a million splats are shaded in a seventh of the
-    time.
+    The result equals `row_colours` of the footprints' rows. SH coefficients are most of a scene's
+    bytes: reading them by ascending rows instead of nearest first shades a million splats in a
+    seventh of the time.
 
     Parameters
     ----------
     splats : Splats
     camera : Camera
-        In the frame of the means.
+        Camera in the frame of the means.
     footprints : Footprints
-        M of them.
+        Footprints of M splats.
     rows : (n,) int32, optional
-        Ascending rows of the scene, where these were projected instead of all: the footprints'
-        `index` holds places in them.
+        Ascending rows of the scene that were projected, if not all; `Footprints.index` then holds
+        positions in `rows`.
     sh_degree : int or None
-        As in `row_colours`.
+        Highest SH degree used; None for the scene's own.
 
     Returns
     -------
     (M, 3) float32
     """
-    visible = footprints.ascending()
+    visible = footprints.sorted_rows()
     if rows is not None:
         visible = rows[visible]
     return row_colours(splats, visible, camera, sh_degree).take(footprints.order, axis=0)

@@ -1,4 +1,4 @@
-"""Tile lists: which footprints reach which 16x16 px tile of an image, nearest first."""
+"""Tile lists: the footprints that reach each 16x16 px tile of an image, nearest first."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from .projection import HALF_HEIGHT, HALF_WIDTH, SHEAR, Footprints, X, Y, slack
 
 TILE = 16
 
-# Most pairs of a tile and a splat that are listed at once. Bounds memory (4 bytes a pair here, 12
-# more while scoring) where huge splats cover every tile.
+# Pairs of a tile and a splat listed at once, at most. It bounds memory (4 bytes per pair here, 12
+# more while scoring) if huge splats cover every tile.
 _PAIRS_AT_ONCE = 1 << 24
-# Tiles differ in cost: with so many ranges per thread, no thread waits long for the last range.
+# Ranges of tiles per thread. Tiles differ in cost; several ranges keep all threads busy to the end.
 _RANGES_PER_THREAD = 4
 
 
 @dataclass(frozen=True, eq=False)
 class TileLists:
-    """Footprints that reach the tiles ``first`` to ``last``, half-open, numbered row by row.
+    """Footprints that reach each tile of a range; tiles are numbered row by row.
 
     Parameters
     ----------
     first, last : int
-        Range of tiles.
+        Half-open range of tiles.
     starts : (last - first + 1,) int64
-        Where each tile's run in `members` begins.
+        Start of each tile's run in `members`, and the end of the last run.
     members : (P,) int32
-        Rows of the footprints, nearest first inside each run.
+        Rows of the footprints, nearest first within each run.
     """
 
     first: int
@@ -51,14 +51,14 @@ class TileLists:
         return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
 
     def for_ranges(self, work: Callable[[int, int], object], threads: int) -> None:
-        """Call ``work(first, last)`` for ranges of tiles, on several threads, and wait for all.
+        """Call ``work(first, last)`` for half-open ranges of tiles on several threads.
 
         Parameters
         ----------
         work : callable
-            Takes the first tile and the one after the last; writes to arrays of its own.
+            Function of a range of tiles; calls may run in parallel.
         threads : int
-            At least 1.
+            Number of threads, at least 1.
         """
         parts = 1 if threads == 1 else threads * _RANGES_PER_THREAD
         for _ in ordered_map(lambda tiles: work(*tiles), self.split(parts), threads):
@@ -74,7 +74,7 @@ def _tile_columns(
     shear = float(ellipse[SHEAR])
     half_width, half_height = float(ellipse[HALF_WIDTH]), float(ellipse[HALF_HEIGHT])
     reach = math.sqrt(half_width * half_width + shear * shear * half_height * half_height)
-    # Offset of the row where the ellipse reaches furthest right; mirrored, furthest left.
+    # Offset of the row in which the ellipse extends furthest right; negated, furthest left.
     furthest = 0.0
     if reach > 0.0:
         furthest = shear * half_height * (half_height / reach)
@@ -130,7 +130,7 @@ def _fill(
     cursors: NDArray[np.int64],
     members: NDArray[np.int32],
 ) -> None:
-    """Append every footprint, in order, to the runs of its tiles."""
+    """Append every footprint, in order, to the runs of the tiles that it may reach."""
     top_tile = first // tiles_x
     bottom_tile = (last + tiles_x - 1) // tiles_x
     for i in range(len(ellipse)):
@@ -150,21 +150,21 @@ def _fill(
 def tile_lists(
     footprints: Footprints, width: int, height: int, pairs_at_once: int = _PAIRS_AT_ONCE
 ) -> Iterator[TileLists]:
-    """List the splats of every tile of an image, in bands of bounded memory.
+    """Yield the footprints of every tile of an image, in bands of bounded memory.
 
     Parameters
     ----------
     footprints : Footprints
-        Nearest first.
+        Footprints, nearest first.
     width, height : int
         Image size, px.
     pairs_at_once : int
-        A band ends before it would hold more pairs than this, but has at least one tile.
+        Pairs of a tile and a splat in a band at most; a single tile may exceed it.
 
     Yields
     ------
     TileLists
-        Together they cover every tile once; how they are cut depends on the view alone.
+        Consecutive ranges of tiles that cover the image; they depend on the view only.
     """
     tiles_x = -(-width // TILE)
     num_tiles = tiles_x * -(-height // TILE)
@@ -195,24 +195,24 @@ def tile_lists(
 
 @called_with("int32[::1], float32[:, ::1], float64[:, ::1], int64")
 @kernel
-def gather(
+def add_pair_sums(
     members: NDArray[np.int32],
     pair_sums: NDArray[np.float32],
     sums: NDArray[np.float64],
     peaks: int,
 ) -> None:
-    """Add what each tile measured of a footprint, in the order of the lists.
+    """Add the sums of each pair of a tile and a footprint to the footprint's sums.
 
     Parameters
     ----------
     members : (P,) int32
-        From `TileLists`.
+        Row of each pair's footprint, from `TileLists`.
     pair_sums : (P, K) float32
-        By pair of a tile and a footprint.
+        Sums of each pair.
     sums : (M, K) float64
-        By footprint; changed in place.
+        Sums of each footprint, changed in place.
     peaks : int
-        How many of the columns, the last ones, take the largest value instead of the sum.
+        Number of the last columns that hold maxima instead of sums.
     """
     columns = pair_sums.shape[1]
     for pair in range(len(members)):

@@ -279,7 +279,7 @@ def _view_scores(
     The columns are the largest array and stay in the order of the footprints.
     """
     return _ViewScores(
-        footprints.ascending(), sort_by_row(footprints, sums), footprints.places(), columns
+        footprints.sorted_rows(), sort_by_row(footprints, sums), footprints.row_order(), columns
     )
 
 

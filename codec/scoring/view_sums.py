@@ -112,7 +112,7 @@ def sort_by_row(footprints: Footprints, values: F64) -> F64:
     Returns
     -------
     (M, K) float64
-        Values in the order of `Footprints.ascending`.
+        Values in the order of `Footprints.sorted_rows`.
     """
     by_row = np.empty_like(values)
     _scatter(footprints.order, values, by_row)

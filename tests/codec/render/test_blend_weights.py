@@ -6,7 +6,7 @@ import numpy as np
 import oracle
 import pytest
 
-from cogsplat.codec.render.blend_weights import MOST_WEIGHTS, PEAK, SQUARE, WEIGHT, add_weights
+from cogsplat.codec.render.blend_weights import MAX_WEIGHTS, PEAK, SQUARE, WEIGHT, add_weights
 from cogsplat.codec.render.projection import project
 from cogsplat.codec.render.tiles import tile_lists
 
@@ -46,7 +46,7 @@ def test_neither_threads_nor_bands_change_the_sums():
 
 def test_no_pixel_blends_more_than_the_bound():
     alpha = 1 / 255
-    assert math.ceil(math.log(1e-4) / math.log(1 - alpha)) < MOST_WEIGHTS
+    assert math.ceil(math.log(1e-4) / math.log(1 - alpha)) < MAX_WEIGHTS
 
 
 def test_a_huge_top_k_counts_every_weight():

@@ -93,7 +93,7 @@ def test_footprints_and_colours_are_ours(config):
     seen = cuda_view(CudaScene(splats), camera, config)
     np.testing.assert_array_equal(seen.footprints.index, expected.index)
     np.testing.assert_array_equal(seen.footprints.order, expected.order)
-    np.testing.assert_array_equal(seen.footprints.ascending(), expected.ascending())
+    np.testing.assert_array_equal(seen.footprints.sorted_rows(), expected.sorted_rows())
     np.testing.assert_allclose(seen.footprints.ellipse, expected.ellipse, rtol=2e-3, atol=2e-4)
     assert np.abs(seen.footprints.rows - expected.rows).max() <= 1
     np.testing.assert_allclose(seen.colours, colours, atol=2e-6)

@@ -102,8 +102,8 @@ def test_without_a_kernel_flat_splats_vanish_instead_of_dividing_by_zero():
 def test_the_visible_rows_are_listed_in_ascending_order():
     splats = oracle.scene(6, n=60)
     footprints = project(splats, oracle.camera(), kernel_px=0.3, antialiased=False)
-    rows = footprints.ascending()
+    rows = footprints.sorted_rows()
     np.testing.assert_array_equal(rows, np.sort(footprints.index))
     np.testing.assert_array_equal(rows[footprints.order], footprints.index)
-    np.testing.assert_array_equal(footprints.index[footprints.places()], rows)
+    np.testing.assert_array_equal(footprints.index[footprints.row_order()], rows)
     assert (rows != footprints.index).any()
