@@ -41,7 +41,7 @@ class PreviewMaker(Protocol):
         ...
 
     def reserve(self, encoded: EncodedScene) -> EncodedScene:
-        """Return the scene with dummy preview chunks of the size that `add` will give them."""
+        """Return the scene with dummy preview chunks, of the largest size that `add` can make."""
         ...
 
 

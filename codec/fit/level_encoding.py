@@ -112,7 +112,7 @@ def encode_levels(
 def _scores(
     levels: LevelledSplats, cameras: Sequence[Camera], config: EncodeConfig, progress: Progress
 ) -> Scores:
-    """Return the scores of each splat at the last level that draws it."""
+    """Score each splat at the last level that draws it."""
     settings = PRESETS["balanced"].score_config(config.profile, threads=config.threads)
     merged: Scores | None = None
     count = len(levels.splats)

@@ -1,4 +1,4 @@
-"""Per-splat kernels of the backward pass: gradients w.r.t. values from those w.r.t. footprints.
+"""Per-splat kernels of the backward pass, from gradients of footprints to gradients of values.
 
 They differentiate the EWA projection (Zwicker et al. 2001; Kerbl et al. 2023, appendix A) and the
 spherical harmonics, in float64.

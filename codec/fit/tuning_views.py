@@ -1,4 +1,4 @@
-"""Views of a tuning run: to train in, to keep covered, to hold out and to measure in."""
+"""Views of a tuning run: training views, covering views, held-out views and test views."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ class TuningViews:
     Parameters
     ----------
     cameras : sequence of Camera
-        Views to train and to score in.
+        Views that the scene is trained and scored in.
     covering : sequence of Camera
         Views of regions that `cameras` hardly show.
     held_out : sequence of Camera
-        Views between cameras that nothing is trained in.
+        Views between cameras that training leaves out.
     test_views : sequence of Camera
-        Views to measure PSNR in; none of them is trained in where that can be.
+        Views that PSNR is measured in: held-out views where there are any.
     planned : bool
         Whether the views were planned because no cameras were given.
     """
@@ -46,7 +46,7 @@ def choose_tuning_views(
     threads: int = 0,
     progress: Progress = silent,
 ) -> TuningViews:
-    """Choose the views of a tuning run from given cameras, or plan them around the scene.
+    """Choose the views of a tuning run from given cameras, or plan views around the scene.
 
     Parameters
     ----------
@@ -55,12 +55,16 @@ def choose_tuning_views(
     cameras : sequence of Camera or None
         Given cameras; None plans views.
     test_views : sequence of Camera
-        Views to measure in where no view between given cameras can be held out; by default some
-        of the cameras.
+        Fallback for the test views, where no view between given cameras can be held out. By
+        default, a subset of the cameras.
     threads : int
         Number of threads, 0 for all cores.
     progress : Progress
-        Called with ``plan views`` where views are planned.
+        Receives the stage ``plan views`` where views are planned.
+
+    Returns
+    -------
+    TuningViews
 
     Raises
     ------
@@ -70,6 +74,6 @@ def choose_tuning_views(
     if cameras is not None:
         held_out = held_out_views(cameras)
         return TuningViews(cameras, (), held_out, held_out or test_views, planned=False)
-    # Quality is not measured where the scene is trained: it is better there.
+    # Quality in training views would be too optimistic: planned test views are separate.
     found = plan(splats, ViewPlanConfig(threads=threads), progress=progress)
     return TuningViews(found.views, found.covering_views, (), found.test_views, planned=True)
