@@ -16,7 +16,7 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.codec.views.view_sets import roam
 
-# SSIM's window (Wang et al. 2004) must fit.
+# Side of SSIM's window (Wang et al. 2004), px.
 _SMALLEST_SIDE = 11
 
 
@@ -27,10 +27,11 @@ class ViewQuality:
     Parameters
     ----------
     view : str
-        The camera's name.
+        Name of the camera.
     psnr_db : float
-        At most 100, which stands for identical.
+        PSNR, dB; 100 for identical images.
     ssim : float
+        SSIM.
     """
 
     view: str
@@ -44,8 +45,10 @@ class Comparison:
 
     Parameters
     ----------
-    held_out, roaming : tuple of ViewQuality
-        Of the cameras given, and of views off the capture path made from them (`view_sets.roam`).
+    held_out : tuple of ViewQuality
+        Quality in the given cameras.
+    roaming : tuple of ViewQuality
+        Quality in views off the capture path, derived from the cameras (`view_sets.roam`).
     """
 
     held_out: tuple[ViewQuality, ...]
@@ -66,17 +69,17 @@ class Comparison:
 
     @property
     def worst(self) -> ViewQuality:
-        """The held-out view of the lowest PSNR."""
+        """The held-out view with the lowest PSNR."""
         return min(self.held_out, key=lambda quality: quality.psnr_db)
 
 
 def mean_psnr_db(qualities: Sequence[ViewQuality]) -> float:
-    """Return the mean of the views' dB."""
+    """Return the mean PSNR of some views, dB."""
     return sum(quality.psnr_db for quality in qualities) / len(qualities)
 
 
 def mean_ssim(qualities: Sequence[ViewQuality]) -> float:
-    """Return the mean of the views' SSIM."""
+    """Return the mean SSIM of some views."""
     return sum(quality.ssim for quality in qualities) / len(qualities)
 
 
@@ -91,32 +94,37 @@ def view_qualities(
     progress: Progress = silent,
     stage: str = "compare",
 ) -> tuple[ViewQuality, ...]:
-    """Compare two scenes view by view, each rendered with the kernel that it states.
+    """Measure PSNR and SSIM between two scenes in each view.
+
+    Each scene is rendered with the kernel in its `Splats.info`.
 
     Parameters
     ----------
     reference, other : Splats
+        Scenes to compare.
     cameras : sequence of Camera
-        In the frame of the means; at least one, of 11 px a side or more.
+        Views in the scenes' world frame; at least one, with sides of at least 11 px.
     background : tuple of float
-        RGB behind the splats.
+        RGB colour of the background.
     ssim_border : str
         One of `metrics.SSIM_BORDERS`.
     threads : int
-        0 for all cores; the figures do not depend on it.
+        Number of threads, 0 for all cores; the results are equal for any number.
     progress : Progress
         Called with `stage`, views done and views.
+    stage : str
+        Name of the stage for `progress`.
 
     Returns
     -------
     tuple of ViewQuality
-        In the order of the cameras.
+        Quality in the order of the cameras.
 
     Raises
     ------
     DataError
-        ``no-cameras``; ``view-too-small``; ``cameras-see-nothing``: no view of the reference
-        shows anything but background.
+        ``no-cameras``; ``view-too-small``; ``cameras-see-nothing``: every view of the reference
+        shows background only.
     """
     from cogsplat.codec.render.rasteriser import RenderConfig, render
 
@@ -126,8 +134,8 @@ def view_qualities(
         if min(camera.width, camera.height) < _SMALLEST_SIDE:
             raise DataError(
                 "view-too-small",
-                f"camera {camera.name!r}: {camera.width}x{camera.height} px, expected at least "
-                f"{_SMALLEST_SIDE} a side to compare by",
+                f"camera {camera.name!r}: {camera.width}x{camera.height} px, expected sides of "
+                f"at least {_SMALLEST_SIDE} px",
             )
     configs = [
         RenderConfig(
@@ -142,22 +150,21 @@ def view_qualities(
     def measure(camera: Camera) -> tuple[ViewQuality, bool]:
         expected = render(reference, camera, configs[0])
         found = render(other, camera, configs[1])
-        shows = bool((expected != np.array(background, np.float32)).any())
-        likeness = ssim(expected, found, border=ssim_border)
-        return ViewQuality(camera.name, psnr(expected, found), likeness), shows
+        has_splats = bool((expected != np.array(background, np.float32)).any())
+        similarity = ssim(expected, found, border=ssim_border)
+        return ViewQuality(camera.name, psnr(expected, found), similarity), has_splats
 
     qualities: list[ViewQuality] = []
-    seen = False
+    any_splats = False
     progress(stage, 0, len(cameras))
-    for quality, shows in ordered_map(measure, cameras, thread_count(threads)):
+    for quality, has_splats in ordered_map(measure, cameras, thread_count(threads)):
         qualities.append(quality)
-        seen |= shows
+        any_splats |= has_splats
         progress(stage, len(qualities), len(cameras))
-    if not seen:
+    if not any_splats:
         raise DataError(
             "cameras-see-nothing",
-            f"{len(cameras)} views of the reference show nothing but background, expected some "
-            "splats in them",
+            f"{len(cameras)} views of the reference show background only, expected some splats",
         )
     return tuple(qualities)
 
@@ -172,7 +179,7 @@ def compare(
     threads: int = 0,
     progress: Progress = silent,
 ) -> Comparison:
-    """Compare two scenes on held-out cameras and on roaming views made from them.
+    """Measure PSNR and SSIM between two scenes in held-out cameras and in roaming views.
 
     Parameters
     ----------
@@ -184,6 +191,7 @@ def compare(
     Returns
     -------
     Comparison
+        Quality in every view.
 
     Raises
     ------

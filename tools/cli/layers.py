@@ -144,7 +144,7 @@ def layers(
     from cogsplat.codec.fit.initial_splats import splats_from_points
     from cogsplat.codec.fit.level_encoding import LevelEncoding, encode_levels
     from cogsplat.codec.fit.level_training import LevelsConfig, grow_levels, train_levels
-    from cogsplat.tools.evaluation.level_figures import compared, level_sizes
+    from cogsplat.tools.evaluation.level_figures import level_sizes, picture_figures
 
     points = find_points(scene)
     if points is not None and images is None:
@@ -209,7 +209,7 @@ def layers(
                 targets = [downscale_picture(picture, scale) for picture in full]
                 small = [downscale_camera(camera, scale) for camera in judged]
                 drawn = file.decode(level=sizes.level, threads=threads)
-                found.append((sizes, compared(drawn, small, targets, threads)))
+                found.append((sizes, picture_figures(drawn, small, targets, threads)))
                 stages("measure", sizes.level + 1, len(file.root.levels))
     if as_json:
         print_json(

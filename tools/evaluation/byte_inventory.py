@@ -1,4 +1,4 @@
-"""Byte counts of a COGS file: by chunk, and by kind of stream."""
+"""Byte counts of a COGS file by chunk, and by kind of stream."""
 
 from __future__ import annotations
 
@@ -19,22 +19,23 @@ from cogsplat.formats.cogs.layout import (
 from cogsplat.formats.cogs.reader import CogsFile
 
 _INDEX: Final = "index"
-_OF_CHUNKS: Final = (
+_CHUNK_KINDS: Final = (
     SegmentKind.HEAD, SegmentKind.REFINEMENT, SegmentKind.TAIL, SegmentKind.OPACITIES,
 )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class StoredSize:
-    """Bytes of one kind of stream, or one attribute, in one kind of segment, over the whole file.
+    """Bytes of one kind of stream, or one attribute, in all segments of one kind.
 
     Parameters
     ----------
     segment : str
-        The segment's kind, or ``index`` for all that is no stream.
+        Kind of the segments; ``index`` for bytes outside streams.
     label : str
-        Attribute, kind and flag (`StoredStream.label`); the name of an extra attribute.
+        Attribute, kind and flag of the stream (`StoredStream.label`), or an extra attribute.
     stored_bytes : int
+        Compressed size, bytes.
     """
 
     segment: str
@@ -42,7 +43,7 @@ class StoredSize:
     stored_bytes: int
 
     def report(self) -> dict[str, object]:
-        """Return the fields as JSON output has them."""
+        """Return the fields by their names in JSON output."""
         return {"segment": self.segment, "stream": self.label, "bytes": self.stored_bytes}
 
 
@@ -52,20 +53,26 @@ class ChunkSizes:
 
     Parameters
     ----------
-    number, splats : int
+    number : int
+        Number of the chunk.
+    splats : int
+        Number of its splats.
     head_bytes, head_offset : int
+        Size of the head and its offset in the file, bytes.
     refinement_bytes, refinement_offset, tail_bytes, tail_offset : int
-        0 where it has none.
+        Sizes and offsets of the refinement and the tail, bytes; 0 if the chunk has none.
     contribution : float
-        Sum over its splats.
-    share_of_contribution, share_so_far : float or None
-        Of the scene's, alone and with all chunks before; None where nothing was scored.
+        Sum of its splats' contributions.
+    share_of_contribution : float or None
+        Fraction of the scene's contribution; None if the scene was not scored.
+    share_so_far : float or None
+        Fraction of the scene's contribution in all chunks up to this one.
     object_label : int
-        Label of what it holds; 0 in scenes without objects.
+        Label of the chunk's object; 0 in scenes without objects.
     until : int
-        Chunks from which on a prefix does not draw it; 0 where all do.
+        Number of chunks in a prefix from which on the chunk is not drawn; 0 for always drawn.
     cell : int
-        Number of its cell of space (SPEC 5.4); 0 in scenes that are not cut into cells.
+        Number of the chunk's cell (SPEC 5.4); 0 in scenes without cells.
     """
 
     number: int
@@ -84,19 +91,19 @@ class ChunkSizes:
     cell: int
 
     def report(self) -> dict[str, object]:
-        """Return the fields as JSON output has them."""
+        """Return the fields by their names in JSON output."""
         fields = asdict(self)
         return {"object" if name == "object_label" else name: x for name, x in fields.items()}
 
 
 def format_version(file: CogsFile) -> str:
-    """Return the version of the format that a COGS file states, such as ``0.1``."""
+    """Return the format version of a COGS file, e.g. ``0.1``."""
     preamble = unpack_preamble(file.read_bytes(0, PREAMBLE_BYTES), file.name)
     return f"{preamble.major}.{preamble.minor}"
 
 
 def chunk_sizes(file: CogsFile) -> list[ChunkSizes]:
-    """Return a row for each chunk, in order."""
+    """Return the sizes of every chunk, in file order."""
     contribution = file.chunks.contribution
     total = float(contribution.sum())
     so_far = np.cumsum(contribution)
@@ -130,22 +137,21 @@ def chunk_sizes(file: CogsFile) -> list[ChunkSizes]:
 
 
 def stored_sizes(file: CogsFile, *, by_stream: bool = True) -> list[StoredSize]:
-    """Return the bytes of every kind of stream; their sum is the size of the file.
+    """Return the bytes of every kind of stream; the sum is the size of the file.
 
     Parameters
     ----------
     file : CogsFile
+        Open file, possibly a prefix. Missing segments are one row per kind; bytes behind the last
+        known segment are another row.
     by_stream : bool
-        Whether segments are read, which say what their streams take; otherwise each kind of
-        segment is one row, of which the index says enough.
-
-    Of a file that has not arrived whole, segments that are not there count as one row each kind,
-    and everything behind the last segment listed as one more.
+        Whether to read the segments and count their streams. If false, there is one row per kind
+        of segment, from the index alone.
 
     Raises
     ------
     CogsplatError
-        A segment cannot be read or breaks SPEC 5.7 or 6.
+        A segment cannot be read or violates SPEC 5.7 or 6.
     """
     found: dict[tuple[str, str], int] = defaultdict(int)
     segment_bytes = int(file.segments.length.sum(dtype=np.uint64))
@@ -193,7 +199,7 @@ def stored_sizes(file: CogsFile, *, by_stream: bool = True) -> list[StoredSize]:
 
 
 def _unlisted_bytes(file: CogsFile) -> int:
-    """Return the bytes behind the last segment listed, where pages of the index are missing."""
+    """Return the bytes behind the last known segment; 0 unless pages of the index are missing."""
     if file.source_bytes == file.file_length or not len(file.segments):
         return 0
     last = int((file.offsets + file.segments.length.astype(np.int64)).max())
@@ -201,19 +207,21 @@ def _unlisted_bytes(file: CogsFile) -> int:
 
 
 def _segment_name(number: int) -> str:
+    """Return the display name of a kind of segment."""
     if number >= SKIPPABLE_KIND:
         return f"kind {number}"
     return SegmentKind(number).name.lower().replace("_", " ")
 
 
 def _rows(file: CogsFile, kind: SegmentKind, owner: int) -> int:
-    if kind in _OF_CHUNKS:
+    """Return the number of rows in a segment's streams: splats or codebook entries."""
+    if kind in _CHUNK_KINDS:
         return int(file.chunks.splats[owner])
     return file.root.codebooks[owner].rows
 
 
 def _by_owner(file: CogsFile, kind: SegmentKind) -> dict[int, tuple[int, int]]:
-    """Return offset and length of the segments of a kind, by the chunk they belong to."""
+    """Return the offset and length of each segment of a kind, by number of its chunk."""
     rows = np.flatnonzero(file.segments.kind == kind)
     return {
         int(file.segments.owner[row]): (int(file.offsets[row]), int(file.segments.length[row]))

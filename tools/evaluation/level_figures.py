@@ -1,4 +1,4 @@
-"""What each level of a file takes, and how its pictures compare with what they stand for."""
+"""Sizes of a file's levels, and the quality of their renders."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.metrics import psnr, ssim
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
-from cogsplat.formats.cogs.layout import SegmentKind
+from cogsplat.formats.cogs.layout import CODEBOOK_KINDS, SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
 
 from .lpips import Lpips
@@ -22,20 +22,22 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class LevelSizes:
-    """What a reader of one level fetches.
+    """Splats and bytes that a reader of one level fetches.
 
     Parameters
     ----------
     level : int
+        Number of the level; 0 is the coarsest.
     scale : float
+        Width of full images divided by that of the level (SPEC 5.11).
     splats : int
-        That the level draws.
+        Splats drawn at the level.
     bytes_fetched : int
-        Preamble, root and pages, and the segments that the level takes.
+        Bytes of the preamble, root and pages, and of the level's segments.
     opacity_bytes : int
-        Of these, opacities that differ from those of lower levels.
+        Bytes among `bytes_fetched` of opacities that replace those of lower levels.
     left_out : int
-        Splats of lower levels that this one does not draw.
+        Splats of lower levels that are not drawn at this level.
     """
 
     level: int
@@ -46,12 +48,12 @@ class LevelSizes:
     left_out: int
 
     def report(self) -> dict[str, object]:
-        """Return the fields as JSON output has them."""
+        """Return the fields by their names in JSON output."""
         return asdict(self)
 
 
 def level_sizes(file: CogsFile) -> list[LevelSizes]:
-    """Return what each level of an open file takes."""
+    """Return the splats and bytes of each level of an open file."""
     segments, until = file.segments, file.chunks.until
     index = file.file_length - int(segments.length.sum(dtype=np.uint64))
     chunk_kinds = (
@@ -63,8 +65,8 @@ def level_sizes(file: CogsFile) -> list[LevelSizes]:
         drawn = own & ((until == 0) | (until > level.chunks))
         splats = int(file.chunks.splats[drawn].sum())
         of_chunk = np.isin(segments.kind, chunk_kinds)
-        taken = of_chunk & drawn[np.minimum(segments.owner, file.num_chunks - 1)]
-        books = np.isin(segments.kind, [3, 4, 5, 6])
+        of_drawn = of_chunk & drawn[np.minimum(segments.owner, file.num_chunks - 1)]
+        codebooks = np.isin(segments.kind, CODEBOOK_KINDS)
         opacities = 0
         for chunk in np.flatnonzero(drawn).tolist():
             first = sum(entry.chunks <= chunk for entry in file.root.levels)
@@ -75,7 +77,7 @@ def level_sizes(file: CogsFile) -> list[LevelSizes]:
                 level=number,
                 scale=level.scale,
                 splats=splats,
-                bytes_fetched=index + int(segments.length[taken | books].sum()) + opacities,
+                bytes_fetched=index + int(segments.length[of_drawn | codebooks].sum()) + opacities,
                 opacity_bytes=opacities,
                 left_out=int(file.chunks.splats[own & ~drawn].sum()),
             )
@@ -85,16 +87,18 @@ def level_sizes(file: CogsFile) -> list[LevelSizes]:
 
 @dataclass(frozen=True)
 class PictureFigures:
-    """How pictures compare with what they stand for.
+    """Quality of renders against target images, over several views.
 
     Parameters
     ----------
-    psnr_db, worst_psnr_db : float
-        Mean and least over the views.
+    psnr_db : float
+        Mean PSNR, dB.
+    worst_psnr_db : float
+        Lowest PSNR, dB.
     ssim : float
-        Mean over the views.
+        Mean SSIM.
     lpips : float or None
-        Mean over the views; None without weights, and for pictures that are too small for them.
+        Mean LPIPS; None without weights, or if an image is too small for the network.
     """
 
     psnr_db: float
@@ -103,12 +107,12 @@ class PictureFigures:
     lpips: float | None = None
 
     def report(self) -> dict[str, object]:
-        """Return the fields that were measured as JSON output has them, rounded."""
+        """Return the measured fields by their names in JSON output, rounded."""
         fields = asdict(self).items()
         return {name: round(value, 4) for name, value in fields if value is not None}
 
 
-def compared(
+def picture_figures(
     splats: Splats,
     cameras: Sequence[Camera],
     targets: Sequence[F32],
@@ -116,17 +120,20 @@ def compared(
     *,
     lpips: Lpips | None = None,
 ) -> PictureFigures:
-    """Return how the pictures of a scene compare with others of the same cameras.
+    """Render a scene and measure its quality against target images of the same cameras.
 
     Parameters
     ----------
     splats : Splats
+        Scene to render.
     cameras : sequence of Camera
+        Views.
     targets : sequence of (H, W, 3) float32
-        At least 11 px wide and high.
+        Target image of each view, at least 11 px wide and high.
     threads : int
+        Number of threads; 0 for all cores.
     lpips : Lpips, optional
-        Weights of the network to measure LPIPS with.
+        Network of LPIPS; None to skip LPIPS.
     """
     info = splats.info
     config = RenderConfig(kernel_px=info.kernel_px, antialiased=info.antialiased, threads=threads)
@@ -135,14 +142,16 @@ def compared(
         for camera, target in zip(cameras, targets, strict=True)
     ]
     decibels = [psnr(picture, target) for picture, target in pairs]
-    alike = [ssim(picture, target) for picture, target in pairs]
+    similarities = [ssim(picture, target) for picture, target in pairs]
     distance = None
     if lpips is not None and min(min(target.shape[:2]) for target in targets) >= (
         lpips.smallest_side
     ):
         distance = float(np.mean([_distance(lpips, *pair) for pair in pairs]))
-    return PictureFigures(float(np.mean(decibels)), min(decibels), float(np.mean(alike)), distance)
+    mean_ssim = float(np.mean(similarities))
+    return PictureFigures(float(np.mean(decibels)), min(decibels), mean_ssim, distance)
 
 
 def _distance(lpips: Lpips, picture: F32, target: F32) -> float:
+    """Return the LPIPS distance of two images."""
     return lpips.distance(lpips.features(picture), lpips.features(target))

@@ -1,7 +1,4 @@
-"""LPIPS, the perceptual distance of Zhang et al. 2018, with weights that the user provides.
-
-A forward pass in numpy: no framework is needed to read the weights or to use them.
-"""
+"""LPIPS, the perceptual distance of Zhang et al. 2018, in numpy, with user-provided weights."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from cogsplat.formats.storage.torch_file import read_state_dict
 
 F32 = NDArray[np.float32]
 
-# The paper's code (BSD licence): inputs from -1 to 1, moved and scaled per channel as ImageNet is.
+# From the paper's code (BSD licence): inputs from -1 to 1, normalised per channel as for ImageNet.
 _SHIFT: Final = np.array([-0.030, -0.088, -0.188], np.float32)
 _SCALE: Final = np.array([0.458, 0.448, 0.450], np.float32)
 _TINY: Final = np.float32(1e-10)
@@ -27,21 +24,24 @@ _TINY: Final = np.float32(1e-10)
 
 @dataclass(frozen=True)
 class _Net:
-    """Layers of a convolutional network up to its last feature layer.
+    """Architecture of a convolutional network up to its last feature layer.
 
     Parameters
     ----------
     name : str
+        ``alex`` or ``vgg``.
     blocks : tuple of int
-        Convolutions before each of the five layers that are compared; pooling lies between blocks.
+        Number of convolutions before each of the five feature layers.
     kernels : tuple of int
         Side of each convolution's kernel, px.
-    stride, pool : int
-        Of the first convolution; side of the pooling window, which moves by 2.
+    stride : int
+        Stride of the first convolution.
+    pool : int
+        Side of the pooling window, whose stride is 2.
     pooled : tuple of bool
-        Whether a block begins with pooling.
+        Whether each block begins with pooling.
     smallest_side : int
-        Of a picture that leaves something at the last layer, px.
+        Smallest image side for which the last layer is not empty, px.
     """
 
     name: str
@@ -53,7 +53,7 @@ class _Net:
     smallest_side: int
 
 
-# Krizhevsky 2014 ("one weird trick"), Simonyan and Zisserman 2015 (configuration D).
+# Sources: Krizhevsky 2014 ("one weird trick"), Simonyan and Zisserman 2015 (configuration D).
 _ALEX: Final = _Net(
     "alex", (1, 1, 1, 1, 1), (11, 5, 3, 3, 3), 4, 3, (False, True, True, False, False), 35
 )
@@ -65,14 +65,14 @@ _LINEAR: Final = re.compile(r"(?:lin|lins\.)(\d)\.model\.1\.weight")
 
 @dataclass(frozen=True, eq=False)
 class Lpips:
-    """A feature network with the learnt weights of LPIPS' channels.
+    """A feature network with the learnt channel weights of LPIPS.
 
     Parameters
     ----------
     name : str
         ``alex`` or ``vgg``.
     smallest_side : int
-        Of pictures, px.
+        Smallest image side that the network accepts, px.
     """
 
     name: str
@@ -83,22 +83,22 @@ class Lpips:
     _linear: tuple[F32, ...]
 
     def features(self, picture: NDArray[np.floating]) -> list[F32]:
-        """Return the feature layers of a picture, each normalised over its channels.
+        """Return the feature layers of an image, each normalised over its channels.
 
         Parameters
         ----------
         picture : (H, W, 3) float
-            Clipped to [0, 1] here; at least `smallest_side` a side.
+            Display colours, clipped to [0, 1]; each side at least `smallest_side` px.
 
         Returns
         -------
         list of (C, h, w) float32
-            Five.
+            Five feature layers.
         """
         if min(picture.shape[:2]) < self.smallest_side:
             raise ValueError(
-                f"picture of shape {picture.shape}, expected at least {self.smallest_side} px "
-                "a side"
+                f"image of shape {picture.shape}, expected sides of at least "
+                f"{self.smallest_side} px"
             )
         values = np.clip(np.asarray(picture, np.float32), 0.0, 1.0) * np.float32(2) - np.float32(1)
         layer: F32 = np.ascontiguousarray(((values - _SHIFT) / _SCALE).transpose(2, 0, 1))
@@ -109,10 +109,10 @@ class Lpips:
                 layer = _pool(layer, self._net.pool)
             for _ in range(block):
                 stride = self._net.stride if number == 0 else 1
-                # Kernels of 3 and 5 keep the size; AlexNet's first one has 2 px around.
-                around = 2 if number == 0 and stride > 1 else self._kernels[number].shape[2] // 2
+                # Kernels of 3 and 5 keep the size; AlexNet's first convolution pads by 2 px.
+                padding = 2 if number == 0 and stride > 1 else self._kernels[number].shape[2] // 2
                 layer = _convolve(
-                    layer, self._kernels[number], self._biases[number], stride, around
+                    layer, self._kernels[number], self._biases[number], stride, padding
                 )
                 np.maximum(layer, np.float32(0), out=layer)
                 number += 1
@@ -121,7 +121,7 @@ class Lpips:
         return found
 
     def distance(self, first: list[F32], second: list[F32]) -> float:
-        """Return the LPIPS distance of two pictures from their `features`; 0 for identical."""
+        """Return the LPIPS distance of two images from their `features`; 0 if identical."""
         total = 0.0
         for a, b, weights in zip(first, second, self._linear, strict=True):
             squares = np.square(a - b)
@@ -130,20 +130,20 @@ class Lpips:
 
 
 def read_lpips(path: Path) -> Lpips:
-    """Read the weights of LPIPS: the state dict of the paper's code, network included.
+    """Read the weights of LPIPS and its network: the state dict of the paper's code.
 
     Parameters
     ----------
     path : Path
-        What ``torch.save(lpips.LPIPS(net="alex").state_dict(), path)`` writes, ``vgg`` likewise, or
-        the same arrays as ``.npz``.
+        File of ``torch.save(lpips.LPIPS(net="alex").state_dict(), path)``, or of ``"vgg"``; or an
+        ``.npz`` with the same arrays.
 
     Raises
     ------
     StorageError
-        It cannot be read.
+        The file cannot be read.
     DataError
-        ``lpips-weights``: it is no such file, or arrays are missing or of another shape.
+        ``lpips-weights``: the format is unknown, or arrays are missing or of a wrong shape.
     """
     arrays = read_state_dict(path)
     layers: dict[int, dict[str, F32]] = {}
@@ -156,7 +156,7 @@ def read_lpips(path: Path) -> Lpips:
     pairs = [layers[number] for number in sorted(layers)]
     first = pairs[0].get("weight") if pairs else None
     net = _ALEX if first is not None and first.shape[-1] == _ALEX.kernels[0] else _VGG
-    _require(path, net, pairs, linear, arrays)
+    _check_shapes(path, net, pairs, linear, arrays)
     return Lpips(
         name=net.name,
         smallest_side=net.smallest_side,
@@ -167,13 +167,14 @@ def read_lpips(path: Path) -> Lpips:
     )
 
 
-def _require(
+def _check_shapes(
     path: Path,
     net: _Net,
     pairs: list[dict[str, F32]],
     linear: Mapping[int, F32],
     arrays: Mapping[str, F32],
 ) -> None:
+    """Raise ``lpips-weights`` unless all layers exist and have the network's shapes."""
     channels, ends = 3, np.cumsum(net.blocks).tolist()
     problem = ""
     if len(pairs) != len(net.kernels) or any(len(pair) != 2 for pair in pairs):
@@ -195,15 +196,15 @@ def _require(
     if problem:
         raise DataError(
             "lpips-weights",
-            f"{path}: {problem} among {len(arrays)} arrays, expected the whole state dict of "
+            f"{path}: {problem} in {len(arrays)} arrays, expected the whole state dict of "
             "LPIPS with AlexNet or VGG-16",
         )
 
 
-def _convolve(layer: F32, kernel: F32, bias: F32, stride: int, around: int) -> F32:
-    """Return the valid correlation of a padded layer, (O, h, w): a product per kernel pixel."""
+def _convolve(layer: F32, kernel: F32, bias: F32, stride: int, padding: int) -> F32:
+    """Return the convolution of a padded layer, (O, h, w): one matrix product per kernel pixel."""
     side = kernel.shape[2]
-    padded = np.pad(layer, ((0, 0), (around, around), (around, around)))
+    padded = np.pad(layer, ((0, 0), (padding, padding), (padding, padding)))
     height = (padded.shape[1] - side) // stride + 1
     width = (padded.shape[2] - side) // stride + 1
     out = np.empty((len(kernel), height * width), np.float32)

@@ -1,7 +1,8 @@
-"""What measuring a scene costs, in the unit of `codec.encode.stage_costs`.
+"""Estimated costs of measuring quality, in the unit of `codec.encode.stage_costs`.
 
-Progress of the whole work needs to know before: seconds of processor time of SSIM and PSNR were
-measured with pictures of 480x360 pixels, those of renders stand in that module.
+The overall progress bar needs the costs in advance. The costs of SSIM and PSNR are seconds of
+processor time, measured on images of 480x360 pixels; `codec.encode.stage_costs` has those of
+renders.
 """
 
 from __future__ import annotations
@@ -12,73 +13,78 @@ from typing import Final
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.progress import StageCost
 
-# PSNR and SSIM of a pixel.
-_LIKENESS: Final = 8.5e-7
-# Views away from the path that `view_sets.roam` makes of each camera.
-_ROAMING: Final = 2
+# Cost of PSNR and SSIM per pixel.
+_METRICS_COST: Final = 8.5e-7
+# Roaming views per camera that `view_sets.roam` makes.
+_ROAMING_VIEWS: Final = 2
 
 
 def comparison_costs(splats: int, cameras: Sequence[Camera]) -> list[StageCost]:
-    """Return what the stages of `view_quality.compare` cost.
+    """Return the costs of the stages of `view_quality.compare`.
 
     Parameters
     ----------
     splats : int
-        Of the reference.
+        Number of splats of the reference.
     cameras : sequence of Camera
-        At least one.
+        Test views, at least one.
     """
-    once = versions_cost(splats, cameras, 1, renders=2) / (1 + _ROAMING)
-    return [StageCost("held-out", once), StageCost("roam", _ROAMING * once)]
+    once = versions_cost(splats, cameras, 1, renders=2) / (1 + _ROAMING_VIEWS)
+    return [StageCost("held-out", once), StageCost("roam", _ROAMING_VIEWS * once)]
 
 
 def versions_cost(
     splats: int, cameras: Sequence[Camera], versions: int, *, renders: int = 1
 ) -> float:
-    """Return what it costs to measure versions of a scene as `Evaluator.measure` does.
+    """Return the cost of measuring versions of a scene in test views and roaming views.
 
     Parameters
     ----------
     splats : int
-        Of the largest.
+        Number of splats of the largest version.
     cameras : sequence of Camera
-        Test views, roaming views not among them; at least one.
+        Test views without roaming views, at least one.
     versions : int
+        Number of versions.
     renders : int
-        Of each view of each version.
+        Number of renders per version and view.
     """
     pixels = sum(camera.width * camera.height for camera in cameras)
-    return versions * (1 + _ROAMING) * (renders * _drawn(splats, cameras) + _LIKENESS * pixels)
+    per_version = renders * _render_cost(splats, cameras) + _METRICS_COST * pixels
+    return versions * (1 + _ROAMING_VIEWS) * per_version
 
 
 def references_cost(splats: int, cameras: Sequence[Camera]) -> float:
-    """Return what it costs to draw the views that versions are compared in, the roaming ones too.
+    """Return the cost of rendering the reference in test views and roaming views.
 
     Parameters
     ----------
     splats : int
+        Number of splats of the reference.
     cameras : sequence of Camera
-        Test views, roaming views not among them; at least one.
+        Test views without roaming views, at least one.
     """
-    return (1 + _ROAMING) * _drawn(splats, cameras)
+    return (1 + _ROAMING_VIEWS) * _render_cost(splats, cameras)
 
 
 def objects_cost(splats: int, cameras: Sequence[Camera], versions: int) -> float:
-    """Return what it costs to measure versions of a scene object by object.
+    """Return the cost of measuring versions of a scene object by object.
 
     Parameters
     ----------
     splats : int
-        Of the reference.
+        Number of splats of the reference.
     cameras : sequence of Camera
-        At least one.
+        Test views, at least one.
     versions : int
+        Number of versions.
     """
-    # The reference, and the labels of three objects in one picture.
-    return (versions + 2) * _drawn(splats, cameras)
+    # Two more renders: the reference, and the labels (of up to three objects per render).
+    return (versions + 2) * _render_cost(splats, cameras)
 
 
-def _drawn(splats: int, cameras: Sequence[Camera]) -> float:
+def _render_cost(splats: int, cameras: Sequence[Camera]) -> float:
+    """Return the cost of rendering some views once."""
     from cogsplat.codec.encode.stage_costs import render_cost
 
     return render_cost(splats, cameras)

@@ -1,4 +1,4 @@
-"""Quality of each object of a scene: PSNR over the pixels that the object covers."""
+"""Quality of each object of a scene: PSNR over the pixels covered by the object."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
-# A colour is 0.5 + C0 · sh0 in 3DGS: these two are one and zero.
-_ONE: Final = 0.5 / C0
+# Value of sh0 for white; its negative is black, because a colour is 0.5 + C0 · sh0 in 3DGS.
+_WHITE: Final = 0.5 / C0
 _CHANNELS: Final = 3
 
 Colour = tuple[float, float, float]
@@ -27,18 +27,18 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class ObjectQuality:
-    """PSNR of one object against the full scene.
+    """PSNR of one object against the reference.
 
     Parameters
     ----------
     object : int
-        Its label.
+        Label of the object.
     views : int
-        Test views that show it.
+        Number of test views that show the object.
     pixels : int
-        That it covers in all of them.
+        Number of pixels that the object covers in all views.
     psnr_db, worst_db : float or None
-        Over its pixels: the mean of those views and the lowest; None where no view shows it.
+        Mean and lowest PSNR over the views that show the object, dB; None if no view does.
     """
 
     object: int
@@ -51,23 +51,24 @@ class ObjectQuality:
 def object_pixels(
     splats: Splats, labels: NDArray[np.uint32], known: NDArray[np.uint32], camera: Camera
 ) -> NDArray[np.int32]:
-    """Say which object each pixel shows.
+    """Return the object that each pixel of a view shows.
 
     Parameters
     ----------
     splats : Splats
-        The full scene.
+        The reference.
     labels : (N,) uint32
-        Of its splats.
+        Object label of each splat.
     known : (L,) uint32
-        Labels to look for.
+        Labels of all objects.
     camera : Camera
+        The view.
 
     Returns
     -------
     (H, W) int32
-        Row of `known` whose splats have the largest sum of blend weights in the pixel; -1 where
-        what is left for the background is more than that.
+        Index into `known` of the object with the largest sum of blend weights in the pixel; -1 if
+        the background's weight is larger.
     """
     from cogsplat.codec.render.rasteriser import RenderConfig, render
 
@@ -77,16 +78,16 @@ def object_pixels(
     plain = splats.without_extras().with_sh_degree(0)
     weights = np.zeros((camera.height, camera.width, len(known)), np.float32)
     for start in range(0, len(known), _CHANNELS):
-        # Three labels in a picture: white in the channel of its own, black in the others, so that
-        # a pixel's colour is the sum of the weights.
-        some = known[start : start + _CHANNELS]
-        belongs = labels[:, None] == np.resize(some, _CHANNELS)
-        sh0 = np.where(belongs, _ONE, -_ONE).astype(np.float32)
+        # Render three objects at once, each white in one colour channel and black in the others, so
+        # that a channel of the image is the sum of an object's blend weights.
+        group = known[start : start + _CHANNELS]
+        in_group = labels[:, None] == np.resize(group, _CHANNELS)
+        sh0 = np.where(in_group, _WHITE, -_WHITE).astype(np.float32)
         picture = render(replace(plain, sh0=sh0), camera, config)
-        weights[..., start : start + len(some)] = picture[..., : len(some)]
-    most = weights.argmax(axis=2).astype(np.int32)
-    shown = np.take_along_axis(weights, most[..., None], axis=2)[..., 0]
-    return np.where(shown > 1.0 - weights.sum(axis=2), most, np.int32(-1))
+        weights[..., start : start + len(group)] = picture[..., : len(group)]
+    best = weights.argmax(axis=2).astype(np.int32)
+    best_weight = np.take_along_axis(weights, best[..., None], axis=2)[..., 0]
+    return np.where(best_weight > 1.0 - weights.sum(axis=2), best, np.int32(-1))
 
 
 def object_qualities(
@@ -103,27 +104,27 @@ def object_qualities(
     Parameters
     ----------
     reference : Splats
-        With labels in the attribute ``object``; its full render says which pixels an object has.
+        Scene with labels in the attribute ``object``; its renders define the objects' pixels.
     other : Splats
-        Its labels, if any, play no part.
+        Scene to measure; its labels, if any, are ignored.
     cameras : sequence of Camera
-        At least one.
+        Test views, at least one.
     background : tuple of float
-        RGB behind the splats.
+        RGB colour of the background.
     threads : int
-        0 for all cores; the figures do not depend on it.
+        Number of threads, 0 for all cores; the results are equal for any number.
     progress : Progress
         Called with the stage ``objects``, views done and views.
 
     Returns
     -------
     list of ObjectQuality
-        By rising label; label 0, of splats of no object, is among them.
+        Objects by ascending label, including label 0 for splats without an object.
 
     Raises
     ------
     DataError
-        ``no-objects`` or ``bad-objects`` as `labels_of`; ``no-cameras``.
+        ``no-objects`` or ``bad-objects``, see `labels_of`; ``no-cameras``.
     """
     return object_qualities_of(
         reference, [other], cameras, background=background, threads=threads, progress=progress
@@ -139,19 +140,21 @@ def object_qualities_of(
     threads: int = 0,
     progress: Progress = silent,
 ) -> list[list[ObjectQuality]]:
-    """Compare versions of a scene with it, object by object, as `object_qualities` does.
+    """Compare several versions of a scene with the reference, object by object.
 
     Parameters
     ----------
     reference : Splats
+        Scene with labels in the attribute ``object``.
     versions : sequence of Splats
+        Versions of the scene to measure.
     cameras, background, threads, progress
         See `object_qualities`.
 
     Returns
     -------
     list of list of ObjectQuality
-        Of each version, by rising label.
+        Objects of each version, by ascending label.
 
     Raises
     ------
@@ -165,7 +168,7 @@ def object_qualities_of(
     labels = objects.labels_of(reference)
     known = np.unique(labels)
 
-    def drawn(splats: Splats, camera: Camera) -> NDArray[np.float32]:
+    def draw(splats: Splats, camera: Camera) -> NDArray[np.float32]:
         config = RenderConfig(
             kernel_px=splats.info.kernel_px,
             antialiased=splats.info.antialiased,
@@ -176,11 +179,11 @@ def object_qualities_of(
 
     def measure(camera: Camera) -> list[list[tuple[int, float]]]:
         shown = object_pixels(reference, labels, known, camera)
-        expected = drawn(reference, camera)
+        expected = draw(reference, camera)
         masks = [shown == row for row in range(len(known))]
         found = []
         for version in versions:
-            picture = drawn(version, camera)
+            picture = draw(version, camera)
             found.append(
                 [
                     (int(mask.sum()), psnr(expected[mask], picture[mask]) if mask.any() else 0.0)
@@ -194,13 +197,13 @@ def object_qualities_of(
     for found in ordered_map(measure, cameras, thread_count(threads)):
         views.append(found)
         progress("objects", len(views), len(cameras))
-    return [_summed(known, [view[number] for view in views]) for number in range(len(versions))]
+    return [_over_views(known, [view[index] for view in views]) for index in range(len(versions))]
 
 
-def _summed(
+def _over_views(
     known: NDArray[np.uint32], views: Sequence[Sequence[tuple[int, float]]]
 ) -> list[ObjectQuality]:
-    """Return the quality of each object from its pixels and its PSNR in every view."""
+    """Combine each object's pixel count and PSNR over all views."""
     qualities = []
     for row, label in enumerate(known):
         own = [view[row] for view in views if view[row][0]]

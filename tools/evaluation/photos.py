@@ -1,4 +1,4 @@
-"""Photos of a scene, and the PSNR of renders against them."""
+"""Photos of a scene, and the PSNR of renders against the photos."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.formats.storage.pictures import read_picture
 from cogsplat.formats.storage.siblings import sibling
 
-# What cameras and training code write.
+# Image formats that cameras and training code write.
 _FORMATS = ("PNG", "JPEG", "WEBP")
 
 
 @dataclass(frozen=True, eq=False)
 class Photos:
-    """Photos of some views, and the PSNR of the source against them.
+    """Photos of some views, and the source scene's PSNR against the photos.
 
     Parameters
     ----------
     cameras : sequence of Camera
+        Views of the photos.
     pictures : sequence of (H, W, 3) uint8
-        One per camera, in its size.
+        Photo of each camera, of the camera's size.
     source_db : float
-        Mean PSNR of the source's renders against them.
+        Mean PSNR of the source's renders against the photos, dB.
     """
 
     cameras: Sequence[Camera]
@@ -45,10 +46,11 @@ class Photos:
         Parameters
         ----------
         splats : Splats
+            Scene to render.
         background : tuple of float
-            RGB behind the splats.
+            RGB colour of the background.
         threads : int
-            0 for all cores; the figure does not depend on it.
+            Number of threads, 0 for all cores; the result is equal for any number.
         """
         return _mean_psnr_db(splats, self.cameras, self.pictures, background, threads)
 
@@ -61,26 +63,29 @@ def read_photos(
     *,
     threads: int = 0,
 ) -> Photos:
-    """Read the photos of some views, by the cameras' names.
+    """Read one photo per camera, and measure the source scene's PSNR against the photos.
 
     Parameters
     ----------
     folder : Path
+        Folder of the photos, whose names are the cameras' names.
     splats : Splats
-        The source.
+        The source scene.
     cameras : sequence of Camera
-        At least one.
+        Views, at least one.
     background : tuple of float
+        RGB colour of the background.
     threads : int
+        Number of threads, 0 for all cores.
 
     Raises
     ------
     StorageError
         A photo is missing or cannot be read.
     DataError
-        ``photo``: it is no PNG, JPEG or WebP, or of another size than its camera.
+        ``photo``: a photo is no PNG, JPEG or WebP, or differs in size from its camera.
     FormatError
-        ``photo-name``: a camera's name leads out of `folder`.
+        ``photo-name``: a camera's name is a path outside `folder`.
     """
     pictures: list[NDArray[np.uint8]] = []
     for index, camera in enumerate(cameras):
@@ -99,6 +104,7 @@ def _mean_psnr_db(
     background: tuple[float, float, float],
     threads: int,
 ) -> float:
+    """Return the mean PSNR of a scene's renders against photos, dB."""
     from cogsplat.codec.render.rasteriser import RenderConfig, render
 
     config = RenderConfig(

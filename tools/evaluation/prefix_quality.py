@@ -1,4 +1,4 @@
-"""Quality of prefixes of a COGS file: PSNR and SSIM at several lengths."""
+"""Quality of prefixes of a COGS file: PSNR and SSIM at several sizes."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from cogsplat.codec.splats import Splats, empty
 
 from .photos import Photos
 
-SHARES: Final = (0.05, 0.1, 0.25, 0.5, 1.0)
-"""Shares of a file that are measured."""
+PREFIX_FRACTIONS: Final = (0.05, 0.1, 0.25, 0.5, 1.0)
+"""Sizes of the measured prefixes, as fractions of the file."""
 
 Colour = tuple[float, float, float]
 
@@ -29,15 +29,19 @@ class PrefixQuality:
     Parameters
     ----------
     share : float
-        Of the file.
-    size_bytes, splats : int
+        Size of the prefix, as a fraction of the file.
+    size_bytes : int
+        Size of the prefix, bytes.
+    splats : int
+        Number of splats in the prefix.
     held_out_db, worst_db, roam_db : float
-        PSNR; the mean over the test views, the lowest of them, and the mean over roaming views.
+        PSNR, dB: mean over the test views, lowest of the test views, mean over roaming views.
     held_out_ssim, worst_ssim, roam_ssim : float
-        Likewise.
+        SSIM: mean over the test views, SSIM of the view `worst_view`, mean over roaming views.
     worst_view : str
+        Name of the test view with the lowest PSNR.
     photos_db : float or None
-        Mean PSNR against photos, where there are any.
+        Mean PSNR against photos, dB; None without photos.
     """
 
     share: float
@@ -53,7 +57,7 @@ class PrefixQuality:
     photos_db: float | None
 
     def report(self) -> dict[str, object]:
-        """Return the fields as JSON output has them."""
+        """Return the fields by their names in JSON output."""
         figures = asdict(self)
         return {"bytes" if name == "size_bytes" else name: x for name, x in figures.items()}
 
@@ -61,20 +65,23 @@ class PrefixQuality:
 def decode_prefix(
     path: Path, size_bytes: int, *, compensate: bool = False, threads: int = 0
 ) -> Splats:
-    """Decode the complete chunks in the first bytes of a file, as after a broken transfer.
+    """Decode the complete chunks in the first bytes of a file.
 
     Parameters
     ----------
     path : Path
+        The COGS file.
     size_bytes : int
+        Size of the prefix, bytes.
     compensate : bool
         Whether prefix compensation is applied (SPEC 8.5).
     threads : int
+        Number of threads, 0 for all cores.
 
     Returns
     -------
     Splats
-        Without rows where the bytes end inside the index.
+        The decoded splats; none if the prefix ends inside the index.
     """
     try:
         with cogsplat.open(path, size_bytes=size_bytes) as file:
@@ -83,22 +90,24 @@ def decode_prefix(
         return empty(0)
 
 
-def decode_share(path: Path, share: float, *, threads: int = 0) -> Splats:
-    """Decode the complete chunks in the first bytes of a file, with prefix compensation.
+def decode_fraction(path: Path, fraction: float, *, threads: int = 0) -> Splats:
+    """Decode the complete chunks in a fraction of a file, with prefix compensation.
 
     Parameters
     ----------
     path : Path
-    share : float
-        Of the file, above 0 to 1.
+        The COGS file.
+    fraction : float
+        Size of the prefix, as a fraction of the file, above 0 and up to 1.
     threads : int
+        Number of threads, 0 for all cores.
 
     Returns
     -------
     Splats
-        Without rows where the bytes end inside the root.
+        The decoded splats; none if the prefix ends inside the index.
     """
-    size_bytes = int(share * path.stat().st_size)
+    size_bytes = int(fraction * path.stat().st_size)
     return decode_prefix(path, size_bytes, compensate=True, threads=threads)
 
 
@@ -112,22 +121,24 @@ def measure(
     threads: int = 0,
     progress: Progress = silent,
 ) -> list[PrefixQuality]:
-    """Measure prefixes of a file at `SHARES` of its length.
+    """Measure the quality of a file's prefixes at `PREFIX_FRACTIONS`.
 
     Parameters
     ----------
     path : Path
+        The COGS file.
     source : Splats
-        What it was encoded from.
+        Scene from which the file was encoded.
     cameras : sequence of Camera
-        Test views; at least one.
+        Test views, at least one.
     background : tuple of float
-        RGB behind the splats.
+        RGB colour of the background.
     photos : Photos, optional
+        Photos to measure against as well.
     threads : int
-        0 for all cores; the figures do not depend on it.
+        Number of threads, 0 for all cores; the results are equal for any number.
     progress : Progress
-        Called with ``measure``, lengths done and lengths.
+        Called with ``measure``, prefixes done and prefixes.
 
     Raises
     ------
@@ -136,24 +147,26 @@ def measure(
     """
     file_bytes = path.stat().st_size
     found: list[PrefixQuality] = []
-    progress("measure", 0, len(SHARES))
-    for share in SHARES:
-        part = decode_share(path, share, threads=threads)
-        seen = view_quality.compare(source, part, cameras, background=background, threads=threads)
+    progress("measure", 0, len(PREFIX_FRACTIONS))
+    for fraction in PREFIX_FRACTIONS:
+        prefix = decode_fraction(path, fraction, threads=threads)
+        compared = view_quality.compare(
+            source, prefix, cameras, background=background, threads=threads
+        )
         found.append(
             PrefixQuality(
-                share=share,
-                size_bytes=int(share * file_bytes),
-                splats=len(part),
-                held_out_db=view_quality.mean_psnr_db(seen.held_out),
-                worst_db=seen.worst.psnr_db,
-                roam_db=view_quality.mean_psnr_db(seen.roaming),
-                held_out_ssim=view_quality.mean_ssim(seen.held_out),
-                worst_ssim=seen.worst.ssim,
-                roam_ssim=view_quality.mean_ssim(seen.roaming),
-                worst_view=seen.worst.view,
-                photos_db=photos.psnr_db(part, background, threads=threads) if photos else None,
+                share=fraction,
+                size_bytes=int(fraction * file_bytes),
+                splats=len(prefix),
+                held_out_db=view_quality.mean_psnr_db(compared.held_out),
+                worst_db=compared.worst.psnr_db,
+                roam_db=view_quality.mean_psnr_db(compared.roaming),
+                held_out_ssim=view_quality.mean_ssim(compared.held_out),
+                worst_ssim=compared.worst.ssim,
+                roam_ssim=view_quality.mean_ssim(compared.roaming),
+                worst_view=compared.worst.view,
+                photos_db=photos.psnr_db(prefix, background, threads=threads) if photos else None,
             )
         )
-        progress("measure", len(found), len(SHARES))
+        progress("measure", len(found), len(PREFIX_FRACTIONS))
     return found

@@ -1,4 +1,4 @@
-"""Report on one encode: figures, plots and pictures in one self-contained HTML file."""
+"""Report on an encode: figures, plots and images in one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from cogsplat.tools.terminal.output import display_title, size_text
 
 from .byte_inventory import ChunkSizes, StoredSize, chunk_sizes, stored_sizes
 from .photos import Photos
-from .prefix_quality import SHARES, Colour, PrefixQuality, decode_share
+from .prefix_quality import PREFIX_FRACTIONS, Colour, PrefixQuality, decode_fraction
 
-AMPLIFIED: Final = 8
-"""What differences are multiplied by, so that they can be seen at all."""
+DIFFERENCE_GAIN: Final = 8
+"""Factor on differences, which would otherwise be invisible."""
 
-# Longest side of a picture in the report, px.
+# Longest side of an image in the report, px.
 _THUMBNAIL_PX: Final = 480
-# Views shown in full: the worst, the middle one and the best.
-_SHOWN: Final = 3
+# Number of views shown: the worst, the median and the best.
+_SHOWN_VIEWS: Final = 3
 
 _STYLE: Final = """
 :root{color-scheme:light dark;--ink:#1d2125;--soft:#5d666f;--line:#dfe3e7;--paper:#fff;
@@ -77,25 +77,27 @@ class ReportInput:
     Parameters
     ----------
     scene : Path
-        The source, by name.
+        Path of the source, for its name.
     source_bytes : int
-        Of its file.
+        Size of the source's file, bytes.
     source : Splats
+        The source scene.
     path : Path
         The COGS file.
     cameras : sequence of Camera
-        Test views; at least one.
+        Test views, at least one.
     test_views : str
-        What they are, in words.
+        Description of the test views, e.g. their origin.
     background : tuple of float
-        RGB behind the splats.
+        RGB colour of the background.
     photos : Photos or None
+        Photos of the test views.
     qualities : sequence of PrefixQuality
-        As the file's bytes arrive, the whole file last.
+        Quality at each of `PREFIX_FRACTIONS`; the whole file is last.
     settings : sequence of (str, str)
-        How it was encoded.
+        Name and value of each setting of the encode.
     threads : int
-        0 for all cores.
+        Number of threads, 0 for all cores.
     """
 
     scene: Path
@@ -112,16 +114,18 @@ class ReportInput:
 
 
 def write_report(
-    given: ReportInput, path: Path, *, force: bool = False, progress: Progress = silent
+    inputs: ReportInput, path: Path, *, force: bool = False, progress: Progress = silent
 ) -> int:
-    """Write a report and return its bytes.
+    """Write a report as an HTML file; return the file's size in bytes.
 
     Parameters
     ----------
-    given : ReportInput
+    inputs : ReportInput
+        Input of the report.
     path : Path
+        The output.
     force : bool
-        Replace an existing file.
+        Whether an existing file may be replaced.
     progress : Progress
         Called with ``report``.
 
@@ -133,71 +137,73 @@ def write_report(
         The COGS file cannot be read.
     """
     progress("report", 0, 1)
-    page = render_page(given).encode()
+    page = render_page(inputs).encode()
     with atomic_write(path, force=force) as file:
         file.write(page)
     progress("report", 1, 1)
     return len(page)
 
 
-def render_page(given: ReportInput) -> str:
+def render_page(inputs: ReportInput) -> str:
     """Return the report as an HTML document."""
-    with cogsplat.open(given.path) as file:
+    with cogsplat.open(inputs.path) as file:
         chunks, kept, predicted = chunk_sizes(file), file.root.splats, file.chunks.quality
         ends = [chunk.head_offset + chunk.head_bytes for chunk in chunks]
         sizes = stored_sizes(file)
     curve = [(end, float(db)) for end, db in zip(ends, predicted, strict=True) if db]
-    name = _escaped(display_title(given.scene))
+    name = _escaped(display_title(inputs.scene))
     sections = [
-        _tiles(given, kept, float(predicted[-1]) if len(predicted) else 0.0),
+        _tiles(inputs, kept, float(predicted[-1]) if len(predicted) else 0.0),
         "<h2>Quality as bytes arrive</h2>"
-        f"<p>PSNR against the source's own pictures in {_escaped(given.test_views)}; roaming "
-        "views stand back from those cameras and turn away. The predicted curve is what the "
-        "encoder wrote into the file, measured in views that it was given: of every chunk with "
-        "its tail, shown here where its head is complete.</p>",
-        f'<div class="plot">{_curves(given, curve)}</div>',
-        _quality_table(given.qualities),
+        f"<p>PSNR against the source's own pictures in {_escaped(inputs.test_views)}; roaming "
+        "views are farther back than these cameras and rotated. The predicted curve is the "
+        "estimate that the encoder stored in the file, from its own views. It includes every "
+        "chunk's tail, but is drawn at the end of the chunk's head.</p>",
+        f'<div class="plot">{_curves(inputs, curve)}</div>',
+        _quality_table(inputs.qualities),
         "<h2>Pictures</h2>"
-        f"<p>Source, decoded file, and their difference {AMPLIFIED} times enlarged.</p>",
-        *_pictures(given),
+        f"<p>Source, decoded file, and their difference times {DIFFERENCE_GAIN}.</p>",
+        *_pictures(inputs),
         "<h2>Where the bytes are</h2>",
         _attributes(sizes, kept),
         "<h2>Chunks</h2>",
         _chunks(chunks, ends, predicted),
         "<h2>Settings</h2>",
-        _table(["", ""], [[_escaped(a), _escaped(b)] for a, b in given.settings], left=2),
+        _table(["", ""], [[_escaped(a), _escaped(b)] for a, b in inputs.settings], left=2),
         f"<footer>cogsplat {_escaped(cogsplat.__version__)}</footer>",
     ]
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width,initial-scale=1">'
         f"<title>{name}: encode report</title><style>{_STYLE}</style></head>\n<body><main>"
-        f"<h1>{name}</h1><p>as {_escaped(display_title(given.path))}</p>\n"
+        f"<h1>{name}</h1><p>as {_escaped(display_title(inputs.path))}</p>\n"
         + "\n".join(sections)
         + "\n</main></body></html>\n"
     )
 
 
 def _escaped(text: str) -> str:
-    # Names of files and cameras may hold controls and halves of characters, which no page may.
+    """Escape text for HTML."""
+    # Names of files and cameras may contain control characters and lone surrogates.
     return escape(printable(text))
 
 
-def _tiles(given: ReportInput, kept: int, predicted_db: float) -> str:
-    size = given.path.stat().st_size
-    whole = given.qualities[-1]
+def _tiles(inputs: ReportInput, kept: int, predicted_db: float) -> str:
+    """Return the tiles with the main figures."""
+    size = inputs.path.stat().st_size
+    whole = inputs.qualities[-1]
     tiles = [
-        (size_text(size), f"{size / max(kept, 1):.2f} bytes a splat"),
-        (f"{given.source_bytes / size:.1f}×", f"smaller than {size_text(given.source_bytes)}"),
-        (f"{kept:,}", f"of {len(given.source):,} splats"),
+        (size_text(size), f"{size / max(kept, 1):.2f} bytes per splat"),
+        (f"{inputs.source_bytes / size:.1f}×", f"smaller than {size_text(inputs.source_bytes)}"),
+        (f"{kept:,}", f"of {len(inputs.source):,} splats"),
         (f"{whole.held_out_db:.2f} dB", f"test views, SSIM {whole.held_out_ssim:.4f}"),
         (f"{whole.worst_db:.2f} dB", f"worst view, {whole.worst_view}"),
         (f"{whole.roam_db:.2f} dB", "roaming views"),
     ]
     if predicted_db:
         tiles.append((f"{predicted_db:.2f} dB", "predicted by the encoder"))
-    if given.photos and whole.photos_db is not None:
-        lost = given.photos.source_db - whole.photos_db
+    if inputs.photos and whole.photos_db is not None:
+        lost = inputs.photos.source_db - whole.photos_db
         tiles.append((f"{whole.photos_db:.2f} dB", f"against photos, {lost:.2f} dB lost"))
     cells = (
         f'<div class="tile"><b>{_escaped(big)}</b><span>{_escaped(small)}</span></div>'
@@ -206,9 +212,11 @@ def _tiles(given: ReportInput, kept: int, predicted_db: float) -> str:
     return f'<div class="tiles">{"".join(cells)}</div>'
 
 
-def _curves(given: ReportInput, predicted: Sequence[tuple[int, float]]) -> str:
+def _curves(inputs: ReportInput, predicted: Sequence[tuple[int, float]]) -> str:
+    """Return the chart of PSNR by bytes received."""
+
     def points(of: Callable[[PrefixQuality], float | None]) -> tuple[tuple[float, float], ...]:
-        pairs = ((q.size_bytes, of(q)) for q in given.qualities if q.splats)
+        pairs = ((q.size_bytes, of(q)) for q in inputs.qualities if q.splats)
         return tuple((float(max(size, 1)), db) for size, db in pairs if db is not None)
 
     series = [
@@ -218,7 +226,7 @@ def _curves(given: ReportInput, predicted: Sequence[tuple[int, float]]) -> str:
     ]
     if predicted:
         series.append(Series("predicted", tuple((float(x), y) for x, y in predicted), look=6))
-    if given.photos:
+    if inputs.photos:
         series.append(Series("photos", points(lambda q: q.photos_db), look=3))
     return line_chart(
         "PSNR after the first bytes", "bytes received", "PSNR, dB", series,
@@ -227,6 +235,7 @@ def _curves(given: ReportInput, predicted: Sequence[tuple[int, float]]) -> str:
 
 
 def _quality_table(qualities: Sequence[PrefixQuality]) -> str:
+    """Return the table of the prefixes' quality."""
     rows = []
     for q in qualities:
         row = [
@@ -240,48 +249,54 @@ def _quality_table(qualities: Sequence[PrefixQuality]) -> str:
     return _table(heads, rows, left=0)
 
 
-def _pictures(given: ReportInput) -> list[str]:
+def _pictures(inputs: ReportInput) -> list[str]:
+    """Return rows of images: source, decoded file and difference; then prefixes of one view."""
     from cogsplat.codec.render.rasteriser import RenderConfig, render
 
-    whole = cogsplat.decode(given.path, threads=given.threads)
-    info = given.source.info
-    config = RenderConfig(info.kernel_px, info.antialiased, given.background, threads=given.threads)
+    whole = cogsplat.decode(inputs.path, threads=inputs.threads)
+    info = inputs.source.info
+    config = RenderConfig(
+        info.kernel_px, info.antialiased, inputs.background, threads=inputs.threads
+    )
     found = view_quality.view_qualities(
-        given.source, whole, given.cameras,
-        background=given.background, threads=given.threads,
+        inputs.source, whole, inputs.cameras,
+        background=inputs.background, threads=inputs.threads,
     )  # fmt: skip
     ranked = np.argsort([quality.psnr_db for quality in found], kind="stable")
-    places = np.unique(np.linspace(0, len(ranked) - 1, min(_SHOWN, len(ranked))).round())
+    ranks = np.unique(np.linspace(0, len(ranked) - 1, min(_SHOWN_VIEWS, len(ranked))).round())
     parts = []
-    for place in places.astype(int):
-        view = int(ranked[place])
-        camera, quality = given.cameras[view], found[view]
-        source, ours = render(given.source, camera, config), render(whole, camera, config)
-        what = {0: "worst view", len(ranked) - 1: "best view"}.get(int(place), "middle view")
+    for rank in ranks.astype(int):
+        view = int(ranked[rank])
+        camera, quality = inputs.cameras[view], found[view]
+        source, ours = render(inputs.source, camera, config), render(whole, camera, config)
+        what = {0: "worst view", len(ranked) - 1: "best view"}.get(int(rank), "median view")
         figures = [
             _figure(source, f"{what}, {camera.name}: source"),
             _figure(ours, f"decoded, PSNR {quality.psnr_db:.2f} dB, SSIM {quality.ssim:.4f}"),
-            _figure(np.abs(np.clip(source, 0, 1) - np.clip(ours, 0, 1)) * AMPLIFIED,
-                    f"difference ×{AMPLIFIED}"),
+            _figure(np.abs(np.clip(source, 0, 1) - np.clip(ours, 0, 1)) * DIFFERENCE_GAIN,
+                    f"difference ×{DIFFERENCE_GAIN}"),
         ]  # fmt: skip
         parts.append(_row(figures))
-    camera = given.cameras[int(ranked[len(ranked) // 2])]
+    camera = inputs.cameras[int(ranked[len(ranked) // 2])]
     strip = []
-    for quality_, share in zip(given.qualities, SHARES, strict=True):
-        part = decode_share(given.path, share, threads=given.threads)
-        text = f"{share:.0%}, {size_text(quality_.size_bytes)}: {len(part):,} splats"
-        strip.append(_figure(render(part, camera, config), text))
-    parts.append(f"<p>{_escaped(camera.name)} as the bytes arrive.</p>")
+    for prefix_quality, fraction in zip(inputs.qualities, PREFIX_FRACTIONS, strict=True):
+        prefix = decode_fraction(inputs.path, fraction, threads=inputs.threads)
+        size = size_text(prefix_quality.size_bytes)
+        text = f"{fraction:.0%}, {size}: {len(prefix):,} splats"
+        strip.append(_figure(render(prefix, camera, config), text))
+    parts.append(f"<p>{_escaped(camera.name)} from prefixes of the file.</p>")
     parts.append(_row(strip))
     return parts
 
 
 def _row(figures: Sequence[str]) -> str:
+    """Return figures side by side."""
     columns = f"grid-template-columns:repeat({len(figures)},minmax(0,1fr))"
     return f'<div class="row" style="{columns}">{"".join(figures)}</div>'
 
 
 def _figure(pixels: NDArray[np.floating], caption: str) -> str:
+    """Return a figure with an embedded PNG and a caption."""
     image = to_image(pixels)
     image.thumbnail((_THUMBNAIL_PX, _THUMBNAIL_PX))
     page = io.BytesIO()
@@ -295,6 +310,7 @@ def _figure(pixels: NDArray[np.floating], caption: str) -> str:
 
 
 def _attributes(sizes: Sequence[StoredSize], splats: int) -> str:
+    """Return the table of bytes by stream, largest first."""
     total = sum(size.stored_bytes for size in sizes)
     largest = max(size.stored_bytes for size in sizes)
     rows = [
@@ -308,13 +324,14 @@ def _attributes(sizes: Sequence[StoredSize], splats: int) -> str:
         ]
         for size in sorted(sizes, key=lambda size: -size.stored_bytes)
     ]
-    heads = ["segment", "stream", "bytes", "share", "bits a splat", ""]
+    heads = ["segment", "stream", "bytes", "share", "bits per splat", ""]
     return _table(heads, rows, left=2, meter=True)
 
 
 def _chunks(
     chunks: Sequence[ChunkSizes], ends: Sequence[int], predicted: NDArray[np.float32]
 ) -> str:
+    """Return the table of chunks."""
     rows = [
         [
             str(chunk.number),
@@ -329,8 +346,8 @@ def _chunks(
         for chunk, end, db in zip(chunks, ends, predicted, strict=True)
     ]
     heads = [
-        "chunk", "splats", "head B", "tail B", "B a splat", "head ends at", "contribution so far",
-        "predicted dB",
+        "chunk", "splats", "head B", "tail B", "B per splat", "head ends at",
+        "contribution so far", "predicted dB",
     ]  # fmt: skip
     return _table(heads, rows, left=0)
 
@@ -338,12 +355,24 @@ def _chunks(
 def _table(
     heads: Sequence[str], rows: Sequence[Sequence[str]], *, left: int, meter: bool = False
 ) -> str:
-    """Return an HTML table of cells that are escaped already."""
+    """Return an HTML table of escaped cells.
+
+    Parameters
+    ----------
+    heads : sequence of str
+        Headings of the columns; all empty for no heading.
+    rows : sequence of sequence of str
+        Cells, as HTML.
+    left : int
+        Number of left-aligned columns.
+    meter : bool
+        Whether the last column has bars.
+    """
 
     def tag(kind: str, column: int, text: str) -> str:
-        looks = "l" if column < left else ""
-        looks = "meter" if meter and kind == "td" and column == len(heads) - 1 else looks
-        return f"<{kind}{f' class={looks}' if looks else ''}>{text}</{kind}>"
+        css_class = "l" if column < left else ""
+        css_class = "meter" if meter and kind == "td" and column == len(heads) - 1 else css_class
+        return f"<{kind}{f' class={css_class}' if css_class else ''}>{text}</{kind}>"
 
     head = "".join(tag("th", c, text) for c, text in enumerate(heads)) if any(heads) else ""
     body = "".join(

@@ -1,4 +1,4 @@
-"""Statistics of a scene: ranges, moments, histograms, and how densely splats cover it."""
+"""Statistics of a scene: ranges, moments, histograms, and the density of its splats."""
 
 from __future__ import annotations
 
@@ -17,37 +17,36 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 BINS: Final = 24
-"""Bins of a histogram: one character each fits beside its numbers in a terminal."""
+"""Bins of a histogram; with one character per bin, it fits a terminal's line."""
 
-# Values beyond these quantiles fall into the outermost bins: one far splat would otherwise put all
-# others into one bin.
+# Low edge, median and high edge of histograms. Values beyond the edges fall into the outermost
+# bins: without this, one distant splat would move all other splats into one bin.
 _HISTOGRAM_QUANTILES: Final = (0.005, 0.5, 0.995)
 
-# Values that are widened to float64 at a time: 8 MiB.
+# Values converted to float64 at a time: 8 MiB.
 _BLOCK: Final = 1 << 20
 
-# Box of a scene for `fill_ratio`, as PlayCanvas' splat-transform takes it (type `LodStats` of its
-# API reference), so that the figures compare.
+# Quantiles of the bounding box for `fill_ratio`, as in PlayCanvas' splat-transform (type `LodStats`
+# of its API reference), so that the figures are comparable.
 _BOX_QUANTILES: Final = (0.01, 0.99)
 
 
 @dataclass(frozen=True, eq=False)
 class ValueStatistics:
-    """Statistics of one row of numbers; figures are of its finite values.
+    """Statistics of one attribute's values; NaN and ±inf are only counted.
 
     Parameters
     ----------
     count : int
-        Values, those that are not finite included.
+        Number of values, including NaN and ±inf.
     num_nan, num_infinite : int
-        Of these, NaN and ±inf.
+        Number of NaN values, and of ±inf.
     least, largest, mean, std, median : float or None
-        None where no value is finite. `std` divides by the count.
+        Statistics of the finite values; None if there are none. `std` is of the population.
     edges : (B+1,) float64
-        Edges of the bins, equally wide between the quantiles 0.5 % and 99.5 %. Without finite
-        values, both empty.
+        Edges of equal bins between the quantiles 0.5 % and 99.5 %; empty without finite values.
     histogram : (B,) int64
-        Finite values by bin; those beyond the edges are counted in the outermost bins.
+        Number of finite values per bin. The outermost bins include values beyond the edges.
     """
 
     count: int
@@ -68,22 +67,25 @@ class SceneStatistics:
 
     Parameters
     ----------
-    splats, sh_degree : int
+    splats : int
+        Number of splats.
+    sh_degree : int
+        SH degree, 0 to 3.
     nbytes : int
         Memory of the arrays, bytes.
     num_invalid : int
-        Rows that cannot be drawn (`Splats.invalid_rows`).
+        Number of rows that cannot be rendered (`Splats.invalid_rows`).
     opaque_share : float or None
-        Share of the splats with an opacity above 0.5; None without splats.
+        Fraction of splats with an opacity above 0.5; None without splats.
     fill_ratio : float or None
-        See `fill_ratio` returns it.
+        See the function `fill_ratio`.
     values : dict of str to ValueStatistics
-        By name, in this order: ``means.x`` to ``means.z``, ``scales.0`` to ``scales.2``,
-        ``quats.w`` to ``quats.z``, ``opacities``, ``sh0.r`` to ``sh0.b``, ``shN.1`` to the degree
-        (all coefficients and channels of a band), and derived from them ``opacities_unit``,
+        Statistics by name. Stored values come first: ``means.x`` to ``means.z``, ``scales.0`` to
+        ``scales.2``, ``quats.w`` to ``quats.z``, ``opacities``, ``sh0.r`` to ``sh0.b``, and one
+        entry per SH band from ``shN.1``. Derived values follow: ``opacities_unit``,
         ``scales_linear.max`` (scene units) and ``elongation`` (natural logarithm of the largest
-        scale by the middle one); then extra attributes as float32, ``extras.NAME``, or
-        ``extras.NAME.0`` and on.
+        scale divided by the middle one). Extra attributes are last: ``extras.NAME``, or
+        ``extras.NAME.0``, ``extras.NAME.1``, …
     """
 
     splats: int
@@ -96,17 +98,17 @@ class SceneStatistics:
 
 
 def statistics(splats: Splats, progress: Progress = silent) -> SceneStatistics:
-    """Return the statistics of a scene, non-finite values counted apart.
+    """Return the statistics of a scene's attributes.
 
     Parameters
     ----------
     splats : Splats
-        Any scene; rows that cannot be drawn are counted, not refused.
+        Any scene, including rows that cannot be rendered.
     progress : Progress
-        Stage ``statistics``, a step for each row of numbers.
+        Called with ``statistics``, attributes done and attributes.
     """
-    rows = _rows(splats)
-    # exp overflows to inf and inf - inf is NaN: both are what is counted here.
+    rows = _stored_values(splats)
+    # Overflowing exponentials are counted as inf, and inf - inf as NaN.
     with np.errstate(over="ignore", invalid="ignore"):
         ordered = np.sort(splats.scales, axis=1)
         opacities_unit = 1.0 / (1.0 + np.exp(-splats.opacities.astype(np.float64)))
@@ -131,7 +133,8 @@ def statistics(splats: Splats, progress: Progress = silent) -> SceneStatistics:
     )
 
 
-def _rows(splats: Splats) -> dict[str, F32]:
+def _stored_values(splats: Splats) -> dict[str, F32]:
+    """Return the stored values of a scene by name, one row per component or SH band."""
     rows: dict[str, F32] = {}
     for name, parts in (("means", "xyz"), ("scales", "012"), ("quats", "wxyz")):
         for column, part in enumerate(parts):
@@ -146,6 +149,7 @@ def _rows(splats: Splats) -> dict[str, F32]:
 
 
 def _extra_columns(splats: Splats) -> Iterator[tuple[str, Extra]]:
+    """Yield the name and the values of each component of the extra attributes."""
     for name, values in splats.extras.items():
         if values.ndim == 1:
             yield f"extras.{name}", values
@@ -155,27 +159,25 @@ def _extra_columns(splats: Splats) -> Iterator[tuple[str, Extra]]:
 
 
 def describe(values: F32) -> ValueStatistics:
-    """Return the statistics of some numbers.
+    """Return the statistics of an array.
 
     Parameters
     ----------
     values : (M,) float32
-        NaN and ±inf are counted and left out of the rest.
+        Values; NaN and ±inf are counted, and excluded from other figures.
     """
     finite = values[np.isfinite(values)]
     num_nan = int(np.isnan(values).sum())
     num_infinite = values.size - finite.size - num_nan
     if not finite.size:
-        nothing = np.zeros(0, np.int64)
-        return ValueStatistics(
-            values.size, num_nan, num_infinite, *(None,) * 5, np.zeros(0), nothing
-        )
-    # In float64, where neither a sum nor a square of float32 values overflows.
+        empty = np.zeros(0, np.int64)
+        return ValueStatistics(values.size, num_nan, num_infinite, *(None,) * 5, np.zeros(0), empty)
+    # Sums and squares of float32 values cannot overflow float64.
     mean = float(finite.mean(dtype=np.float64))
     square = sum(float(np.square(part - mean).sum()) for part in _wide(finite))
     low, median, high = (float(v) for v in np.quantile(finite, _HISTOGRAM_QUANTILES))
     edges = np.linspace(low, high, BINS + 1)
-    # Of width zero, all values are in the first bin.
+    # If the width is zero, all values go to the first bin.
     width = (high - low) / BINS
     histogram = np.zeros(BINS, np.int64)
     for part in _wide(finite):
@@ -196,28 +198,29 @@ def describe(values: F32) -> ValueStatistics:
 
 
 def _wide(values: F32) -> Iterator[F64]:
-    """Yield the values as float64 in blocks, so that shN of a large scene is not copied whole."""
+    """Yield an array as float64 in blocks, so that no second copy of a large shN is needed."""
     for start in range(0, len(values), _BLOCK):
         yield values[start : start + _BLOCK].astype(np.float64)
 
 
 def fill_ratio(splats: Splats) -> float | None:
-    """Return an estimate of how many splats a ray through the scene crosses.
+    """Estimate the number of splats that a ray through the scene crosses.
 
-    The areas of the splats' 1σ ellipses over their two largest scales, summed, divided by the mean
-    face area of the box between the 1 % and 99 % quantiles of the means, or by the median ellipse
-    where that is larger. Trained scenes have ones to hundreds; far more overwhelms a renderer.
+    The estimate is the total area of the splats' 1σ ellipses, divided by the mean face area of the
+    scene's bounding box. An ellipse spans the two largest scales. The box spans the 1 % to 99 %
+    quantiles of the means; the median ellipse replaces its face if that is larger. Trained scenes
+    reach 1 to some hundreds; a far larger number makes rendering slow.
 
     Returns
     -------
     float or None
-        inf where a scale is infinite; None where no row has finite means and scales that are not
-        NaN, or all ellipses vanish.
+        The ratio; inf if a scale is infinite. None if no row has finite means and valid scales, or
+        all areas are zero.
 
     Notes
     -----
-    Defined as ``fillRatio`` of PlayCanvas' splat-transform (type ``LodStats`` of its API
-    reference).
+    The definition is that of ``fillRatio`` in PlayCanvas' splat-transform (type ``LodStats`` of its
+    API reference).
     """
     usable = np.isfinite(splats.means).all(axis=1) & ~np.isnan(splats.scales).any(axis=1)
     if not usable.any():

@@ -102,7 +102,7 @@ class FileEvaluation:
     def stage_costs(self) -> list[StageCost]:
         """Return the expected cost of `measure`."""
         once = sum(cost.total() for cost in comparison_costs(len(self.source), self.cameras))
-        return [StageCost("measure", len(prefix_quality.SHARES) * once)]
+        return [StageCost("measure", len(prefix_quality.PREFIX_FRACTIONS) * once)]
 
     def measure(
         self, path: Path, *, threads: int = 0, progress: Progress = silent

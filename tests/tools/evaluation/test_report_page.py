@@ -14,7 +14,7 @@ from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.scoring import view_quality
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.tools.evaluation.byte_inventory import stored_sizes
-from cogsplat.tools.evaluation.prefix_quality import SHARES, decode_share, measure
+from cogsplat.tools.evaluation.prefix_quality import PREFIX_FRACTIONS, decode_fraction, measure
 from cogsplat.tools.pictures.png import to_image, write_png
 
 # Tags that HTML leaves open.
@@ -67,7 +67,7 @@ def test_a_report_stands_alone(run: Run, small: SmallScene, photos: Path, tmp_pa
     assert parser.open == []
     assert all(link.startswith("data:image/png;base64,") for link in parser.fetched)
     # Three views three times, and one as the bytes arrive.
-    assert len(parser.fetched) == 9 + len(SHARES)
+    assert len(parser.fetched) == 9 + len(PREFIX_FRACTIONS)
     for link in parser.fetched:
         data = base64.b64decode(link.removeprefix("data:image/png;base64,"))
         with Image.open(io.BytesIO(data)) as image:
@@ -95,7 +95,7 @@ def test_the_summary_shows_quality_at_several_lengths(
     arguments = ["encode", small.ply, tmp_path / "o.cogs", "--cameras", small.cameras]
     told = run(*arguments, "--eval-every", 4, "--measure")
     assert told.code == 0
-    assert all(f"{share:.0%}" in told.out for share in SHARES)
+    assert all(f"{share:.0%}" in told.out for share in PREFIX_FRACTIONS)
     assert "roam" in told.out
     assert "bits/splat" in told.out
     plain = run(*arguments, "--force")
@@ -107,7 +107,7 @@ def test_measures_agree_with_compare(small: SmallScene) -> None:
     cameras = hold_out(cogsplat.read_cameras(small.cameras), 4)[1]
     found = measure(small.cogs, source, cameras)
     size = small.cogs.stat().st_size
-    assert [q.size_bytes for q in found] == [int(share * size) for share in SHARES]
+    assert [q.size_bytes for q in found] == [int(share * size) for share in PREFIX_FRACTIONS]
     splats = [q.splats for q in found]
     assert splats == sorted(splats)
     whole = view_quality.compare(source, cogsplat.decode(small.cogs), cameras)
@@ -118,8 +118,8 @@ def test_measures_agree_with_compare(small: SmallScene) -> None:
 
 
 def test_a_share_is_what_the_first_bytes_hold(small: SmallScene) -> None:
-    assert len(decode_share(small.cogs, 0.001)) == 0
-    half = decode_share(small.cogs, 0.5)
+    assert len(decode_fraction(small.cogs, 0.001)) == 0
+    half = decode_fraction(small.cogs, 0.5)
     expected = cogsplat.decode(small.cogs, size_bytes=small.cogs.stat().st_size // 2)
     np.testing.assert_array_equal(half.means, expected.means)
     np.testing.assert_array_equal(half.shN, expected.shN)

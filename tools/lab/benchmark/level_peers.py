@@ -31,7 +31,7 @@ from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cogs import scene_writer as cogs
-from cogsplat.tools.evaluation.level_figures import PictureFigures, compared, level_sizes
+from cogsplat.tools.evaluation.level_figures import PictureFigures, level_sizes, picture_figures
 from cogsplat.tools.evaluation.lpips import Lpips, read_lpips
 from cogsplat.tools.pictures.svg_charts import Series, line_chart
 from cogsplat.tools.terminal.output import print_line, print_table
@@ -141,7 +141,7 @@ def judged(
         Judged(
             model,
             {
-                scale: compared(model.splats, small[scale], targets[scale], lpips=lpips)
+                scale: picture_figures(model.splats, small[scale], targets[scale], lpips=lpips)
                 for scale in config.scales
             },
         )
