@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from cogsplat.codec.segments import view_table
+from cogsplat.codec.segments import view_shares
 from cogsplat.codec.splats import MAX_EXTRA_COMPONENTS, MAX_EXTRAS, MAX_SH_DEGREE
 from cogsplat.codec.streams import (
     adaptive_step,
     byte_planes,
     grid,
-    limits,
+    payload_limits,
     records,
     refinement_bits,
     shn_transform,
@@ -28,7 +28,7 @@ from cogsplat.formats.cogs import (
     canonical_msgpack,
     decoded_rows,
     layout,
-    reader,
+    chunk_decoder,
     root,
 )
 from cogsplat.formats.storage.limits import Limits
@@ -247,7 +247,7 @@ def test_limits_are_the_constants():
         "end of the root, bytes": layout.MAX_ROOT_END,
         "file, bytes": layout.MAX_FILE_BYTES,
         "splats of a file": layout.MAX_SPLATS,
-        "splats of a chunk": limits.MAX_CHUNK_SPLATS,
+        "splats of a chunk": payload_limits.MAX_CHUNK_SPLATS,
         "segments of a file": layout.MAX_SEGMENTS,
         "index pages": layout.MAX_PAGES,
         "bytes of an index page": layout.MAX_PAGE_BYTES,
@@ -255,16 +255,16 @@ def test_limits_are_the_constants():
         "components of an attribute": MAX_EXTRA_COMPONENTS,
         "cameras": layout.MAX_CAMERAS,
         "levels of a scene": layout.MAX_LEVELS,
-        "viewpoints of a view table": view_table.MAX_VIEWS,
+        "viewpoints of a view table": view_shares.MAX_VIEWS,
         "nesting of root and pages": canonical_msgpack.MAX_DEPTH,
         "values of a msgpack map": canonical_msgpack.MAX_VALUES,
         "values of a map of cameras": layout.MAX_CAMERA_VALUES,
         "codebooks": layout.MAX_CODEBOOKS,
-        "rows of a codebook": limits.MAX_CODEBOOK_ROWS,
-        "streams of a payload": limits.MAX_STREAMS,
+        "rows of a codebook": payload_limits.MAX_CODEBOOK_ROWS,
+        "streams of a payload": payload_limits.MAX_STREAMS,
         "radix of a packed plane": max(byte_planes.DIGITS),
-        "bytes of a decoded plane": limits.MAX_PLANE_BYTES,
-        "zstd window, bytes": limits.MAX_WINDOW_BYTES,
+        "bytes of a decoded plane": payload_limits.MAX_PLANE_BYTES,
+        "zstd window, bytes": payload_limits.MAX_WINDOW_BYTES,
         "levels of a grid": grid.MAX_LEVELS,
         "levels of the cells of sorted means": sorted_means.MAX_CELLS,
         "coordinates of a basis stream": shn_transform.MAX_BASIS_ROWS,
@@ -304,7 +304,7 @@ def test_decoded_bytes_are_counted_as_stated():
         decoded_rows._HEAD_ROW_BYTES,
         decoded_rows.SCRATCH_ROW_BYTES,
         decoded_rows._SCRATCH_COORDINATE_BYTES,
-        reader._COMPENSATION_ROW_BYTES,
+        chunk_decoder._COMPENSATION_ROW_BYTES,
         canonical_msgpack.VALUE_BYTES,
     ):
         assert re.search(rf"(?<![\d,]){number}(?![\d,])", text), number

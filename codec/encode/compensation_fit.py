@@ -16,7 +16,7 @@ from cogsplat.codec.order.prefix_inflation import Inflation
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.scoring.reference_views import ReferenceViews
-from cogsplat.codec.segments.compensation import (
+from cogsplat.codec.segments.prefix_compensation import (
     OPACITY_STEP,
     SCALE_STEP,
     Compensation,

@@ -10,7 +10,7 @@ from cogsplat.codec.encode.profiles.near_lossless import NearLosslessBounds
 from cogsplat.codec.order import chunk_plan
 from cogsplat.codec.order.orders import OrderConfig, require_order
 from cogsplat.codec.rate.pruning import PruneConfig
-from cogsplat.codec.streams import limits
+from cogsplat.codec.streams.payload_limits import MAX_CHUNK_SPLATS
 from cogsplat.codec.threads import thread_count
 
 PROFILE_NAMES: Final = ("transform", "vq", "near-lossless")
@@ -155,9 +155,9 @@ class EncodeConfig:
         if self.profile not in PROFILE_NAMES:
             raise ValueError(f"profile {self.profile!r}, expected one of {PROFILE_NAMES}")
         require_order(self.order, self.ordering)
-        if not 1 <= self.chunk_splats <= limits.MAX_CHUNK_SPLATS:
+        if not 1 <= self.chunk_splats <= MAX_CHUNK_SPLATS:
             raise ValueError(
-                f"chunks of {self.chunk_splats} splats, expected 1 to {limits.MAX_CHUNK_SPLATS}"
+                f"chunks of {self.chunk_splats} splats, expected 1 to {MAX_CHUNK_SPLATS}"
             )
         if self.cells and self.chunk_splats < 2:
             raise ValueError("cells with chunks of 1 splat, expected at least 2")

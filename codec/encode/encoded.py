@@ -20,9 +20,9 @@ from cogsplat.codec.segments.codebooks import (
     decode_colour_codebook,
     decode_shape_codebook,
 )
-from cogsplat.codec.segments.compensation import Compensation
 from cogsplat.codec.segments.payloads import Payloads
-from cogsplat.codec.segments.view_table import ViewTable
+from cogsplat.codec.segments.prefix_compensation import Compensation
+from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.codec.splats import Splats
 
 

@@ -15,7 +15,7 @@ from cogsplat.codec.order.prefix_inflation import Inflation
 from cogsplat.codec.render.gradients import Gradient, gradient
 from cogsplat.codec.render.shading import row_colours
 from cogsplat.codec.scoring.reference_views import ReferenceViews
-from cogsplat.codec.segments.compensation import (
+from cogsplat.codec.segments.prefix_compensation import (
     OPACITY_STEP,
     SCALE_STEP,
     STRENGTH_STEP,

@@ -12,7 +12,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.executor import Executor
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.scoring.chunk_contributions import chunk_contributions
-from cogsplat.codec.segments.view_table import (
+from cogsplat.codec.segments.view_shares import (
     MAX_CODES,
     MAX_VIEWS,
     ViewTable,

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.streams.limits import MAX_CHUNK_SPLATS
+from cogsplat.codec.streams.payload_limits import MAX_CHUNK_SPLATS
 
 DEFAULT_CHUNK_SPLATS: Final = 16384
 """Default of the largest number of splats in a chunk."""

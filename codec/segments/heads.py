@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams import codebook_index, kinds
-from cogsplat.codec.streams.inputs import Inputs
 from cogsplat.codec.streams.records import Attribute
+from cogsplat.codec.streams.stream_inputs import Inputs
 
 from .codebooks import Codebook, ShapeCodebook, no_codebook
 from .stream_set import RefinementSet, StreamSet

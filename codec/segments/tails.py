@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.splats import MAX_SH_DEGREE
 from cogsplat.codec.streams import kinds
-from cogsplat.codec.streams.inputs import Inputs
 from cogsplat.codec.streams.records import Attribute
+from cogsplat.codec.streams.stream_inputs import Inputs
 
 from .bands import read_band
 from .codebooks import Codebook, ColourCodebook, no_codebook

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.errors import FormatError
 
-from .inputs import Inputs
+from .stream_inputs import Inputs
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import FormatError
 
 from . import zstd_frames
-from .limits import MAX_PLANE_BYTES
+from .payload_limits import MAX_PLANE_BYTES
 
 U8 = NDArray[np.uint8]
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import FormatError
 
 from . import grid_planes
-from .inputs import Inputs
 from .records import Attribute, Kind, StoredStream, Stream
+from .stream_inputs import Inputs
 
 F32 = NDArray[np.float32]
 U32 = NDArray[np.uint32]

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import FormatError
 
 from .grid import MAX_VALUE
-from .inputs import Inputs
 from .records import Attribute, Kind, StoredStream, Stream
+from .stream_inputs import Inputs
 
 F32 = NDArray[np.float32]
 

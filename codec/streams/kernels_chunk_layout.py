@@ -25,7 +25,7 @@ from .kernels_planes import (
     digits_in_byte,
     parse_frame,
 )
-from .limits import MAX_PLANE_BYTES
+from .payload_limits import MAX_PLANE_BYTES
 from .records import COMPONENTS, ESCAPE, Attribute, Kind
 
 I64 = NDArray[np.int64]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .kernels_bits import inner_exact, signed
-from .limits import MAX_PLANE_BYTES
+from .payload_limits import MAX_PLANE_BYTES
 
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]

@@ -24,8 +24,8 @@ from . import (
     swing_twist,
 )
 from .codebook_index import CodebookUse
-from .inputs import NO_INPUTS, Inputs
 from .records import INFINITIES, Attribute, Kind, StoredStream
+from .stream_inputs import NO_INPUTS, Inputs
 
 F32 = NDArray[np.float32]
 

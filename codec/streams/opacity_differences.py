@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from . import grid_planes, scalar
 from .grid import Grid
-from .inputs import Inputs
 from .records import Attribute, Kind, StoredStream, Stream
+from .stream_inputs import Inputs
 
 F32 = NDArray[np.float32]
 

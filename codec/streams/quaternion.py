@@ -13,8 +13,8 @@ from cogsplat.codec.errors import FormatError
 from . import grid as grids
 from . import grid_planes, scalar
 from .grid import ENTRY_BYTES, Grid
-from .inputs import Inputs
 from .records import ESCAPE, Attribute, Kind, StoredStream, Stream
+from .stream_inputs import Inputs
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]

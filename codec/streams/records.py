@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import FormatError, UnsupportedError
 
 from .byte_planes import LENGTH_MASK, pack_plane, unpack_plane
-from .limits import MAX_CHUNK_SPLATS, MAX_STREAMS
+from .payload_limits import MAX_CHUNK_SPLATS, MAX_STREAMS
 from .stored_planes import StoredPlanes, locate
 
 U8 = NDArray[np.uint8]

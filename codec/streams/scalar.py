@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from . import grid as grids
 from . import grid_planes, refinement_digits
 from .grid import ENTRY_BYTES, Grid
-from .inputs import Inputs
 from .records import ESCAPE, INFINITIES, Attribute, Kind, StoredStream, Stream
+from .stream_inputs import Inputs
 
 F32 = NDArray[np.float32]
 

@@ -12,8 +12,8 @@ from cogsplat.codec.errors import FormatError
 from . import grid as grids
 from . import grid_planes, refinement_digits
 from .grid import ENTRY_BYTES, Grid
-from .inputs import Inputs
 from .records import Attribute, Kind, StoredStream, Stream
+from .stream_inputs import Inputs
 
 F32 = NDArray[np.float32]
 

@@ -14,8 +14,8 @@ from cogsplat.codec.errors import FormatError
 
 from . import grid_planes
 from .codebook_index import CodebookUse
-from .inputs import Inputs
 from .records import Attribute, Kind, StoredStream, Stream
+from .stream_inputs import Inputs
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]

@@ -15,8 +15,8 @@ from . import bit_fields, refinement_bits
 from . import grid as grids
 from .adaptive_step import MAX_EXTRA_BITS, MODEL_BYTES, StepModel
 from .grid import ENTRY_BYTES, Grid
-from .inputs import Inputs
 from .records import Attribute, Kind, StoredStream, Stream
+from .stream_inputs import Inputs
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]

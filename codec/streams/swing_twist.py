@@ -13,8 +13,8 @@ from cogsplat.codec.geometry import rotations
 from . import adaptive_step as step_models
 from . import bit_fields
 from .adaptive_step import MAX_EXTRA_BITS, MODEL_BYTES, StepModel
-from .inputs import Inputs
 from .records import Attribute, Kind, StoredStream, Stream
+from .stream_inputs import Inputs
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

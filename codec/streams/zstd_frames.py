@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.errors import FormatError
 
-from .limits import MAX_WINDOW_BYTES
+from .payload_limits import MAX_WINDOW_BYTES
 
 U64 = NDArray[np.uint64]
 

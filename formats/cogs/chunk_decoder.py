@@ -17,11 +17,11 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.segments import codebooks
 from cogsplat.codec.segments.attributes import unpack_attributes
 from cogsplat.codec.segments.chunk_sets import equivalent_prefixes, is_closed
-from cogsplat.codec.segments.chunks import decode_chunk
 from cogsplat.codec.segments.codebooks import Codebook
-from cogsplat.codec.segments.compensation import Compensation, Layer
 from cogsplat.codec.segments.opacities import decode_opacities
-from cogsplat.codec.segments.view_table import ViewTable
+from cogsplat.codec.segments.prefix_compensation import Compensation, Layer
+from cogsplat.codec.segments.view_shares import ViewTable
+from cogsplat.codec.segments.whole_chunk import decode_chunk
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
 from cogsplat.codec.streams import decoding_tiers
 from cogsplat.codec.threads import ordered_map, thread_count

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cogsplat.codec.errors import LimitError
-from cogsplat.codec.segments.compensation import (
+from cogsplat.codec.segments.prefix_compensation import (
     MAX_CODE_BITS,
     Layer,
     code_bits,

@@ -9,7 +9,7 @@ import numpy as np
 
 from cogsplat.codec.segments.attributes import AttributeType
 from cogsplat.codec.splats import Splats, sh_coefficients
-from cogsplat.codec.streams.limits import MAX_PLANE_BYTES
+from cogsplat.codec.streams.payload_limits import MAX_PLANE_BYTES
 from cogsplat.codec.streams.shn_transform import MAX_BASIS_ROWS
 
 from .root import Root

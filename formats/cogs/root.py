@@ -20,7 +20,7 @@ from cogsplat.codec.splats import (
     MAX_SH_DEGREE,
     SceneInfo,
 )
-from cogsplat.codec.streams.limits import MAX_CHUNK_SPLATS, MAX_CODEBOOK_ROWS
+from cogsplat.codec.streams.payload_limits import MAX_CHUNK_SPLATS, MAX_CODEBOOK_ROWS
 
 from . import layout
 from .canonical_msgpack import Value

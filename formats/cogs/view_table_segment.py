@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cogsplat.codec.errors import LimitError
-from cogsplat.codec.segments.view_table import MAX_VIEWS, ViewTable, pack_codes, unpack_codes
+from cogsplat.codec.segments.view_shares import MAX_VIEWS, ViewTable, pack_codes, unpack_codes
 from cogsplat.codec.streams.byte_planes import LENGTH_MASK
 
 from . import canonical_msgpack

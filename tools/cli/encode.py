@@ -22,7 +22,7 @@ from cogsplat.codec.partition.nested_cells import DEFAULT_CELL_SPLATS
 from cogsplat.codec.progress import Progress
 from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.streams.limits import MAX_CHUNK_SPLATS
+from cogsplat.codec.streams.payload_limits import MAX_CHUNK_SPLATS
 from cogsplat.codec.threads import thread_count
 from cogsplat.codec.workspace import Workspace
 from cogsplat.formats.scenes.memory_cap import working_memory

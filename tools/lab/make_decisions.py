@@ -15,7 +15,7 @@ import numpy as np
 
 from cogsplat.codec.geometry.rotations import matrices
 from cogsplat.codec.partition.nested_cells import parents
-from cogsplat.codec.segments.view_table import ViewTable
+from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.tools.lab.scheduling import chunk_ratios
 from cogsplat.tools.lab.scheduling.poses import Pose, path
 from cogsplat.tools.lab.scheduling.scheduler import Holdings, Scheduler, Unit

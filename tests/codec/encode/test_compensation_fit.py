@@ -21,7 +21,7 @@ from cogsplat.codec.order.marginal_gain import GainConfig, gain_order
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.scoring.reference_views import render_references
-from cogsplat.codec.segments.compensation import Compensation
+from cogsplat.codec.segments.prefix_compensation import Compensation
 
 _COUNTS = (40, 50, 60, 90, 130, 130)
 

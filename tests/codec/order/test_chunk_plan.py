@@ -11,7 +11,7 @@ from cogsplat.codec.order.chunk_plan import (
     plan_chunks,
     sort_runs,
 )
-from cogsplat.codec.streams.limits import MAX_CHUNK_SPLATS
+from cogsplat.codec.streams.payload_limits import MAX_CHUNK_SPLATS
 
 
 def sizes(splats, *largest):

@@ -15,7 +15,7 @@ from cogsplat.codec.streams.byte_planes import (
     pack_plane,
     unpack_plane,
 )
-from cogsplat.codec.streams.limits import MAX_PLANE_BYTES, MAX_WINDOW_BYTES
+from cogsplat.codec.streams.payload_limits import MAX_PLANE_BYTES, MAX_WINDOW_BYTES
 
 MAGIC = bytes.fromhex("28b52ffd")
 

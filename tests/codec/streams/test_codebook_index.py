@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from streamed import refused, stored
 
 from cogsplat.codec.streams import codebook_index, kinds
-from cogsplat.codec.streams.inputs import Inputs
 from cogsplat.codec.streams.records import Attribute, Kind, Stream
+from cogsplat.codec.streams.stream_inputs import Inputs
 
 checked = settings(derandomize=True, deadline=None, max_examples=100)
 

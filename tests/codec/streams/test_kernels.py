@@ -11,7 +11,7 @@ from encoding import encode, unseen
 
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.codec.geometry import rotations
-from cogsplat.codec.segments.chunks import decode_chunk
+from cogsplat.codec.segments.whole_chunk import decode_chunk
 from cogsplat.codec.splats import empty
 from cogsplat.codec.streams import (
     chunk_arrays,

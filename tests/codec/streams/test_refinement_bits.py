@@ -7,8 +7,8 @@ from cogsplat.codec.errors import FormatError
 from cogsplat.codec.streams import kinds, records, refinement_bits, scale_differences, sorted_means
 from cogsplat.codec.streams.adaptive_step import StepModel
 from cogsplat.codec.streams.grid import Grid
-from cogsplat.codec.streams.inputs import Inputs
 from cogsplat.codec.streams.records import Stream
+from cogsplat.codec.streams.stream_inputs import Inputs
 
 COARSE = StepModel((0.5, 1.0, 0.5, -0.25, 0.75, 0.25))
 

@@ -6,8 +6,8 @@ import pytest
 from cogsplat.codec.errors import FormatError
 from cogsplat.codec.streams import grid_planes, kinds, records, refinement_digits
 from cogsplat.codec.streams.grid import Grid
-from cogsplat.codec.streams.inputs import Inputs
 from cogsplat.codec.streams.records import Attribute, Kind, Stream
+from cogsplat.codec.streams.stream_inputs import Inputs
 
 f32 = np.float32
 ROWS = 200

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tracing import start_tracing
 
 from cogsplat.codec.errors import CogsplatError, FormatError, LimitError
-from cogsplat.codec.segments.compensation import Layer, pack_codes, unpack_codes
+from cogsplat.codec.segments.prefix_compensation import Layer, pack_codes, unpack_codes
 from cogsplat.formats.cogs.compensation_segment import pack_layer, unpack_layer
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import FileSource

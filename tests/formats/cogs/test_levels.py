@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from levelled import STEP, levelled_file, levelled_scene
 
-from cogsplat.codec.segments.compensation import Compensation, Layer
+from cogsplat.codec.segments.prefix_compensation import Compensation, Layer
 from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.formats.cogs.findings import findings
 from cogsplat.formats.cogs.layout import SegmentKind

@@ -4,7 +4,7 @@ import pytest
 import cogsplat
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.errors import FormatError, LimitError, TruncatedError
-from cogsplat.codec.segments.view_table import ViewTable
+from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.verification import checks
 from cogsplat.formats.cogs.view_table_segment import pack_view_table, unpack_view_table

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.segments.view_table import ViewTable
+from cogsplat.codec.segments.view_shares import ViewTable
 
 from .boxes import in_pyramid, middle_depths, picture_shares
 from .poses import Pose, cross, dot

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.metrics import psnr, ssim
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.codec.segments.view_table import ViewTable
+from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import sample_evenly
 from cogsplat.formats.cogs.reader import CogsFile

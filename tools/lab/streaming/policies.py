@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.segments.view_table import ViewTable, share_codes, stored_directions
+from cogsplat.codec.segments.view_shares import ViewTable, share_codes, stored_directions
 from cogsplat.tools.lab.scheduling.chunk_ratios import PoseRatios, by_sgss, over_usual
 from cogsplat.tools.lab.scheduling.poses import Pose
 from cogsplat.tools.lab.scheduling.scheduler import urgencies

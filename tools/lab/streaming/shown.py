@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.partition.nested_cells import parents
 from cogsplat.codec.segments.chunk_sets import equivalent_prefixes, is_closed
-from cogsplat.codec.segments.compensation import Compensation
+from cogsplat.codec.segments.prefix_compensation import Compensation
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile

@@ -6,8 +6,8 @@ from cogsplat.codec.geometry import morton
 from cogsplat.codec.segments.opacities import MAX_LOGIT
 from cogsplat.codec.streams import grid as grids
 from cogsplat.codec.streams import kinds, records
-from cogsplat.codec.streams.inputs import Inputs
 from cogsplat.codec.streams.records import Kind
+from cogsplat.codec.streams.stream_inputs import Inputs
 
 
 def read(stream, columns):

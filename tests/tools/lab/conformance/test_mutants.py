@@ -4,7 +4,7 @@ import msgpack
 import pytest
 from mutants import Mutant, apply, outcome, told, vectors_of
 
-from cogsplat.codec.segments import compensation
+from cogsplat.codec.segments import prefix_compensation
 from cogsplat.codec.streams import zstd_frames
 from cogsplat.formats.cogs import (
     canonical_msgpack,
@@ -252,7 +252,7 @@ READER = [
     ),
     Mutant(
         "a shift of 0 is not added",
-        compensation.Compensation.apply_each,
+        prefix_compensation.Compensation.apply_each,
         "shifts = self.shifts_of(chunks[is_part], prefixes[is_part])",
         "shifts = self.shifts_of(chunks[is_part], prefixes[is_part])\n"
         "    if not shifts.any():\n        return splats",

@@ -1,6 +1,6 @@
 import numpy as np
 
-from cogsplat.codec.segments.view_table import ViewTable, share_codes
+from cogsplat.codec.segments.view_shares import ViewTable, share_codes
 from cogsplat.tools.lab.scheduling.chunk_ratios import (
     LEAST_RATIO,
     along,

@@ -6,8 +6,8 @@ from encoding import encode, unseen
 
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
-from cogsplat.codec.segments.chunks import decode_chunk
 from cogsplat.codec.segments.codebooks import decode_colour_codebook, decode_shape_codebook
+from cogsplat.codec.segments.whole_chunk import decode_chunk
 from cogsplat.codec.splats import empty
 from cogsplat.codec.streams import decoding_tiers
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.errors import FormatError
-from cogsplat.codec.segments.view_table import (
+from cogsplat.codec.segments.view_shares import (
     ViewTable,
     pack_codes,
     share_codes,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.streams.byte_planes import pack_plane, unpack_plane
-from cogsplat.codec.streams.limits import MAX_PLANE_BYTES
+from cogsplat.codec.streams.payload_limits import MAX_PLANE_BYTES
 
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
@@ -67,7 +67,7 @@ def share_codes(shares: F64) -> U8:
     Examples
     --------
     >>> import numpy as np
-    >>> from cogsplat.codec.segments.view_table import share_codes
+    >>> from cogsplat.codec.segments.view_shares import share_codes
     >>> share_codes(np.array([0.0, 0.25, 0.26, 1.0])).tolist()
     [0, 250, 250, 254]
     """

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cogsplat.codec.segments.compensation import (
+from cogsplat.codec.segments.prefix_compensation import (
     Compensation,
     Layer,
     code_bits,
