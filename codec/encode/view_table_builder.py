@@ -16,8 +16,8 @@ from cogsplat.codec.segments.view_shares import (
     MAX_CODES,
     MAX_VIEWS,
     ViewTable,
-    share_codes,
-    stored_directions,
+    encode_shares,
+    quantise_directions,
 )
 from cogsplat.codec.views.view_clusters import view_clusters
 from cogsplat.codec.views.view_sets import sample_evenly
@@ -107,8 +107,8 @@ def add_view_table(
     directions = np.where(lengths > 0.5, directions / np.maximum(lengths, 0.5), first)
     table = ViewTable(
         np.stack([positions[cluster].mean(axis=0) for cluster in clusters]).astype(np.float32),
-        stored_directions(directions),
-        share_codes(np.stack([shares[cluster].mean(axis=0) for cluster in clusters])),
+        quantise_directions(directions),
+        encode_shares(np.stack([shares[cluster].mean(axis=0) for cluster in clusters])),
     )
     return replace(encoded, view_table=table)
 

@@ -19,7 +19,7 @@ from cogsplat.codec.order.objects import ATTRIBUTE
 from cogsplat.codec.order.orders import OrderConfig
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.scoring.contribution import Scores, score
-from cogsplat.codec.segments.attributes import types_of, unpack_attributes
+from cogsplat.codec.segments.attributes import attribute_types, unpack_attributes
 from cogsplat.codec.segments.opacities import pack_opacities
 
 from .level_training import LevelledSplats
@@ -225,7 +225,7 @@ def _order_by_level(encoded: EncodedScene, levels: LevelledSplats, step: float) 
 
 def _source_rows(encoded: EncodedScene, chunk: EncodedChunk) -> I64:
     """Return the row that each splat of a chunk had before encoding, from its attributes."""
-    types = types_of(encoded.scene.extras)
+    types = attribute_types(encoded.scene.extras)
     extras = {each.name: each.allocate(chunk.splats) for each in types}
     assert chunk.attributes is not None
     unpack_attributes(memoryview(chunk.attributes), types, extras, "chunk")

@@ -49,7 +49,7 @@ class AttributeType:
         return np.empty(shape, self.dtype)
 
 
-def types_of(extras: Mapping[str, Extra]) -> tuple[AttributeType, ...]:
+def attribute_types(extras: Mapping[str, Extra]) -> tuple[AttributeType, ...]:
     """Return what the extras of a scene are, in their order."""
     return tuple(
         AttributeType(name, values.dtype.str[1:], values.shape[1] if values.ndim == 2 else 0)

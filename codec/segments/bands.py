@@ -35,6 +35,6 @@ def read_band(found: StreamSet, band: int, out: F32, *, escape: bool = False) ->
     if not found.has(attribute, escape=escape):
         values[:] = 0
         return
-    stream = found.take_escape(attribute, len(out)) if escape else found.take(attribute)
+    stream = found.pop_escape(attribute, len(out)) if escape else found.pop(attribute)
     if is_needed:
         kinds.read(stream, values)

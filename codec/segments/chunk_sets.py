@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 I64 = NDArray[np.int64]
 
 
-def is_closed(chunks: Sequence[int], parents: I64) -> bool:
+def has_all_parents(chunks: Sequence[int], parents: I64) -> bool:
     """Return whether each chunk's parent stands before it in a set.
 
     Parameters

@@ -71,9 +71,9 @@ def decode_shape_codebook(payload: memoryview, rows: int, where: str) -> ShapeCo
     """Return the rows of a shape codebook segment (SPEC 7.1)."""
     found = StreamSet(payload, where, rows, "7.1")
     book = ShapeCodebook(np.empty((rows, 3), np.float32), np.empty((rows, 4), np.float32))
-    kinds.read(found.take(Attribute.SCALES), book.scales)
-    kinds.read(found.take(Attribute.QUATS), book.quats)
-    found.finish()
+    kinds.read(found.pop(Attribute.SCALES), book.scales)
+    kinds.read(found.pop(Attribute.QUATS), book.quats)
+    found.require_empty()
     return book
 
 
@@ -96,11 +96,11 @@ def decode_colour_codebook(
         label = f"{where}, band {band}"
         found = StreamSet(payload, label, rows, "7.1")
         read_band(found, band, coefficients)
-        found.finish()
+        found.require_empty()
     return ColourCodebook(coefficients)
 
 
-def no_codebook(stream: StoredStream, number: int, attribute: str) -> FormatError:
+def codebook_error(stream: StoredStream, number: int, attribute: str) -> FormatError:
     """Return the error for a codebook that a stream names and its segment cannot use."""
     return FormatError(
         "codebook-missing",

@@ -12,7 +12,7 @@ from cogsplat.codec.streams import codebook_index, kinds
 from cogsplat.codec.streams.records import Attribute
 from cogsplat.codec.streams.stream_inputs import Inputs
 
-from .codebooks import Codebook, ShapeCodebook, no_codebook
+from .codebooks import Codebook, ShapeCodebook, codebook_error
 from .stream_set import RefinementSet, StreamSet
 
 F32 = NDArray[np.float32]
@@ -51,12 +51,12 @@ def decode_head(
         scales = _read_shapes(found, codebooks, out)
     else:
         scales = _read_scales(found, finer, out)
-        kinds.read(found.take(Attribute.QUATS), out.quats, Inputs(scales=scales))
+        kinds.read(found.pop(Attribute.QUATS), out.quats, Inputs(scales=scales))
     _read(found, finer, Attribute.MEANS, out.means, scales)
     _read(found, finer, Attribute.OPACITIES, out.opacities[:, None], scales)
     _read(found, finer, Attribute.SH0, out.sh0, scales)
-    found.finish()
-    finer.finish()
+    found.require_empty()
+    finer.require_empty()
 
 
 def _read(
@@ -67,15 +67,15 @@ def _read(
     scales: F32,
 ) -> None:
     """Read an attribute, refined where there is a refinement; `scales` are the head's alone."""
-    stream = found.take(attribute)
-    inputs = Inputs(scales=scales, refinement=finer.take(stream))
+    stream = found.pop(attribute)
+    inputs = Inputs(scales=scales, refinement=finer.pop(stream))
     kinds.read(stream, out, inputs)
 
 
 def _read_scales(found: StreamSet, finer: RefinementSet, out: Splats) -> F32:
     """Read the scales into `out`; return those of the head alone, from which steps follow."""
-    stream = found.take(Attribute.SCALES)
-    refinement = finer.take(stream)
+    stream = found.pop(Attribute.SCALES)
+    refinement = finer.pop(stream)
     if refinement is None:
         kinds.read(stream, out.scales)
         return out.scales
@@ -86,22 +86,22 @@ def _read_scales(found: StreamSet, finer: RefinementSet, out: Splats) -> F32:
 
 def _read_shapes(found: StreamSet, codebooks: Mapping[int, Codebook], out: Splats) -> F32:
     """Read scales and quats from a codebook and escape rows; return the scales."""
-    stream = found.take(Attribute.SHAPE)
+    stream = found.pop(Attribute.SHAPE)
     use = kinds.codebook_use(stream)
     escape = ShapeCodebook(
         np.empty((use.escape_rows, 3), np.float32), np.empty((use.escape_rows, 4), np.float32)
     )
     if use.escape_rows:
-        kinds.read(found.take_escape(Attribute.SCALES, use.escape_rows), escape.scales)
-        kinds.read(found.take_escape(Attribute.QUATS, use.escape_rows), escape.quats)
+        kinds.read(found.pop_escape(Attribute.SCALES, use.escape_rows), escape.scales)
+        kinds.read(found.pop_escape(Attribute.QUATS, use.escape_rows), escape.quats)
     book = codebooks.get(use.number)
     if not isinstance(book, ShapeCodebook):
-        raise no_codebook(stream, use.number, "shape")
+        raise codebook_error(stream, use.number, "shape")
     # One list of indices for two arrays: rows of all seven values would have to be copied apart.
     indices = codebook_index.read_indices(stream, len(book))
     codebook_index.gather(book.scales, escape.scales, indices, out.scales)
     codebook_index.gather(book.quats, escape.quats, indices, out.quats)
     factor = np.empty((len(out), 1), np.float32)
-    kinds.read(found.take(Attribute.SCALE_FACTOR), factor)
+    kinds.read(found.pop(Attribute.SCALE_FACTOR), factor)
     np.add(out.scales, factor, out=out.scales)
     return out.scales

@@ -68,5 +68,5 @@ def decode_opacities(payload: memoryview, out: F32, where: str) -> None:
         The payload breaks SPEC 6 or 7.5.
     """
     found = StreamSet(payload, where, len(out), "7.5", levels=True)
-    kinds.read(found.take(Attribute.OPACITIES), out[:, None])
-    found.finish()
+    kinds.read(found.pop(Attribute.OPACITIES), out[:, None])
+    found.require_empty()

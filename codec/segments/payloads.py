@@ -46,7 +46,7 @@ class Payloads:
         """
 
         def of(plain: bytes | None) -> bytes | None:
-            return None if plain is None else records.compressed(plain, digits=digits)
+            return None if plain is None else records.compress_payload(plain, digits=digits)
 
-        head = records.compressed(self.head, digits=digits)
+        head = records.compress_payload(self.head, digits=digits)
         return replace(self, head=head, tail=of(self.tail), refinement=of(self.refinement))

@@ -100,9 +100,9 @@ class Compensation:
                 f"{len(splats)} splats of {chunks} chunks, expected up to {len(self.chunk_splats)}"
             )
         held = np.arange(chunks) if drawn is None else np.asarray(drawn, np.int64)
-        return self.apply_each(splats, held, np.full(len(held), chunks, np.int64))
+        return self.apply_per_chunk(splats, held, np.full(len(held), chunks, np.int64))
 
-    def apply_each(self, splats: Splats, chunks: I64, prefixes: I64) -> Splats:
+    def apply_per_chunk(self, splats: Splats, chunks: I64, prefixes: I64) -> Splats:
         """Return some chunks of a scene, each shifted as in a prefix of its own.
 
         Parameters

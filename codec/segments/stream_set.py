@@ -50,7 +50,7 @@ class StreamSet:
         """Tell whether a stream of this attribute has not been taken yet."""
         return (attribute, ESCAPE if escape else 0) in self._stored
 
-    def take(self, attribute: Attribute) -> StoredStream:
+    def pop(self, attribute: Attribute) -> StoredStream:
         """Return the stream of an attribute, one row for each row of the payload.
 
         Raises
@@ -58,13 +58,13 @@ class StreamSet:
         FormatError
             ``stream-missing``, ``stream-rows``, ``stream-kind``.
         """
-        return self._take(attribute, 0, self._rows)
+        return self._pop(attribute, 0, self._rows)
 
-    def take_escape(self, attribute: Attribute, rows: int) -> StoredStream:
+    def pop_escape(self, attribute: Attribute, rows: int) -> StoredStream:
         """Return the escape rows of an attribute, which must be `rows`."""
-        return self._take(attribute, ESCAPE, rows)
+        return self._pop(attribute, ESCAPE, rows)
 
-    def _take(self, attribute: Attribute, flag: int, rows: int) -> StoredStream:
+    def _pop(self, attribute: Attribute, flag: int, rows: int) -> StoredStream:
         stream = self._stored.pop((attribute, flag), None)
         name = attribute.name.lower() + (" escape" if flag else "")
         if stream is None:
@@ -90,7 +90,7 @@ class StreamSet:
             )
         return stream
 
-    def finish(self) -> None:
+    def require_empty(self) -> None:
         """Refuse streams that nothing took.
 
         Raises
@@ -118,7 +118,7 @@ class RefinementSet:
         self._where = where
         self._rows = rows
 
-    def take(self, head: StoredStream) -> StoredStream | None:
+    def pop(self, head: StoredStream) -> StoredStream | None:
         """Return the stream that refines a stream of the head, None where none does.
 
         Raises
@@ -126,7 +126,7 @@ class RefinementSet:
         FormatError
             ``stream-rows``; ``stream-kind``: another kind than refines the head's stream.
         """
-        wanted = kinds.refined_by(head)
+        wanted = kinds.refinement_kind(head)
         stream = self._stored.get((head.attribute, 0))
         if stream is None:
             return None
@@ -143,7 +143,7 @@ class RefinementSet:
             )
         return stream
 
-    def finish(self) -> None:
+    def require_empty(self) -> None:
         """Refuse streams that nothing took.
 
         Raises

@@ -13,7 +13,7 @@ from cogsplat.codec.streams.records import Attribute
 from cogsplat.codec.streams.stream_inputs import Inputs
 
 from .bands import read_band
-from .codebooks import Codebook, ColourCodebook, no_codebook
+from .codebooks import Codebook, ColourCodebook, codebook_error
 from .stream_set import StreamSet
 
 F32 = NDArray[np.float32]
@@ -50,13 +50,13 @@ def decode_tail(
     else:
         for band in range(1, sh_degree + 1):
             read_band(found, band, out)
-    found.finish()
+    found.require_empty()
 
 
 def _read_from_codebook(
     found: StreamSet, codebooks: Mapping[int, Codebook], out: F32, sh_degree: int
 ) -> None:
-    stream = found.take(Attribute.SHN)
+    stream = found.pop(Attribute.SHN)
     use = kinds.codebook_use(stream)
     escape = np.zeros((use.escape_rows, *out.shape[1:]), np.float32)
     if use.escape_rows:
@@ -65,7 +65,7 @@ def _read_from_codebook(
     book = codebooks.get(use.number)
     coefficients = out.shape[1]
     if not isinstance(book, ColourCodebook) or book.shN.shape[1] < coefficients:
-        raise no_codebook(stream, use.number, "colour")
+        raise codebook_error(stream, use.number, "colour")
     # Not -1 for the columns: there may be no rows.
     columns = 3 * coefficients
     inputs = Inputs(

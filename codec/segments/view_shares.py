@@ -48,7 +48,7 @@ class ViewTable:
     directions : (V, 3) int8
         Where it looks, in `DIRECTION_UNIT`; not (0, 0, 0).
     codes : (V, c) uint8
-        For each viewpoint and chunk the share of the picture, as `share_codes` gives it.
+        For each viewpoint and chunk the share of the picture, as `encode_shares` gives it.
     """
 
     positions: NDArray[np.float32]
@@ -61,21 +61,21 @@ class ViewTable:
         return _SHARES[self.codes]
 
 
-def share_codes(shares: F64) -> U8:
+def encode_shares(shares: F64) -> U8:
     """Return the codes of shares of pictures, each the nearest.
 
     Examples
     --------
     >>> import numpy as np
-    >>> from cogsplat.codec.segments.view_shares import share_codes
-    >>> share_codes(np.array([0.0, 0.25, 0.26, 1.0])).tolist()
+    >>> from cogsplat.codec.segments.view_shares import encode_shares
+    >>> encode_shares(np.array([0.0, 0.25, 0.26, 1.0])).tolist()
     [0, 250, 250, 254]
     """
     codes: U8 = np.searchsorted(_BETWEEN, shares, side="right").astype(np.uint8)
     return codes
 
 
-def stored_directions(directions: F64) -> NDArray[np.int8]:
+def quantise_directions(directions: F64) -> NDArray[np.int8]:
     """Return directions, (V, 3) float64 of unit length, as a table stores them."""
     return np.rint(DIRECTION_UNIT * directions).astype(np.int8)
 

@@ -1,4 +1,4 @@
-"""Adaptive quantiser steps: how many extra bits a row's values have, by its scales (SPEC 6.10)."""
+"""Adaptive quantiser steps: extra bits of a row as a function of its scales (SPEC 6.10)."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ MODEL_BYTES: Final = _COEFFICIENTS.size
 MAX_EXTRA_BITS: Final = 15
 """Most extra bits of a row: its step is at least 2^-15 of the base step (SPEC 6.10)."""
 
-# Where the two features of each difference of scales stop growing: steep for nearly round
-# splats, then flatter (measured on trained scenes).
+# Knees of the two features of each difference of scales. The extra bits rise steeply for nearly
+# round splats, then slower (measured on trained scenes).
 _LONG_MID_KNEE: Final = (np.float32(1.5), np.float32(5))
 _MID_THIN_KNEE: Final = (np.float32(0.5), np.float32(3))
 KNEES: Final = np.array([*_LONG_MID_KNEE, *_MID_THIN_KNEE], np.float32)
-"""Where the four features end to grow, float32."""
+"""Values at which the four features stop growing, float32."""
 
-# Corrections of a fit: rows at the least or most extra bits make each a little short.
+# Corrections of a fit: clamped rows make each one fall a little short.
 _CORRECTIONS: Final = 6
 
 MAX_COEFFICIENT: Final = 1e6
@@ -39,7 +39,7 @@ MAX_COEFFICIENT: Final = 1e6
 
 @dataclass(frozen=True)
 class StepModel:
-    """A row's number of extra bits as a function of its log scales; each halves the step.
+    """Model of a row's extra bits as a function of its log scales; each bit halves the step.
 
     ``floor(c0 + c1·s + c2·min(p, 1.5) + c3·min(p, 5) + c4·min(q, 0.5) + c5·min(q, 3))``, clamped
     to 0 to `MAX_EXTRA_BITS`, with s the third log scale, p the third minus the first, q the first
@@ -48,7 +48,7 @@ class StepModel:
     Parameters
     ----------
     coefficients : tuple of float
-        Six, float32.
+        Six float32 values, c0 to c5.
     """
 
     coefficients: tuple[float, ...]
@@ -62,7 +62,7 @@ class StepModel:
         """Return the (n,) extra bits of rows of (n, 3) float32 decoded log scales (SPEC 6.10)."""
         c = np.array(self.coefficients, np.float32)
         if not c[1:].any():
-            # Products with 0 add nothing: all rows have the same number.
+            # All other coefficients are 0: every row has the same number.
             return np.full(len(scales), np.clip(np.floor(c[0]), 0, MAX_EXTRA_BITS), np.uint8)
         total = np.full(len(scales), c[0], np.float32)
         for coefficient, feature in zip(c[1:], _features(scales), strict=True):
@@ -70,17 +70,17 @@ class StepModel:
         return np.clip(np.floor(total), 0, MAX_EXTRA_BITS).astype(np.uint8)
 
     def pack(self) -> bytes:
-        """Return the coefficients as they stand in a stream's parameters."""
+        """Return the coefficients as bytes of a stream's parameters."""
         return _COEFFICIENTS.pack(*self.coefficients)
 
 
 def unpack(data: memoryview, where: str) -> StepModel:
-    """Read a step model.
+    """Read a step model from the parameters of a stream.
 
     Raises
     ------
     FormatError
-        ``step-model``: a coefficient that is not finite or above `MAX_COEFFICIENT`.
+        ``step-model``: a coefficient is not finite, or its magnitude is above `MAX_COEFFICIENT`.
     """
     coefficients = _COEFFICIENTS.unpack(data)
     if not all(abs(c) <= MAX_COEFFICIENT for c in coefficients):
@@ -92,13 +92,13 @@ def unpack(data: memoryview, where: str) -> StepModel:
     return StepModel(coefficients)
 
 
-def scales_of(inputs: Inputs) -> F32:
-    """Return the (rows, 3) float32 log scales from which the extra bits of a stream follow.
+def require_scales(inputs: Inputs) -> F32:
+    """Return the log scales of a stream's inputs, (rows, 3) float32.
 
     Raises
     ------
     ValueError
-        None are given.
+        The inputs have no scales.
     """
     if inputs.scales is None:
         raise ValueError("no scales for a stream with an adaptive step")
@@ -106,26 +106,26 @@ def scales_of(inputs: Inputs) -> F32:
 
 
 def fit(scales: F32, sensitivity: F64, lagrangian: float, base_step: float) -> StepModel:
-    """Return the step model with which quantisation costs what λ allows, row by row.
+    """Fit a step model so that the quantisation error of each row costs λ.
 
     Parameters
     ----------
     scales : (n, 3) float32
-        Log, as the decoder will have them: middle, thin, long.
+        Decoded log scales: middle, thin, long.
     sensitivity : (n,) float64
-        Squared error of the picture per squared error of each row's value; positive.
+        Squared error of the rendered image per squared error of a row's value; positive.
     lagrangian : float
-        λ: what ``sensitivity · step²`` should be.
+        λ: target of ``sensitivity · step²``.
     base_step : float
-        Step of rows without extra bits.
+        Quantiser step of rows without extra bits.
     """
     features = np.stack([np.ones(len(scales)), *(f.astype(np.float64) for f in _features(scales))])
     wanted = np.log2(base_step) + 0.5 * np.log2(sensitivity / lagrangian)
     normal = features @ features.T
-    # A little damping: a chunk of equal shapes leaves features without an answer.
+    # Damping keeps the system regular if all shapes of a chunk are equal.
     normal += np.eye(len(normal)) * (1e-6 * np.trace(normal) + 1e-12)
     solution = np.linalg.solve(normal, features @ wanted)
-    # floor() loses half a bit on average.
+    # floor() removes half a bit on average.
     solution[0] += 0.5
     return _calibrated(solution, scales, sensitivity, lagrangian, base_step)
 
@@ -133,10 +133,9 @@ def fit(scales: F32, sensitivity: F64, lagrangian: float, base_step: float) -> S
 def _calibrated(
     solution: F64, scales: F32, sensitivity: F64, lagrangian: float, base_step: float
 ) -> StepModel:
-    """Return the model whose first coefficient makes the mean cost equal to λ.
+    """Return the model with its first coefficient corrected so that the mean cost equals λ.
 
-    What counts is the mean of the squares, not of their logarithms: correct by what the extra
-    bits really give.
+    The fit minimises errors of logarithms; the target is the mean of the squares themselves.
     """
     model = _rounded(solution)
     for _ in range(_CORRECTIONS):
@@ -148,11 +147,13 @@ def _calibrated(
 
 
 def _rounded(coefficients: F64) -> StepModel:
+    """Return the model of coefficients, limited and rounded to float32."""
     limited = np.clip(coefficients, -1e5, 1e5).astype(np.float32)
     return StepModel(tuple(float(c) for c in limited))
 
 
 def _features(scales: F32) -> list[F32]:
+    """Return the five features of (n, 3) log scales, each (n,)."""
     long = scales[:, 2]
     p = long - scales[:, 0]
     q = scales[:, 0] - scales[:, 1]

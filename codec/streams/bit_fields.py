@@ -1,4 +1,4 @@
-"""Fields of differing width, packed without gaps, lowest bit first (SPEC 6.15)."""
+"""Bit fields of varying width, packed without gaps, lowest bit first (SPEC 6.15)."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ U64 = NDArray[np.uint64]
 I64 = NDArray[np.int64]
 
 MAX_WIDTH: Final = 62
-"""Widest field: 7 bits of offset and 62 of value fit nine bytes."""
+"""Largest width of a field, bits: an offset of 7 bits and a value of 62 fit nine bytes."""
 
 
 def pack(values: U64, widths: U8) -> U8:
-    """Return the low `widths` bits of each value, one field after the other.
+    """Pack the low bits of each value into bytes.
 
     Parameters
     ----------
@@ -30,12 +30,12 @@ def pack(values: U64, widths: U8) -> U8:
     Returns
     -------
     (m,) uint8
-        Zero bits up to the end of the last byte.
+        Packed fields; the last byte is padded with zero bits.
     """
     lengths = widths.astype(np.int64)
     starts = np.cumsum(lengths) - lengths
     out = np.zeros((int(lengths.sum()) + 7 >> 3) + 1, np.uint8)
-    # One pass per bit of the widest field: the fields that have it set their byte.
+    # One pass per bit of the widest field, over the fields that have this bit.
     for bit in range(int(lengths.max(initial=0))):
         rows = np.flatnonzero(lengths > bit)
         position = starts[rows] + bit
@@ -46,26 +46,26 @@ def pack(values: U64, widths: U8) -> U8:
 
 
 def unpack(data: U8, widths: U8, where: str) -> U64:
-    """Return the fields that `pack` stored.
+    """Return the fields of packed bytes; the inverse of `pack`.
 
     Parameters
     ----------
     data : (m,) uint8
         Exactly `packed_bytes(widths)` bytes.
     widths : (n,) uint8
-        At most `MAX_WIDTH`, which the caller has checked.
+        At most `MAX_WIDTH`, checked by the caller.
     where : str
         Names the plane in messages.
 
     Raises
     ------
     FormatError
-        ``bits-padding``: bits behind the last field are not zero.
+        ``bits-padding``: bits after the last field are not zero.
     """
     require_padding(data, widths, where)
     rows = np.flatnonzero(widths)
     if len(rows) * 2 < len(widths):
-        # Fields without bits take no place: leave them out while they are many.
+        # Fields of width 0 take no bits: skipping them saves time if they are many.
         fields = np.zeros(len(widths), np.uint64)
         if len(rows):
             fields[rows] = _fields(data, widths[rows])
@@ -74,7 +74,7 @@ def unpack(data: U8, widths: U8, where: str) -> U64:
 
 
 def require_padding(data: U8, widths: U8, where: str) -> None:
-    """Refuse bits behind the last field that are not zero, as `unpack` does."""
+    """Raise ``bits-padding`` if bits after the last field are not zero."""
     total = int(widths.sum(dtype=np.int64))
     if total & 7 and int(data[-1]) >> (total & 7):
         raise FormatError(
@@ -83,6 +83,7 @@ def require_padding(data: U8, widths: U8, where: str) -> None:
 
 
 def _fields(data: U8, widths: U8) -> U64:
+    """Return the fields of packed bytes, padding unchecked."""
     lengths = widths.astype(np.int64)
     fields = windows(data, np.cumsum(lengths) - lengths)
     fields &= (np.uint64(1) << widths.astype(np.uint64)) - np.uint64(1)
@@ -90,7 +91,7 @@ def _fields(data: U8, widths: U8) -> U64:
 
 
 def windows(data: U8, positions: I64) -> U64:
-    """Return the 64 bits from each position on, the lowest first; zeros behind the data.
+    """Return the 64 bits that begin at each bit position; zeros follow the data.
 
     Parameters
     ----------
@@ -103,7 +104,7 @@ def windows(data: U8, positions: I64) -> U64:
     index = positions >> 6
     shift = (positions & 63).astype(np.uint64)
     out: U64 = words[index] >> shift
-    # Shifts by 64 would be undefined, by 1 and 63 are not.
+    # Two shifts, by 1 and by up to 63: a shift by 64 is undefined.
     high = words[index + 1] << np.uint64(1)
     high <<= np.uint64(63) - shift
     out |= high

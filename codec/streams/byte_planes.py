@@ -1,4 +1,4 @@
-"""Byte planes: bytes, several symbols to the byte, or a zstd frame of either (SPEC 6.3, 6.9)."""
+"""Byte planes: plain bytes, packed symbols, or a zstd frame of either (SPEC 6.3, 6.9)."""
 
 from __future__ import annotations
 
@@ -20,26 +20,27 @@ ZSTD_FLAG: Final = 0x8000_0000
 """Bit 31 of a plane's word: the stored bytes are a zstd frame (SPEC 6.3)."""
 
 PACKED_FLAG: Final = 0x4000_0000
-"""Bit 30 of a plane's word: several symbols to the byte, the radix in front (SPEC 6.9)."""
+"""Bit 30 of a plane's word: each byte packs several symbols, after one byte of radix (SPEC 6.9)."""
 
 LENGTH_MASK: Final = 0x3FFF_FFFF
+"""Bits of a plane's word that hold its stored length, bytes."""
 
 DIGITS: Final = {radix: int(np.log(256.0 + 1e-9) / np.log(radix)) for radix in range(2, 17)}
-"""Symbols of each radix that fit a byte (SPEC 6.9)."""
+"""Symbols per byte for each radix (SPEC 6.9)."""
 
-# Of 160 planes of a captured scene, 1,062,383 bytes: 417,679 bytes at level 13, 412,756 at 15,
-# 410,928 at 16, 410,927 at 17, 411,586 at 19, which takes 1.7 times as long as 17.
+# zstd level. 160 planes of a captured scene (1,062,383 bytes) become 417,679 bytes at level 13,
+# 412,756 at 15, 410,928 at 16, 410,927 at 17 and 411,586 at 19; 19 takes 1.7 times as long as 17.
 _LEVEL: Final = 17
 
 
 def pack_plane(plane: U8, *, digits: bool = True) -> tuple[int, bytes]:
-    """Code one plane in whatever way takes the fewest bytes.
+    """Encode one plane in the way that needs the fewest bytes.
 
     Parameters
     ----------
     plane : (n,) uint8
     digits : bool
-        Whether several symbols may share a byte.
+        Whether a byte may pack several symbols.
 
     Returns
     -------
@@ -49,20 +50,21 @@ def pack_plane(plane: U8, *, digits: bool = True) -> tuple[int, bytes]:
 
     Notes
     -----
-    zstd's Huffman stage spends whole bits on a symbol. Where there are few symbols, several to a
-    byte share that loss: on sparse planes this takes nearly as little as a range coder would.
+    zstd's Huffman stage spends whole bits on a symbol. Packing several symbols into a byte spreads
+    that loss: sparse planes become nearly as small as with a range coder.
     """
-    best, word = _smaller(plane.tobytes())
+    best, word = _compress_if_smaller(plane.tobytes())
     radix = int(plane.max(initial=0)) + 1
     if digits and len(plane) and radix in DIGITS:
-        packed, flag = _smaller(_pack_digits(plane, radix).tobytes())
+        packed, flag = _compress_if_smaller(_pack_digits(plane, radix).tobytes())
         if len(packed) + 1 < len(best):
             best = bytes([radix]) + packed
             word = len(best) | PACKED_FLAG | (flag & ZSTD_FLAG)
     return word, best
 
 
-def _smaller(raw: bytes) -> tuple[bytes, int]:
+def _compress_if_smaller(raw: bytes) -> tuple[bytes, int]:
+    """Return a zstd frame or the bytes themselves, whichever is shorter, and the plane's word."""
     # One thread, no checksum (the segment has its CRC), content size always stated.
     compressor = zstandard.ZstdCompressor(
         level=_LEVEL, write_checksum=False, write_content_size=True, threads=0
@@ -74,6 +76,7 @@ def _smaller(raw: bytes) -> tuple[bytes, int]:
 
 
 def _pack_digits(plane: U8, radix: int) -> U8:
+    """Return a plane with several symbols of a radix per byte, padded with zeros."""
     count = DIGITS[radix]
     padded = np.zeros(-(-len(plane) // count) * count, np.uint8)
     padded[: len(plane)] = plane
@@ -93,7 +96,10 @@ def _digit_table(radix: int) -> U8:
 
 @cache
 def digit_tables() -> U8:
-    """Return the (17, 256, 8) symbols of every byte value by radix, zeros where there are none."""
+    """Return the lookup table of symbols by radix, byte value and place, (17, 256, 8).
+
+    Places and byte values that a radix does not use are 0.
+    """
     tables = np.zeros((max(DIGITS) + 1, 256, max(DIGITS.values())), np.uint8)
     for radix, count in DIGITS.items():
         tables[radix, : radix**count, :count] = _digit_table(radix)
@@ -106,17 +112,17 @@ def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
     Parameters
     ----------
     stored : memoryview
-        Exactly the plane's stored bytes.
+        Stored bytes of the plane.
     word : int
         The plane's word.
     length : int
-        Decoded length in bytes that the stream's record implies.
+        Decoded length in bytes, implied by the stream's record.
     where : str
-        Names the plane in messages.
+        Name of the plane in messages.
 
     Returns
     -------
-    (length,) uint8, read-only; a view of `stored` where the plane is not compressed.
+    (length,) uint8, read-only; a view of `stored` if the plane is not compressed.
 
     Raises
     ------
@@ -124,7 +130,7 @@ def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
         ``plane-length``, ``plane-radix``, ``plane-digits``, ``zstd-frame``, ``zstd-size``,
         ``zstd-window``, ``zstd-dictionary``, ``zstd-checksum``.
     """
-    radix, size = packing_of(stored, word, length, where)
+    radix, size = parse_packing(stored, word, length, where)
     packed = np.frombuffer(expand(stored[1:] if radix else stored, word, size, where), np.uint8)
     if not radix:
         return packed
@@ -138,27 +144,27 @@ def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
     digits = table.take(packed, axis=0).reshape(-1)
     if digits[length:].any():
         raise FormatError(
-            "plane-digits", f"{where}: digits behind the last symbol, expected zeros", clause="6.9"
+            "plane-digits", f"{where}: digits after the last symbol, expected zeros", clause="6.9"
         )
     digits = digits[:length]
     digits.flags.writeable = False
     return digits
 
 
-def packing_of(stored: memoryview, word: int, length: int, where: str) -> tuple[int, int]:
-    """Return how a plane is packed, before any of it is decompressed.
+def parse_packing(stored: memoryview, word: int, length: int, where: str) -> tuple[int, int]:
+    """Return the radix and the size of a plane before decompression.
 
     Parameters
     ----------
     stored, word, length, where
-        As `unpack_plane` takes them.
+        See `unpack_plane`.
 
     Returns
     -------
     radix : int
-        0 where every byte is one symbol.
+        Radix of packed symbols; 0 if every byte is one symbol.
     size : int
-        Bytes before symbols are taken apart.
+        Bytes of the plane before its symbols are unpacked.
 
     Raises
     ------
@@ -182,12 +188,12 @@ def packing_of(stored: memoryview, word: int, length: int, where: str) -> tuple[
 
 
 def expand(stored: memoryview, word: int, length: int, where: str) -> bytes | memoryview:
-    """Return the `length` bytes that stored bytes are, or that their zstd frame holds.
+    """Return the `length` bytes of a plane, decompressed if they are a zstd frame.
 
     Raises
     ------
     FormatError
-        As `unpack_plane`, but for what concerns packed symbols.
+        ``plane-length``, or a code of `zstd_frames.decompress`.
     """
     if not word & ZSTD_FLAG:
         if len(stored) != length:

@@ -1,4 +1,4 @@
-"""Vq streams: indices into a codebook and the escape rows that follow it (SPEC 6.7)."""
+"""Vq streams: indices into a codebook followed by escape rows (SPEC 6.7)."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _PARAMS: Final = struct.Struct("<II")
 
 @dataclass(frozen=True)
 class CodebookUse:
-    """Which rows a stream refers to.
+    """Codebook and escape rows that a stream refers to.
 
     Parameters
     ----------
     number : int
-        Codebook of the file.
+        Number of the codebook in the file.
     escape_rows : int
-        Escape rows of the same payload.
+        Number of escape rows in the same payload.
     """
 
     number: int
@@ -44,12 +44,13 @@ def write(attribute: Attribute, indices: U32, codebook: int, size: int, escape_r
     ----------
     attribute : Attribute
     indices : (n,) uint32
-        Below `size` a row of the codebook, from there on an escape row.
+        Rows of the codebook below `size`, escape rows from `size` on.
     codebook : int
         Number of the codebook in the file.
     size : int
         Rows of the codebook.
     escape_rows : int
+        Number of escape rows in the same payload.
     """
     planes = grid_planes.split_planes(indices, size + escape_rows)
     params = _PARAMS.pack(codebook, escape_rows)
@@ -57,12 +58,12 @@ def write(attribute: Attribute, indices: U32, codebook: int, size: int, escape_r
 
 
 def parse(stream: StoredStream) -> CodebookUse:
-    """Return what a vq stream refers to.
+    """Return the codebook and the escape rows that a vq stream refers to.
 
     Raises
     ------
     FormatError
-        ``stream-params``; ``stream-rows``: more escape rows than the stream has rows.
+        ``stream-params``; ``stream-rows``: the stream has fewer rows than escape rows.
     """
     number, escape_rows = _PARAMS.unpack(stream.require_params(_PARAMS.size))
     if escape_rows > stream.rows:
@@ -75,7 +76,7 @@ def parse(stream: StoredStream) -> CodebookUse:
 
 
 def read_indices(stream: StoredStream, size: int) -> U32:
-    """Return the (rows,) indices into a codebook of `size` rows and the escape rows behind it.
+    """Return the (rows,) indices into a codebook of `size` rows followed by escape rows.
 
     Raises
     ------
@@ -97,9 +98,9 @@ def read_indices(stream: StoredStream, size: int) -> U32:
 
 
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
-    """Write the rows that the indices name into (rows, d) float32 `out`.
+    """Write the codebook and escape rows of a vq stream into (rows, d) float32 `out`.
 
-    Needs `inputs.codebook`, and `inputs.escape` where there are escape rows.
+    Needs `inputs.codebook`, and `inputs.escape` if the stream has escape rows.
 
     Raises
     ------
@@ -115,18 +116,18 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
 
 
 def gather(codebook: F32, escape: F32 | None, indices: U32, out: F32) -> None:
-    """Write the rows that indices name into (n, d) float32 `out`.
+    """Copy rows of a codebook and escape rows into (n, d) float32 `out`.
 
     Parameters
     ----------
     codebook : (C, d) float32
     escape : (e, d) float32 or None
-        The rows that follow those of the codebook.
+        Escape rows, which follow the rows of the codebook.
     indices : (n,) uint32
-        Below C + e, as `read_indices` returns them.
+        Below C + e, checked by the caller.
     out : (n, d) float32
     """
-    # The indices are in range; only a mode that cannot fail writes into `out` without a copy.
+    # Only a mode that cannot fail writes into `out` without a copy; escapes are overwritten below.
     np.take(codebook, indices, axis=0, out=out, mode="clip")
     if escape is not None and len(escape):
         escaped = np.flatnonzero(indices >= len(codebook))

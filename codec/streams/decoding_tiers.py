@@ -48,7 +48,7 @@ def chunk_reader() -> ChunkReader | None:
 
 
 def load_if_worthwhile(splats: int) -> None:
-    """Start loading the kernels if a decode is worth it, alone or with those before it.
+    """Start loading the kernels if this decode, or all decodes so far, are large enough.
 
     Kernels are also loaded if numba is. Returns at once: numpy decodes until loading ends.
 

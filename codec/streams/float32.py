@@ -1,4 +1,4 @@
-"""Float streams: the values themselves, byte by byte (SPEC 6.8)."""
+"""Float streams: float32 values, one plane for each byte (SPEC 6.8)."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ F32 = NDArray[np.float32]
 
 
 def write(attribute: Attribute, values: F32) -> Stream:
-    """Return a float stream of (n, c) float32 values: four planes for each component."""
-    # Little-endian in the file, whatever the machine's own order or that of the array.
+    """Return a float stream of (n, c) float32 values, four planes for each component."""
+    # Always little-endian in the file.
     octets = np.ascontiguousarray(values, "<f4").view(np.uint8).reshape(len(values), -1)
     planes = [np.ascontiguousarray(octets[:, column]) for column in range(octets.shape[1])]
     return Stream(attribute, Kind.FLOAT, len(values), b"", planes)
@@ -28,8 +28,8 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     Raises
     ------
     FormatError
-        ``stream-params``, ``stream-planes``; ``float-value``: NaN, or a magnitude above 2^100,
-        other than infinite opacities.
+        ``stream-params``, ``stream-planes``; ``float-value``: NaN, or a magnitude above 2^100.
+        Opacities may be infinite.
     """
     stream.require_params(0)
     stream.require_planes(4 * out.shape[1])

@@ -1,4 +1,4 @@
-"""Scalar quantisation on a chunk's own minimum, maximum and number of levels (SPEC 6.4)."""
+"""Uniform scalar quantisation between a minimum and a maximum per component (SPEC 6.4)."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ F32 = NDArray[np.float32]
 U32 = NDArray[np.uint32]
 
 MAX_LEVELS: Final = 1 << 24
-"""Every code up to here is exact in float32 (SPEC 6.4)."""
+"""Limit of levels: every lower code is exact in float32 (SPEC 6.4)."""
 
 MAX_VALUE: Final = 2.0**100
-"""Largest magnitude of a grid's ends: sums of two decoded values stay finite (SPEC 6.4)."""
+"""Largest magnitude of minimum and maximum: sums of two decoded values stay finite (SPEC 6.4)."""
 
 _ENTRY: Final = struct.Struct("<ffI")
 ENTRY_BYTES: Final = _ENTRY.size
+"""Bytes of one component's minimum, maximum and number of levels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +34,7 @@ class Grid:
     minimum, maximum : (c,) float32
         Values of the first and the last level, in the space of the attribute.
     levels : (c,) uint32
-        Number of levels, 1 to `MAX_LEVELS`; 1 means a constant that costs no plane.
+        Number of levels, 1 to `MAX_LEVELS`; a component with 1 level is constant and has no plane.
     """
 
     minimum: F32
@@ -47,13 +48,13 @@ class Grid:
 
     @property
     def step(self) -> F32:
-        """Distance between levels, (c,) float32; 0 where there is one level (SPEC 6.4)."""
+        """Distance between levels, (c,) float32; 0 for one level (SPEC 6.4)."""
         intervals = np.maximum(self.levels, 2).astype(np.float32) - np.float32(1)
         step = (self.maximum - self.minimum) / intervals
         return np.where(self.levels > 1, step, np.float32(0))
 
     def quantise(self, values: F32) -> U32:
-        """Return the nearest level of each value, (n, c) uint32; values outside are clamped."""
+        """Return the nearest level of each value, clamped to the grid, (n, c) uint32."""
         step = self.step.astype(np.float64)
         safe = np.where(step > 0, step, 1.0)
         codes = np.rint((values.astype(np.float64) - self.minimum.astype(np.float64)) / safe)
@@ -65,41 +66,41 @@ class Grid:
         return out
 
     def pack(self) -> bytes:
-        """Return the grid's entries as they stand in a stream record."""
+        """Return the entries of all components as bytes of a stream's parameters."""
         entries = zip(self.minimum, self.maximum, self.levels, strict=True)
         return b"".join(_ENTRY.pack(lo, hi, count) for lo, hi, count in entries)
 
 
 def fit(values: F32, step: float | NDArray[np.float64]) -> Grid:
-    """Return the grid that spans `values` with steps no larger than `step`.
+    """Fit a grid to the range of values with steps of at most `step`.
 
     Parameters
     ----------
     values : (n, c) float32
         Finite; n ≥ 1.
     step : float or (c,) float64
-        Largest distance between levels, per component; positive. What comes out may be larger by
-        one part in 2^20.
+        Largest distance between levels, per component; positive. The grid's may exceed it by one
+        part in 2^20.
 
     Returns
     -------
     Grid
-        At most `MAX_LEVELS` levels, so that a step too small for the range is widened.
+        At most `MAX_LEVELS` levels: a step too small for the range is widened.
 
     Raises
     ------
     ValueError
-        A step that is not above 0.
+        A step is not above 0.
     """
     if not (np.asarray(step) > 0).all():
         raise ValueError(f"step {step}, expected more than 0")
     minimum = values.min(axis=0)
     maximum = values.max(axis=0)
     span = maximum.astype(np.float64) - minimum.astype(np.float64)
-    # The span rounded to float32 steps must still reach the last value: one part in 2^20 of slack.
+    # Slack of one part in 2^20: the span rounded to float32 steps must reach the last value.
     intervals = np.ceil(span / np.asarray(step, np.float64) * (1 - 2.0**-20))
     levels = np.clip(intervals + 1, 1, MAX_LEVELS).astype(np.uint32)
-    # A span smaller than half a step becomes the constant in its middle.
+    # A component whose span is below half a step becomes constant, at its middle.
     flat = span < np.asarray(step, np.float64) * 0.5
     middle = (minimum.astype(np.float64) + span / 2).astype(np.float32)
     levels = np.where(flat, np.uint32(1), levels)
@@ -115,25 +116,25 @@ def unpack(
     components: int,
     where: str,
     limit: int = MAX_LEVELS,
-    furthest: float = MAX_VALUE,
+    max_value: float = MAX_VALUE,
 ) -> Grid:
-    """Read a grid's entries and check them: all ranges, then all levels.
+    """Read a grid from a stream's parameters; ranges are checked before levels.
 
     Raises
     ------
     FormatError
-        ``grid-value``: not finite, beyond ±`furthest`, or minimum above maximum;
-        ``grid-levels``: 0 or more than `limit` levels.
+        ``grid-value``: a range is not finite, beyond ±`max_value`, or reversed;
+        ``grid-levels``: a component has 0 or more than `limit` levels.
     """
-    # Three numbers at a time cost less so than as arrays.
+    # Faster than arrays for a few entries.
     entries = list(_ENTRY.iter_unpack(data[: components * ENTRY_BYTES]))
     lows, highs, levels = zip(*entries, strict=True)
-    if not all(-furthest <= lo <= hi <= furthest for lo, hi, _ in entries):
+    if not all(-max_value <= lo <= hi <= max_value for lo, hi, _ in entries):
         raise FormatError(
             "grid-value",
             f"{where}: range {list(lows)} to {list(highs)}, "
-            f"expected minimum first, both within ±{furthest:g}",
-            clause="6.4" if furthest == MAX_VALUE else "6.6",
+            f"expected minimum first, both within ±{max_value:g}",
+            clause="6.4" if max_value == MAX_VALUE else "6.6",
         )
     if min(levels) < 1 or max(levels) > limit:
         raise FormatError(

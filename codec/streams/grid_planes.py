@@ -1,4 +1,4 @@
-"""Codes of a grid as byte planes, one to three bytes a code, component by component (SPEC 6.4)."""
+"""Byte planes of codes on a grid, up to three for each component (SPEC 6.4)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Codes = NDArray[np.uint8] | NDArray[np.uint32] | NDArray[np.uint64]
 
 
 def code_bytes(levels: int) -> int:
-    """Return how many planes codes below `levels` take: 0, 1, 2 or 3."""
+    """Return the number of planes of codes below `levels`, 0 to 3."""
     return (max(levels, 1) - 1).bit_length() + 7 >> 3
 
 
@@ -32,7 +32,7 @@ def split_planes(codes: U32, levels: int) -> list[U8]:
 
 
 def join_planes(planes: list[U8], rows: int) -> U32:
-    """Return the (rows,) uint32 codes of byte planes, lowest byte first; zeros where none."""
+    """Return the (rows,) uint32 codes of byte planes, lowest byte first; zeros without planes."""
     if not planes:
         return np.zeros(rows, np.uint32)
     codes = planes[0].astype(np.uint32)
@@ -50,17 +50,17 @@ def split_components(codes: U32, grid: Grid) -> list[U8]:
 
 
 def plane_counts(grid: Grid, extra: int = 0) -> list[int]:
-    """Return how many planes each component takes, with `extra` codes above its levels."""
+    """Return the number of planes of each component with `extra` codes above its levels."""
     return [code_bytes(levels + extra) for levels in grid.levels.tolist()]
 
 
 def require_codes(codes: Codes, limit: int, where: str, clause: str) -> None:
-    """Refuse codes that are not below a limit.
+    """Check that all codes are below a limit.
 
     Raises
     ------
     FormatError
-        ``code-range``.
+        ``code-range``: a code is not below the limit.
     """
     largest = int(codes.max(initial=0))
     if largest >= limit:
@@ -77,7 +77,7 @@ def _codes(
     start = first + sum(counts[:component])
     planes = [stream.plane(start + byte, stream.rows) for byte in range(count)]
     codes = planes[0] if count == 1 else join_planes(planes, stream.rows)
-    # Most grids leave codes that a file could state and must not.
+    # The check is needless if every code that fits the planes is valid.
     if limit < 1 << (8 * count) and int(codes.max(initial=0)) >= limit:
         require_codes(codes, limit, f"{stream.where}, component {component}", "6.4")
     return codes
@@ -86,18 +86,18 @@ def _codes(
 def read_values(
     stream: StoredStream, grid: Grid, out: F32, *, first: int = 0, extra: int = 0
 ) -> None:
-    """Write the values of the planes of a grid.
+    """Write the values of codes on a grid.
 
     Parameters
     ----------
     stream : StoredStream
-        Its planes from `first` on are those of the grid, and no others follow.
+        Its planes from `first` on are the planes of the grid.
     grid : Grid
     out : (rows, c) float32
     first : int
-        Planes before the first of the grid.
+        Number of planes before the planes of the grid.
     extra : int
-        Codes above the levels of each component: 2 where they stand for +inf and -inf.
+        Codes above the levels of each component: 2 for +inf and -inf, else 0.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def read_values(
 
 
 def read_codes(stream: StoredStream, grid: Grid) -> U32:
-    """Return the (rows, c) codes of a stream whose planes are those of a grid alone.
+    """Return the (rows, c) codes of a stream that has no other planes.
 
     Raises
     ------

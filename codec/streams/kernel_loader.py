@@ -37,7 +37,7 @@ class KernelLoader:
     def __init__(self, modules: Sequence[str], on_loaded: Callable[[], object]) -> None:
         self._modules = modules
         self._on_loaded = on_loaded
-        # Held during each step, so that the process neither forks nor exits in the middle of one.
+        # Held during each step: the process forks or exits between steps only.
         # Re-entrant because a step may fork itself: numba runs other programs.
         self._step = threading.RLock()
         self._stopped = threading.Event()
@@ -92,7 +92,7 @@ class KernelLoader:
             self._ended = True
 
     def _load_all(self) -> None:
-        """Load one kernel after the other; stop early if the process exits."""
+        """Load all kernels in turn; stop early if the process exits."""
         for module in self._modules:
             with self._step:
                 if self._stopped.is_set():

@@ -1,4 +1,4 @@
-"""Compiled decoding of adaptive steps: the extra bits of rows (SPEC 6.10)."""
+"""Compiled decoding of adaptive steps: extra bits of each row (SPEC 6.10)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ U8 = NDArray[np.uint8]
 
 @inner_exact
 def write_extra_bits(scales: F32, coefficients: F32, knees: F32, extra: U8) -> None:
-    """Write the extra bits of rows (SPEC 6.10)."""
+    """Write the extra bits of each row (SPEC 6.10)."""
     c0, c1, c2 = coefficients[0], coefficients[1], coefficients[2]
     c3, c4, c5 = coefficients[3], coefficients[4], coefficients[5]
     k0, k1, k2, k3 = knees[0], knees[1], knees[2], knees[3]
@@ -31,15 +31,15 @@ def write_extra_bits(scales: F32, coefficients: F32, knees: F32, extra: U8) -> N
         total = total + c4 * (q if q < k2 else k2)
         total = total + c5 * (q if q < k3 else k3)
         total = total if total < limit else limit
-        # Of what is not negative, the integer part is the floor.
+        # The integer part of a non-negative number is its floor.
         extra[row] = np.uint8(np.int32(total if total > zero else zero))
 
 
 @inner_exact
 def count_extra_bits(scales: F32, coefficients: F32, knees: F32, extra: U8) -> I64:
-    """Write the extra bits of rows (SPEC 6.10); return how many rows have each."""
+    """Write the extra bits of each row; return the number of rows by extra bits."""
     write_extra_bits(scales, coefficients, knees, extra)
-    # Two histograms in turn: a count need not wait for the one before.
+    # Two alternating histograms: an increment does not wait for the previous one.
     rows = np.zeros((2, MAX_EXTRA_BITS + 1), np.int64)
     for row in range(len(extra)):
         rows[row & 1, extra[row]] += 1

@@ -270,7 +270,7 @@ def read(
     out: ChunkArrays,
     sh_degree: int,
 ) -> bool:
-    """Decode a chunk whose streams are those of the profile `transform` or `vq`.
+    """Decode a chunk that has the streams of the profile `transform` or `vq`.
 
     Parameters
     ----------
@@ -320,7 +320,7 @@ def read(
 
 
 def _codebook_number(data: U8, records: I64, stream: int) -> int:
-    """Return the number of the codebook with which a stream's parameters begin."""
+    """Return the number of the codebook that a stream refers to."""
     at = int(records[stream, PARAMS])
     return int.from_bytes(data[at : at + 4].tobytes(), "little")
 
@@ -328,7 +328,7 @@ def _codebook_number(data: U8, records: I64, stream: int) -> int:
 def _locate(
     payload: bytes, ends: I64, streams: I64, limit: int, rows: int
 ) -> tuple[U8, I64, I64] | None:
-    """Return data, records and spans of `ChunkPlanes`; None if the chunk has other streams.
+    """Return the arrays data, records and spans of `ChunkPlanes`, or None for other streams.
 
     Parameters
     ----------

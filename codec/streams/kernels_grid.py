@@ -217,7 +217,7 @@ def read_values(planes: ChunkPlanes, stream: I64, digits: I64, coarse_out: F32, 
     Returns
     -------
     bool
-        False if anything in the streams is invalid.
+        False if the stream or its digits are invalid.
     """
     data = planes.data
     rows, components = out.shape

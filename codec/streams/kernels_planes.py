@@ -25,7 +25,7 @@ RADIX, START, SIZE, SYMBOLS = range(4)
 
 
 class ChunkPlanes(NamedTuple):
-    """Streams and planes of one chunk, as its compiled readers share them.
+    """Streams and planes of one chunk, shared by the compiled readers.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class ChunkPlanes(NamedTuple):
 
 @inner_exact
 def digits_in_byte(radix: int) -> tuple[int, int]:
-    """Return how many digits of a radix fit a byte, and the number of their values (SPEC 6.9)."""
+    """Return the digits of a radix per byte, and the number of their values (SPEC 6.9)."""
     count = 1
     limit = radix
     while limit * radix <= 256:
@@ -101,8 +101,8 @@ def _unpack_digits(
 def parse_frame(data: U8, start: int, stored: int) -> tuple[int, int]:
     """Return the end and the decoded size of a zstd frame; -1 for both if its header is unusual.
 
-    The usual header is what encoders write that know the size: one segment, its size in 1, 2 or 4
-    bytes, neither dictionary nor checksum (RFC 8878, 3.1.1.1). Blocks are walked, not decoded.
+    Encoders that know the size write the usual header: one segment, its size in 1, 2 or 4 bytes, no
+    dictionary and no checksum (RFC 8878, 3.1.1.1). Blocks are skipped without decoding.
     """
     # Magic number, descriptor, a size of one byte, the header of a block.
     if stored < 9:

@@ -78,7 +78,7 @@ def _write_coefficients(
     ends : (n,) uint8
         Coordinates of each row, at most the width.
     above : (width + 2,) int64
-        From `_rows_above`.
+        Number of rows with more than 0, 1, … coordinates.
     groups : (g + 1,) int64
         First column of each group, then the width.
     sizes : (2g,) uint8

@@ -79,7 +79,7 @@ def _write_rotations(data: U8, starts: I64, extra: U8, counts: I64, steps: F32, 
     starts : (3 · GROUPS,) int64
         Position of each plane.
     extra, counts
-        From `_count_rows`.
+        See `_count_rows`.
     steps : (MAX_EXTRA_BITS + 1,) float32
         Distance between levels for each number of extra bits.
     out : (n, 4) float32

@@ -1,4 +1,4 @@
-"""The table of stream kinds: how each attribute may be stored, and what reads it (SPEC 6.2)."""
+"""Table of stream kinds: allowed kinds of each attribute and their readers (SPEC 6.2)."""
 
 from __future__ import annotations
 
@@ -32,22 +32,21 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class StreamCodec:
-    """What there is to know of an attribute stored in one kind.
+    """Reader and properties of one kind of stream of one attribute.
 
     Parameters
     ----------
     read : callable
-        Writes the (rows, c) float32 values of a stream, in numpy.
+        Writes the (rows, c) float32 values of a stream.
     refined_by : Kind or None
-        Kind of the streams in a refinement that refine it; None where none do.
+        Kind of the streams that refine it in a refinement; None if it cannot be refined.
     heads_only : bool
-        Whether it may stand for neither escape rows nor rows of a codebook.
+        Whether it is limited to splats of heads: no escape rows, no rows of codebooks.
     levels_only : bool
-        Whether it may stand for nothing but the opacities of a later level (SPEC 7.5); its reader
-        adds to what `out` holds.
+        Whether it is limited to opacities of later levels (SPEC 7.5); its reader adds to `out`.
     codebook : callable or None
-        Returns the codebook and the number of escape rows that a stream refers to; None where it
-        refers to none.
+        Returns the codebook and the number of escape rows that a stream refers to; None if the
+        kind refers to no codebook.
     """
 
     read: Callable[[StoredStream, F32, Inputs], None]
@@ -97,7 +96,7 @@ KINDS: Final[Mapping[Attribute, Mapping[Kind, StreamCodec]]] = {
     Attribute.SH2: _PLAIN,
     Attribute.SH3: _PLAIN,
 }
-"""What may stand in heads, tails and codebooks; refinements hold what `refined_by` names."""
+"""Streams allowed in heads, tails and codebooks; `refined_by` names those of refinements."""
 
 
 def codec_of(stream: StoredStream) -> StreamCodec:
@@ -119,8 +118,8 @@ def codec_of(stream: StoredStream) -> StreamCodec:
     return found
 
 
-def refined_by(stream: StoredStream) -> Kind | None:
-    """Return the kind of the streams that refine a stream of a head; None where none do.
+def refinement_kind(stream: StoredStream) -> Kind | None:
+    """Return the kind of stream that refines a stream of a head; None if it cannot be refined.
 
     Raises
     ------

@@ -19,9 +19,9 @@ def write(differences: F32, grid: Grid) -> Stream:
     Parameters
     ----------
     differences : (n, 1) float32
-        What is added to the logits of the chunk's head.
+        Logits of the level minus those of the chunk's head.
     grid : Grid
-        Of one component.
+        Grid of one component for the differences.
     """
     planes = grid_planes.split_components(grid.quantise(differences), grid)
     return Stream(Attribute.OPACITIES, Kind.DIFFERENCES, len(differences), grid.pack(), planes)
@@ -33,7 +33,7 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     Raises
     ------
     FormatError
-        As `scalar.read`.
+        See `scalar.read`.
     """
     grid = scalar.parse(stream, 1)
     differences = np.empty((stream.rows, 1), np.float32)

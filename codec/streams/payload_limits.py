@@ -1,22 +1,22 @@
-"""The limits of SPEC 9.1 that a payload alone can break."""
+"""Limits of SPEC 9.1 that concern single payloads."""
 
 from __future__ import annotations
 
 from typing import Final
 
 MAX_CHUNK_SPLATS: Final = 1 << 18
-"""Most splats a chunk may hold (SPEC 9.1)."""
+"""Splats of a chunk at most (SPEC 9.1)."""
 
 
 MAX_PLANE_BYTES: Final = 8 * 1024 * 1024
-"""Largest decoded plane, bytes (SPEC 9.1)."""
+"""Bytes of a decoded plane at most (SPEC 9.1)."""
 
 MAX_WINDOW_BYTES: Final = 8 * 1024 * 1024
-"""Largest zstd window a reader must provide: what browsers accept (RFC 9659)."""
+"""Largest zstd window, bytes: the limit of browsers (RFC 9659)."""
 
 
 MAX_STREAMS: Final = 64
-"""Most streams in one segment (SPEC 9.1)."""
+"""Streams of a segment at most (SPEC 9.1)."""
 
 MAX_CODEBOOK_ROWS: Final = 1 << 16
-"""Most rows of one codebook (SPEC 9.1)."""
+"""Rows of a codebook at most (SPEC 9.1)."""

@@ -1,4 +1,4 @@
-"""Quat streams: unit quaternions by three of their four components (SPEC 6.6)."""
+"""Quat streams: unit quaternions stored as three of their four components (SPEC 6.6)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 
 PER_ROW: Final = 255
-"""The parameter `largest` where it differs from row to row and has a plane of its own."""
+"""Value of the parameter `largest` if it varies by row; a plane then stores it."""
 
 _PARAMS: Final = struct.Struct("<B3x")
 
@@ -51,7 +51,7 @@ def write(rows: F32, step: float, *, escape: bool = False) -> Stream:
 
 
 def parse(stream: StoredStream) -> tuple[int, Grid]:
-    """Return `largest` and the grid of the other three components.
+    """Return the parameter `largest` and the grid of the three stored components.
 
     Raises
     ------
@@ -67,34 +67,32 @@ def parse(stream: StoredStream) -> tuple[int, Grid]:
             "and three zero bytes",
             clause="6.6",
         )
-    grid = grids.unpack(params[_PARAMS.size :], 3, stream.where, furthest=1.0)
+    grid = grids.unpack(params[_PARAMS.size :], 3, stream.where, max_value=1.0)
     return largest, grid
 
 
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     """Write unit quaternions, wxyz, w at least 0, into (rows, 4) float32 `out`.
 
-    It needs no `inputs`.
-
     Raises
     ------
     FormatError
-        As `parse` and `left_out`, and ``stream-planes``, ``code-range``.
+        As `parse` and `read_largest`, and ``stream-planes``, ``code-range``.
     """
     largest, grid = parse(stream)
-    which = left_out(stream, largest, grid)
+    which = read_largest(stream, largest, grid)
     others = np.empty((stream.rows, 3), np.float32)
     grid_planes.read_values(stream, grid, others, first=0 if which is None else 1)
-    complete(largest, which, others, out)
+    complete_quaternions(largest, which, others, out)
 
 
-def left_out(stream: StoredStream, largest: int, grid: Grid) -> U8 | None:
-    """Return the (rows,) components that are left out; None where it is the same in every row.
+def read_largest(stream: StoredStream, largest: int, grid: Grid) -> U8 | None:
+    """Return the component that each row omits, (rows,); None if all rows omit the same.
 
     Raises
     ------
     FormatError
-        ``stream-planes``; ``quat-largest``: a row whose component does not exist.
+        ``stream-planes``; ``quat-largest``: a number above 3.
     """
     if largest != PER_ROW:
         return None
@@ -109,16 +107,17 @@ def left_out(stream: StoredStream, largest: int, grid: Grid) -> U8 | None:
     return which
 
 
-def complete(largest: int, which: U8 | None, others: F32, out: F32) -> None:
-    """Write (rows, 4) unit quaternions from the (rows, 3) components that are stored.
+def complete_quaternions(largest: int, which: U8 | None, others: F32, out: F32) -> None:
+    """Write (rows, 4) unit quaternions from their stored components.
 
     Parameters
     ----------
     largest : int
-        The component that is left out in every row, where `which` is None.
+        Component that every row omits, if `which` is None.
     which : (rows,) uint8 or None
-        The one that is left out in each row.
+        Component that each row omits.
     others : (rows, 3) float32
+        Stored components.
     out : (rows, 4) float32
     """
     a, b, c = others.T
@@ -135,6 +134,7 @@ def complete(largest: int, which: U8 | None, others: F32, out: F32) -> None:
 
 
 def _normalise(rows: F32) -> None:
+    """Scale (n, 4) quaternions to unit length with w at least 0, in place."""
     w, x, y, z = rows.T
     norm = np.sqrt(((w * w + x * x) + y * y) + z * z)
     rows /= norm[:, None]

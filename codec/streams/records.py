@@ -1,4 +1,4 @@
-"""Streams: one attribute of a payload's rows as a record and its byte planes (SPEC 6.1, 6.2)."""
+"""Streams of a payload: records of one attribute each, and their byte planes (SPEC 6.1, 6.2)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ U32 = NDArray[np.uint32]
 
 
 class Attribute(IntEnum):
-    """What the rows of a stream are (SPEC 6.2, table of attributes)."""
+    """Attributes that a stream can store (SPEC 6.2)."""
 
     MEANS = 1
     OPACITIES = 2
@@ -38,6 +38,7 @@ class Attribute(IntEnum):
 
 
 SH_BANDS: Final = (Attribute.SH1, Attribute.SH2, Attribute.SH3)
+"""Attributes of the SH bands 1 to 3."""
 
 COMPONENTS: Final = {
     Attribute.MEANS: 3,
@@ -52,11 +53,11 @@ COMPONENTS: Final = {
     Attribute.SH2: 15,
     Attribute.SH3: 21,
 }
-"""Values per row of each attribute; SHN's 45 are those of degree 3, whatever the scene's."""
+"""Values per row of each attribute; SHN has the 45 of degree 3 for every SH degree."""
 
 
 class Kind(IntEnum):
-    """How a stream stores its attribute (SPEC 6.2, table of kinds)."""
+    """Kinds of streams: ways to store an attribute (SPEC 6.2)."""
 
     SCALAR = 1
     FLOAT = 2
@@ -71,7 +72,7 @@ class Kind(IntEnum):
 
 
 ESCAPE: Final = 1
-"""Record flag: the rows are escape rows, vectors that the chunk stores beside its codebook."""
+"""Record flag: the rows are escape rows, which the chunk stores beside its codebook."""
 
 INFINITIES: Final = 2
 """Record flag: two codes above the grid's levels stand for +inf and -inf."""
@@ -86,7 +87,7 @@ _NO_WORDS: Final = np.zeros(0, np.uint32)
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """A stream to be written: one record, its parameters and its byte planes, not yet compressed.
+    """A stream to write: one record, its parameters and its byte planes before compression.
 
     Parameters
     ----------
@@ -94,7 +95,7 @@ class Stream:
     kind : Kind
     rows : int
     params : bytes
-        The kind's parameters, as its clause of SPEC 6 lays them out.
+        Parameters, in the layout of the kind's clause of SPEC 6.
     planes : sequence of (n,) uint8
     flags : int
         `ESCAPE`, `INFINITIES` or 0.
@@ -114,42 +115,41 @@ def pack(streams: Sequence[Stream], *, digits: bool = True) -> bytes:
     Parameters
     ----------
     streams : sequence of Stream
-        In the order a decoder reads them.
+        Streams in the order of decoding.
     digits : bool
-        Whether several symbols may share a byte of a plane.
+        Whether a byte of a plane may pack several symbols.
     """
     return _payload(streams, lambda plane: pack_plane(plane, digits=digits))
 
 
-def pack_plain(streams: Sequence[Stream]) -> bytes:
-    """Return the payload of a segment with all planes as they are, which takes no time.
+def pack_uncompressed(streams: Sequence[Stream]) -> bytes:
+    """Return the payload of a segment with its planes stored uncompressed, which is fast.
 
     Parameters
     ----------
     streams : sequence of Stream
-        In the order a decoder reads them.
+        Streams in the order of decoding.
     """
     return _payload(streams, lambda plane: (len(plane), plane.tobytes()))
 
 
-def compressed(plain: bytes, *, digits: bool = True) -> bytes:
-    """Return what `pack` makes of the streams that `pack_plain` made a payload of.
+def compress_payload(plain: bytes, *, digits: bool = True) -> bytes:
+    """Compress the planes of an uncompressed payload; the result equals that of `pack`.
 
     Parameters
     ----------
     plain : bytes
-        From `pack_plain`.
+        Payload made by `pack_uncompressed`.
     digits : bool
-        As `pack` takes it.
+        Whether a byte of a plane may pack several symbols.
 
     Examples
     --------
     >>> import numpy as np
-    >>> from cogsplat.codec.streams.records import Attribute, compressed, pack, pack_plain
-    >>> from cogsplat.codec.streams import grid, scalar
+    >>> from cogsplat.codec.streams import grid, records, scalar
     >>> values = np.zeros((500, 3), np.float32)
-    >>> streams = [scalar.write(Attribute.SH0, values, grid.fit(values, 0.1))]
-    >>> compressed(pack_plain(streams)) == pack(streams)
+    >>> streams = [scalar.write(records.Attribute.SH0, values, grid.fit(values, 0.1))]
+    >>> records.compress_payload(records.pack_uncompressed(streams)) == records.pack(streams)
     True
     """
     streams = [
@@ -170,7 +170,7 @@ def compressed(plain: bytes, *, digits: bool = True) -> bytes:
 
 
 def _payload(streams: Sequence[Stream], stored: Callable[[U8], tuple[int, bytes]]) -> bytes:
-    """Return a payload with the word and the bytes that `stored` gives for each plane."""
+    """Return a payload; `stored` gives the word and the stored bytes of each plane."""
     records: list[bytes] = []
     bodies: list[bytes] = []
     for stream in streams:
@@ -194,21 +194,21 @@ def _payload(streams: Sequence[Stream], stored: Callable[[U8], tuple[int, bytes]
 
 @dataclass(frozen=True, eq=False)
 class StoredStream:
-    """A stream that was read: one record of a payload, its planes still compressed.
+    """A stream of a payload: one record, its planes still compressed.
 
     Parameters
     ----------
     attribute, kind, flags, rows
-        As in `Stream`.
+        See `Stream`.
     params : memoryview
     words : (p,) uint32
-        Of its planes.
+        Words of the stream's planes: stored lengths and flags.
     planes : StoredPlanes
-        Those of the whole payload.
+        All planes of the payload.
     first : int
-        Which of these is the stream's first.
+        Number of the stream's first plane in the payload.
     where : str
-        Names the stream in messages.
+        Name of the stream in messages.
     """
 
     attribute: Attribute
@@ -223,18 +223,18 @@ class StoredStream:
 
     @property
     def stored_bytes(self) -> int:
-        """Bytes in the file: record, parameters, words and planes."""
+        """Size of record, parameters, words and planes in the file, bytes."""
         planes = int((self.words & np.uint32(LENGTH_MASK)).sum(dtype=np.int64))
         return RECORD.size + len(self.params) + self.words.nbytes + planes
 
     @property
     def label(self) -> str:
-        """Attribute, kind and flag in words, such as ``scales scalar escape``."""
+        """Attribute, kind and flag as text, such as ``scales scalar escape``."""
         escape = " escape" if self.flags & ESCAPE else ""
         return f"{self.attribute.name.lower()} {self.kind.name.lower()}{escape}"
 
     def require_params(self, size: int) -> memoryview:
-        """Return the parameters, which must be `size` bytes."""
+        """Return the parameters; raise ``stream-params`` if they are not `size` bytes."""
         if len(self.params) != size:
             raise FormatError(
                 "stream-params",
@@ -244,12 +244,12 @@ class StoredStream:
         return self.params
 
     def read_planes(self, lengths: Sequence[int]) -> list[U8]:
-        """Return all planes, decompressed to these lengths in bytes."""
+        """Return all planes, decompressed; `lengths` in bytes."""
         self.require_planes(len(lengths))
         return [self.plane(index, length) for index, length in enumerate(lengths)]
 
     def require_planes(self, count: int) -> None:
-        """Refuse another number of planes, before any is read."""
+        """Raise ``stream-planes`` if the stream does not have `count` planes."""
         if len(self.words) != count:
             raise FormatError(
                 "stream-planes",
@@ -265,16 +265,16 @@ class StoredStream:
 
 
 def unpack(payload: memoryview, where: str, max_rows: int) -> list[StoredStream]:
-    """Read the records of a payload and check that they fit it exactly (SPEC 6.1).
+    """Parse the records of a payload and check that planes fill the rest of it (SPEC 6.1).
 
     Parameters
     ----------
     payload : memoryview
-        A segment's bytes, its CRC already checked.
+        Bytes of a segment, its CRC already checked.
     where : str
-        Names the segment in messages.
+        Name of the segment in messages.
     max_rows : int
-        More rows than this in any record are refused before anything is allocated.
+        Rows of a record at most; checked before anything is allocated.
 
     Raises
     ------
@@ -282,7 +282,7 @@ def unpack(payload: memoryview, where: str, max_rows: int) -> list[StoredStream]
         ``stream-record``: a record leaves the payload, does not fit its attribute, or bytes are
         left over; ``stream-count``; ``stream-duplicate``; ``stream-rows``.
     UnsupportedError
-        ``stream-attribute-unknown``, ``stream-kind-unknown``: of a later version.
+        ``stream-attribute-unknown``, ``stream-kind-unknown``: numbers of a later version.
     """
     if len(payload) < _COUNT.size:
         raise FormatError(

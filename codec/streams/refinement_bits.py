@@ -1,4 +1,4 @@
-"""Bits streams: the same number of further bits for every row of sorted means (SPEC 6.17)."""
+"""Bits streams: further bits of sorted means, equally many for every row (SPEC 6.17)."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
 MAX_BITS: Final = 15
-"""Most bits that a refinement adds to an axis (SPEC 6.17)."""
+"""Bits that a refinement adds to an axis at most (SPEC 6.17)."""
 
 _PARAMS: Final = struct.Struct("<B3s")
 
 
-def half_of(bits: int) -> int:
-    """Return half a level of the head in levels of the refinement, 0 where nothing is refined."""
+def half_level(bits: int) -> int:
+    """Return half a level of the head, in refined levels; 0 for 0 bits."""
     return 1 << bits >> 1
 
 
 def coarse_codes(codes: I64, bits: int) -> I64:
-    """Return the codes of the head that are nearest to refined codes."""
-    coarse: I64 = (codes + half_of(bits)) >> bits
+    """Return the codes of the head nearest to refined codes."""
+    coarse: I64 = (codes + half_level(bits)) >> bits
     return coarse
 
 
@@ -39,22 +39,23 @@ def write(codes: I64, bits: int) -> Stream:
     Parameters
     ----------
     codes : (n, 3) int64
-        Refined codes, in the order of the head; the head has their `coarse_codes`.
+        Refined codes in the order of the head, which stores their `coarse_codes`.
     bits : int
         1 to `MAX_BITS`.
     """
-    low = (codes + half_of(bits) - (coarse_codes(codes, bits) << bits)).astype(np.uint64)
+    low = (codes + half_level(bits) - (coarse_codes(codes, bits) << bits)).astype(np.uint64)
     fields = low[:, 0] | (low[:, 1] << np.uint64(bits)) | (low[:, 2] << np.uint64(2 * bits))
     plane = bit_fields.pack(fields, _widths(len(codes), bits))
     return Stream(Attribute.MEANS, Kind.BITS, len(codes), _PARAMS.pack(bits, bytes(3)), [plane])
 
 
 def _widths(rows: int, bits: int) -> U8:
+    """Return the field width of each row, three axes together."""
     return np.full(rows, 3 * bits, np.uint8)
 
 
 def parse(stream: StoredStream) -> int:
-    """Return the number of bits that each axis gains; the number of planes is checked.
+    """Return the bits that a refinement adds to each axis; the number of planes is checked.
 
     Raises
     ------
@@ -79,7 +80,7 @@ def read_plane(stream: StoredStream, bits: int) -> U8:
     Raises
     ------
     FormatError
-        ``bits-padding``, or what is wrong with the plane.
+        ``bits-padding``, or a code of `byte_planes.unpack_plane`.
     """
     widths = _widths(stream.rows, bits)
     plane = stream.plane(0, bit_fields.packed_bytes(widths))
@@ -88,13 +89,13 @@ def read_plane(stream: StoredStream, bits: int) -> U8:
 
 
 def read(stream: StoredStream, codes: I64) -> tuple[I64, int]:
-    """Return refined codes, and how many bits they have gained.
+    """Return refined codes and the bits added to each axis.
 
     Parameters
     ----------
     stream : StoredStream
     codes : (rows, 3) int64
-        Of the head.
+        Codes of the head.
 
     Raises
     ------
@@ -107,7 +108,7 @@ def read(stream: StoredStream, codes: I64) -> tuple[I64, int]:
     mask = np.uint64((1 << bits) - 1)
     for axis in range(3):
         low = (fields >> np.uint64(bits * axis)) & mask
-        refined[:, axis] += low.astype(np.int64) - half_of(bits)
+        refined[:, axis] += low.astype(np.int64) - half_level(bits)
     if int(refined.min(initial=0)) < 0:
         raise FormatError(
             "code-range",

@@ -1,4 +1,4 @@
-"""Digits streams: what codes on a fine grid have below those of a coarse one (SPEC 6.16)."""
+"""Digits streams: low digits that refine codes of a coarse grid to a fine grid (SPEC 6.16)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ F32 = NDArray[np.float32]
 U32 = NDArray[np.uint32]
 
 MAX_RADIX: Final = 16
-"""Most levels of a fine grid to one of a coarse grid (SPEC 6.16)."""
+"""Levels of the fine grid per level of the coarse grid at most (SPEC 6.16)."""
 
 
 def write(attribute: Attribute, codes: U32, grid: Grid, radices: Sequence[int]) -> Stream:
@@ -29,11 +29,11 @@ def write(attribute: Attribute, codes: U32, grid: Grid, radices: Sequence[int]) 
     ----------
     attribute : Attribute
     codes : (n, c) uint32
-        On the fine grid.
+        Codes on the fine grid.
     grid : Grid
-        The fine grid.
+        Fine grid.
     radices : sequence of int
-        For each component 1 to `MAX_RADIX`: ``code // radix`` is its coarse code.
+        Radix of each component, 1 to `MAX_RADIX`: ``code // radix`` is the coarse code.
     """
     planes = [
         (codes[:, component] % np.uint32(radix)).astype(np.uint8)
@@ -44,7 +44,7 @@ def write(attribute: Attribute, codes: U32, grid: Grid, radices: Sequence[int]) 
 
 
 def parse(digits: StoredStream, components: int) -> tuple[Grid, list[int]]:
-    """Return the fine grid and the radices of digits.
+    """Return the fine grid and the radices of a digits stream.
 
     Raises
     ------
@@ -68,18 +68,18 @@ def parse(digits: StoredStream, components: int) -> tuple[Grid, list[int]]:
 def read(
     head: StoredStream, coarse: Grid, digits: StoredStream, out: F32, coarse_out: F32 | None = None
 ) -> None:
-    """Write the values that a stream on a grid and its digits give together.
+    """Write the values of a stream on a grid, refined by a digits stream.
 
     Parameters
     ----------
     head : StoredStream
-        Its planes are those of a scalar stream (SPEC 6.4).
+        Stream of the head, with the planes of a scalar stream (SPEC 6.4).
     coarse : Grid
-        The head's.
+        Grid of the head.
     digits : StoredStream
     out : (rows, c) float32
     coarse_out : (rows, c) float32, optional
-        Is filled with the values of the head alone.
+        Receives the values without refinement.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Scalar streams: values on a uniform grid of its own for each component (SPEC 6.4)."""
+"""Scalar streams: values on one uniform grid per component (SPEC 6.4)."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def write(attribute: Attribute, values: F32, grid: Grid, *, escape: bool = False
     ----------
     attribute : Attribute
     values : (n, c) float32
-        Finite; those outside the grid become its first or last level.
+        Finite values; values beyond the grid become its first or last level.
     grid : Grid
-        Of c components.
+        Grid of c components.
     escape : bool
         Whether the rows are escape rows.
     """
@@ -33,10 +33,10 @@ def write(attribute: Attribute, values: F32, grid: Grid, *, escape: bool = False
 
 
 def write_with_infinities(attribute: Attribute, values: F32, grid: Grid) -> Stream:
-    """Return a scalar stream of (n, 1) float32 values, of which some are infinite.
+    """Return a scalar stream of (n, 1) float32 values that may be infinite.
 
-    The grid has one component and at most `grid.MAX_LEVELS` - 2 levels: two codes more stand for
-    +inf and -inf.
+    The grid has one component and at most `grid.MAX_LEVELS` - 2 levels: two more codes mean +inf
+    and -inf.
     """
     finite = np.isfinite(values)
     codes = grid.quantise(np.where(finite, values, grid.minimum))[:, 0]
@@ -48,7 +48,7 @@ def write_with_infinities(attribute: Attribute, values: F32, grid: Grid) -> Stre
 
 
 def parse(stream: StoredStream, components: int) -> Grid:
-    """Return the grid that the parameters of a scalar stream state.
+    """Return the grid of a scalar stream, read from its parameters.
 
     Raises
     ------
@@ -56,19 +56,19 @@ def parse(stream: StoredStream, components: int) -> Grid:
         ``stream-params``, ``grid-value``, ``grid-levels``.
     """
     params = stream.require_params(components * ENTRY_BYTES)
-    return grids.unpack(params, components, stream.where, grids.MAX_LEVELS - extra_codes(stream))
+    return grids.unpack(params, components, stream.where, grids.MAX_LEVELS - infinity_codes(stream))
 
 
-def extra_codes(stream: StoredStream) -> int:
-    """Return how many codes above the levels stand for infinities: 2 or 0."""
+def infinity_codes(stream: StoredStream) -> int:
+    """Return the number of codes above the levels that mean infinities, 2 or 0."""
     return 2 if stream.flags & INFINITIES else 0
 
 
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     """Write the values of a scalar stream into (rows, c) float32 `out`.
 
-    Digits that refine it are `inputs.refinement`; `inputs.coarse` is then filled with the values
-    of the stream alone.
+    `inputs.refinement` holds the digits that refine it; `inputs.coarse` then receives the values
+    without refinement.
 
     Raises
     ------
@@ -77,6 +77,6 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     """
     grid = parse(stream, out.shape[1])
     if inputs.refinement is None:
-        grid_planes.read_values(stream, grid, out, extra=extra_codes(stream))
+        grid_planes.read_values(stream, grid, out, extra=infinity_codes(stream))
     else:
         refinement_digits.read(stream, grid, inputs.refinement, out, inputs.coarse)

@@ -16,8 +16,7 @@ F32 = NDArray[np.float32]
 def differences_of(scales: F32) -> F32:
     """Return (n, 3) differences of (n, 3) log scales in the order middle, thin, long.
 
-    They are the longest log scale, how much less the middle one is, and how much less than that
-    the thinnest one is.
+    The components are long, long minus middle, and middle minus thin.
     """
     middle, thin, long = scales.T
     return np.stack([long, long - middle, middle - thin], axis=1)
@@ -38,9 +37,9 @@ def write(differences: F32, grid: Grid) -> Stream:
     Parameters
     ----------
     differences : (n, 3) float32
-        As `differences_of` returns them.
+        Differences from `differences_of`.
     grid : Grid
-        Of these three components.
+        Grid of the three differences.
     """
     planes = grid_planes.split_components(grid.quantise(differences), grid)
     return Stream(Attribute.SCALES, Kind.DIFFERENCES, len(differences), grid.pack(), planes)
@@ -49,13 +48,13 @@ def write(differences: F32, grid: Grid) -> Stream:
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     """Write the log scales of a differences stream into (rows, 3) float32 `out`.
 
-    Digits that refine it are `inputs.refinement`; `inputs.coarse` is then filled with the scales
-    of the stream alone.
+    `inputs.refinement` holds the digits that refine it; `inputs.coarse` then receives the scales
+    without refinement.
 
     Raises
     ------
     FormatError
-        As `scalar.read`.
+        See `scalar.read`.
     """
     grid = scalar.parse(stream, 3)
     differences = np.empty((stream.rows, 3), np.float32)

@@ -26,11 +26,11 @@ def write(coordinates: F32, axes: F32, grid: Grid) -> Stream:
     Parameters
     ----------
     coordinates : (n, 3) float32
-        On the axes.
+        Coordinates of sh0 on the axes.
     axes : (3, 3) float32
         Row j is the sh0, R G B, of one unit on axis j; magnitudes at most 1.
     grid : Grid
-        Of the coordinates.
+        Grid of the coordinates.
     """
     planes = grid_planes.split_components(grid.quantise(coordinates), grid)
     params = grid.pack() + axes.astype("<f4").tobytes()
@@ -60,7 +60,7 @@ def parse(stream: StoredStream) -> tuple[Grid, F32]:
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     """Write the sh0 of a basis stream into (rows, 3) float32 `out`.
 
-    Digits that refine its coordinates are `inputs.refinement`.
+    `inputs.refinement` holds the digits that refine its coordinates.
 
     Raises
     ------

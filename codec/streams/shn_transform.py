@@ -1,4 +1,4 @@
-"""Basis streams of shN: a few coordinates on the rows of a codebook (SPEC 6.14)."""
+"""Basis streams of shN: sparse coordinates on the rows of a codebook (SPEC 6.14)."""
 
 from __future__ import annotations
 
@@ -23,35 +23,35 @@ U8 = NDArray[np.uint8]
 U32 = NDArray[np.uint32]
 
 PARAMS: Final = struct.Struct("<IffHH")
-"""Codebook, step, shrink, width and reserved bytes; the sizes of codes follow (SPEC 6.14)."""
+"""Fixed parameters: codebook, step, shrink, width, reserved; code sizes follow (SPEC 6.14)."""
 
 MAX_BASIS_ROWS: Final = 255
-"""Most rows of a basis: the number of a row fits a byte (SPEC 6.14)."""
+"""Rows of a basis at most: the number of a row fits a byte (SPEC 6.14)."""
 
 MAX_FACTOR: Final = 2.0**32
-"""Largest step of shN and magnitude in its basis: sums of products stay finite (SPEC 6.14)."""
+"""Largest step, and largest magnitude in a basis: sums of products stay finite (SPEC 6.14)."""
 
-# First coordinates of the groups that share planes: the strongest alone, then the sparse together.
+# First coordinate of each group that shares planes: strong coordinates alone, sparse ones together.
 GROUP_STARTS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 18, 26)
 
-# Rows of sums and products that stay in the second-level cache.
+# Rows per block: sums and products of a block fit the second-level cache.
 _BLOCK: Final = 2048
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """What a basis stream of shN states before its planes.
+    """Parameters of a basis stream of shN.
 
     Parameters
     ----------
     step : float
         Distance between codes of a coordinate.
     shrink : float
-        Taken off the magnitude of every coordinate that is not 0, in steps.
+        Reduction of the magnitude of each non-zero coordinate, in steps.
     width : int
-        Coordinates in use.
+        Number of coordinates in use.
     sizes : bytes
-        For each group the bytes of its inner and of its last codes.
+        Bytes of an inner code and of a last code, for each group.
     """
 
     step: float
@@ -70,9 +70,9 @@ def write(codes: I64, codebook: int, step: float, shrink: float) -> Stream:
     codebook : int
         Number of the codebook whose rows are the basis.
     step : float
-        Distance between codes.
+        Distance between codes of a coordinate.
     shrink : float
-        What is taken off the magnitude of every coordinate that is not 0, in steps: 0 to 0.5.
+        Reduction of the magnitude of each non-zero coordinate, 0 to 0.5 steps.
     """
     used = np.flatnonzero(codes.any(axis=0))
     width = int(used[-1]) + 1 if len(used) else 0
@@ -83,7 +83,7 @@ def write(codes: I64, codebook: int, step: float, shrink: float) -> Stream:
     zigzag = np.where(ranked > 0, 2 * ranked - 1, -2 * ranked).astype(np.uint32)
     planes: list[U8] = [ends]
     sizes = bytearray()
-    for group in groups(width):
+    for group in coordinate_groups(width):
         inner = [zigzag[: above[j + 1], j] for j in group]
         last = [zigzag[above[j + 1] : above[j], j] - np.uint32(1) for j in group]
         for symbols in (np.concatenate(inner), np.concatenate(last)):
@@ -95,7 +95,7 @@ def write(codes: I64, codebook: int, step: float, shrink: float) -> Stream:
 
 
 @cache
-def groups(width: int) -> tuple[range, ...]:
+def coordinate_groups(width: int) -> tuple[range, ...]:
     """Return the coordinates of each group that shares planes (SPEC 6.14)."""
     stops = [min(start, width) for start in (*GROUP_STARTS[1:], width)]
     found = [range(a, b) for a, b in zip(GROUP_STARTS, stops, strict=True)]
@@ -103,7 +103,7 @@ def groups(width: int) -> tuple[range, ...]:
 
 
 def _by_falling_end(ends: U8, width: int) -> tuple[I64, list[int]]:
-    """Return the rows by falling ends, and how many rows have an end above 0, 1, … `width`."""
+    """Return the rows by falling end, and the number of rows with an end above 0, 1, … `width`."""
     order = np.argsort(np.uint8(255) - ends, kind="stable").astype(np.int64)
     counts = np.bincount(ends, minlength=width + 1)
     above: list[int] = (len(ends) - np.cumsum(counts)).tolist()
@@ -111,7 +111,7 @@ def _by_falling_end(ends: U8, width: int) -> tuple[I64, list[int]]:
 
 
 def codebook_use(stream: StoredStream) -> CodebookUse:
-    """Return the codebook that a basis stream of shN names.
+    """Return the codebook that a basis stream of shN refers to.
 
     Raises
     ------
@@ -122,6 +122,7 @@ def codebook_use(stream: StoredStream) -> CodebookUse:
 
 
 def _params(stream: StoredStream) -> memoryview:
+    """Return the parameters of a basis stream of shN, their length checked."""
     if len(stream.params) < PARAMS.size:
         raise FormatError(
             "stream-params",
@@ -130,7 +131,7 @@ def _params(stream: StoredStream) -> memoryview:
             clause="6.14",
         )
     width = int(PARAMS.unpack_from(stream.params)[3])
-    return stream.require_params(PARAMS.size + 2 * len(groups(width)))
+    return stream.require_params(PARAMS.size + 2 * len(coordinate_groups(width)))
 
 
 def parse(stream: StoredStream, basis: F32) -> Parameters:
@@ -183,25 +184,25 @@ def parse(stream: StoredStream, basis: F32) -> Parameters:
 
 
 def read_ends(stream: StoredStream, width: int) -> U8:
-    """Return the (rows,) numbers of coordinates up to the last that is not 0.
+    """Return the number of coordinates of each row up to its last non-zero one, (rows,).
 
     Raises
     ------
     FormatError
-        ``code-range``: more than `width`.
+        ``code-range``: a number above `width`.
     """
     ends = stream.plane(0, stream.rows)
     grid_planes.require_codes(ends, width + 1, f"{stream.where}, ends", "6.14")
     return ends
 
 
-def basis_of(inputs: Inputs) -> F32:
-    """Return the (C, d) float32 basis that the inputs of a stream hold.
+def require_basis(inputs: Inputs) -> F32:
+    """Return the basis of a stream's inputs, (C, d) float32.
 
     Raises
     ------
     ValueError
-        They hold none.
+        The inputs have no codebook.
     """
     if inputs.codebook is None:
         raise ValueError("no codebook for a basis stream")
@@ -211,7 +212,7 @@ def basis_of(inputs: Inputs) -> F32:
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     """Write SH coefficients into (rows, d) float32 `out`, coefficient by coefficient, R G B inside.
 
-    Needs `inputs.codebook`, (C, d) float32: the basis, with as many coefficients as are wanted.
+    Needs `inputs.codebook`, (C, d) float32: the basis, limited to the d requested coefficients.
 
     Raises
     ------
@@ -220,7 +221,7 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     ValueError
         No codebook is given.
     """
-    basis = basis_of(inputs)
+    basis = require_basis(inputs)
     found = parse(stream, basis)
     ends = read_ends(stream, found.width)
     order, above = _by_falling_end(ends, found.width)
@@ -244,20 +245,20 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """One coordinate of rows that follow each other by falling ends.
+    """One coordinate of consecutive rows, by falling end.
 
     Parameters
     ----------
     first, last : int
-        The rows, as a half-open range of ranks.
+        Half-open range of ranks.
     symbols : (last - first,) uint8
-        Of inner or of last codes.
+        Inner or last codes.
     table : (m,) float32
-        The coordinate of each symbol.
+        Coordinate of each symbol.
     coordinates : (last - first,) float32 or None
-        Those of codes that take several bytes, in place of symbols and table.
+        Coordinates of codes of several bytes, used instead of symbols and table.
     row : (d,) float32
-        Of the basis.
+        Row of the basis.
     """
 
     first: int
@@ -268,12 +269,12 @@ class _Part:
     row: F32
 
     def write_products(self, start: int, out: F32) -> None:
-        """Write what the rows from rank `start` on have on this coordinate, (rows, d) float32."""
+        """Write coordinate times basis row for the rows from rank `start` on, (rows, d) float32."""
         own = slice(start - self.first, start - self.first + len(out))
         if self.coordinates is not None:
             np.multiply(self.coordinates[own, None], self.row, out=out)
         elif 2 * len(self.table) <= len(out):
-            # Copies of rows that are there already take half the time of a product for each row.
+            # Copying products from a table takes half the time of computing one per row.
             products = self.table[:, None] * self.row
             products.take(self.symbols[own], axis=0, out=out, mode="clip")
         else:
@@ -281,14 +282,14 @@ class _Part:
 
 
 def _parts(stream: StoredStream, found: Parameters, above: list[int], basis: F32) -> list[_Part]:
-    """Return the rows of each coordinate in its order: inner ones, then those that end with it.
+    """Return the parts of all coordinates in order, inner codes before last codes.
 
     Parameters
     ----------
     stream : StoredStream
     found : Parameters
     above : list of int
-        How many rows have an end above 0, 1, … the width.
+        Number of rows with an end above 0, 1, … the width.
     basis : (C, d) float32
     """
     factors = np.float32(found.step), np.float32(found.shrink)
@@ -296,7 +297,7 @@ def _parts(stream: StoredStream, found: Parameters, above: list[int], basis: F32
     tables = [_coordinate(octets + np.uint32(offset), *factors) for offset in range(2)]
     parts: list[_Part] = []
     plane = 1
-    for number, group in enumerate(groups(found.width)):
+    for number, group in enumerate(coordinate_groups(found.width)):
         own: list[list[_Part]] = [[], []]
         spans = [(0, above[j + 1]) for j in group], [(above[j + 1], above[j]) for j in group]
         for offset in range(2):
@@ -321,7 +322,7 @@ def _parts(stream: StoredStream, found: Parameters, above: list[int], basis: F32
 
 
 def _coordinate(codes: U32, step: np.float32, shrink: np.float32) -> F32:
-    """Return the coordinates that codes stand for (SPEC 6.14)."""
+    """Return the coordinates of codes (SPEC 6.14)."""
     magnitude = ((codes + np.uint32(1)) >> np.uint32(1)).astype(np.float32)
     value = np.where(codes > 0, magnitude - shrink, np.float32(0)) * step
     out: F32 = np.where(codes & np.uint32(1), value, -value)

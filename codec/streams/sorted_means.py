@@ -1,4 +1,4 @@
-"""Sorted streams: means by Morton-sorted cells and extra bits below them (SPEC 6.5)."""
+"""Sorted streams: means as Morton-sorted cells and extra bits within the cells (SPEC 6.5)."""
 
 from __future__ import annotations
 
@@ -25,8 +25,9 @@ U32 = NDArray[np.uint32]
 U64 = NDArray[np.uint64]
 
 CELL_AXIS_BITS: Final = 17
+"""Bits of a cell's coordinate along one axis."""
 MAX_CELLS: Final = 1 << CELL_AXIS_BITS
-"""Most levels of an axis of the coarse grid (SPEC 6.5)."""
+"""Cells along an axis at most (SPEC 6.5)."""
 
 MORTON_BITS: Final = 3 * CELL_AXIS_BITS
 """Morton codes stay below 2^51: a double holds them and their differences (SPEC 6.5)."""
@@ -36,27 +37,27 @@ _THREE: Final = np.uint8(3)
 POWERS: Final = np.ldexp(
     np.float32(1), -np.arange(MAX_EXTRA_BITS + refinement_bits.MAX_BITS + 1)
 ).astype(np.float32)
-"""2^-m for every number m of bits below a cell; the product with a step is exact, or underflows."""
+"""2^-m for each number m of bits below a cell; products with a step are exact or underflow."""
 
 
-def cells_of(grid: Grid) -> tuple[Grid, int]:
-    """Return a grid of cells, of which each is `bits` halvings above the levels of a fine grid.
+def cell_grid(grid: Grid) -> tuple[Grid, int]:
+    """Return the grid of cells for a fine grid, and the halvings from a cell to a fine level.
 
     Parameters
     ----------
     grid : Grid
-        Of three components and any number of levels.
+        Fine grid of three components with any number of levels.
 
     Returns
     -------
     cells : Grid
         At most `MAX_CELLS` levels an axis.
     bits : int
-        As few as that takes; 0 where the grid itself will do.
+        Halvings from a cell to a fine level; 0 if the fine grid serves as cells.
     """
     bits = max(0, (int(grid.levels.max()) - 1).bit_length() - CELL_AXIS_BITS)
     levels = (grid.levels.astype(np.int64) + (1 << bits) - 1) >> bits
-    # One level alone would have no step to halve.
+    # A single level would have no step to halve.
     levels = np.where(grid.levels > 1, np.maximum(levels, 2), 1)
     step = grid.step.astype(np.float64) * 2.0**bits
     maximum = grid.minimum.astype(np.float64) + (levels - 1) * step
@@ -65,34 +66,37 @@ def cells_of(grid: Grid) -> tuple[Grid, int]:
     return Grid(grid.minimum, maximum.astype(np.float32), levels.astype(np.uint32)), bits
 
 
-def codes_of(means: F32, grid: Grid, extra_bits: U8, refined_by: int = 0) -> I64:
-    """Return the codes of means, each row on its own halving of a grid.
+def quantise(means: F32, grid: Grid, extra_bits: U8, refined_by: int = 0) -> I64:
+    """Return the codes of means, each row on the grid of cells halved by its own bits.
 
     Parameters
     ----------
     means : (n, 3) float32
     grid : Grid
+        Grid of the cells.
     extra_bits : (n,) uint8
-        Of the head.
+        Bits below the cell in the head.
     refined_by : int
-        Bits that a refinement adds to those.
+        Bits that a refinement adds.
 
     Returns
     -------
     (n, 3) int64
-        Such that the nearest code of the head is one of its own.
+        Refined codes; the nearest code of the head is within the head's levels.
     """
     total = extra_bits.astype(np.int32)[:, None] + refined_by
     step = np.ldexp(grid.step.astype(np.float64), -total)
     minimum = grid.minimum.astype(np.float64)
     codes = np.rint((means.astype(np.float64) - minimum) / np.where(step > 0, step, 1))
-    top = np.ldexp(grid.levels.astype(np.float64), total) - 1 - refinement_bits.half_of(refined_by)
+    top = (
+        np.ldexp(grid.levels.astype(np.float64), total) - 1 - refinement_bits.half_level(refined_by)
+    )
     out: I64 = np.clip(codes, 0, top).astype(np.int64)
     return out
 
 
-def values(codes: I64, grid: Grid, bits: U8) -> F32:
-    """Return the (n, 3) float32 means of codes with so many bits below the cell (SPEC 6.5)."""
+def dequantise(codes: I64, grid: Grid, bits: U8) -> F32:
+    """Return the (n, 3) float32 means of codes with `bits` bits below the cell (SPEC 6.5)."""
     same = len(bits) > 0 and int(bits.min()) == int(bits.max())
     powers = POWERS[bits[:1]] if same else POWERS[bits]
     step = powers[:, None] * grid.step
@@ -101,12 +105,13 @@ def values(codes: I64, grid: Grid, bits: U8) -> F32:
 
 
 def morton_order(codes: I64, extra_bits: U8) -> I64:
-    """Return the rows sorted by the Morton codes of their cells, ties as they were."""
+    """Return the order of rows by the Morton codes of their cells; the sort is stable."""
     keys = morton.interleave(_cells(codes, extra_bits))
     return np.argsort(keys, kind="stable").astype(np.int64)
 
 
 def _cells(codes: I64, extra_bits: U8) -> U32:
+    """Return the (n, 3) cells of codes."""
     cells: U32 = (codes >> extra_bits.astype(np.int64)[:, None]).astype(np.uint32)
     return cells
 
@@ -117,11 +122,11 @@ def write(codes: I64, grid: Grid, extra_bits: U8, model: StepModel) -> Stream:
     Parameters
     ----------
     codes : (n, 3) int64
-        In `morton_order`.
+        Codes in `morton_order`.
     grid : Grid
-        Of the cells, at most `MAX_CELLS` levels an axis.
+        Grid of the cells, at most `MAX_CELLS` levels along an axis.
     extra_bits : (n,) uint8
-        As the model gives them from the scales that the head alone gives.
+        Extra bits that the model gives for the decoded scales of the head.
     model : StepModel
     """
     classes, differences = pack_differences(morton.interleave(_cells(codes, extra_bits)))
@@ -139,14 +144,14 @@ def pack_differences(codes: U64) -> tuple[U8, U8]:
     Parameters
     ----------
     codes : (n,) uint64
-        Ascending.
+        Ascending Morton codes.
 
     Returns
     -------
     classes : (n,) uint8
-        Bit length of each code's difference to the one before, of the first one to 0.
+        Bit length of each code's difference to its predecessor; the first code's own bit length.
     differences : (m,) uint8
-        Every difference without its leading one, lowest bit first, packed without gaps.
+        Differences without their leading 1 bit, lowest bit first, packed without gaps.
     """
     deltas = np.diff(codes, prepend=np.uint64(0))
     classes = _bit_length(deltas)
@@ -154,6 +159,7 @@ def pack_differences(codes: U64) -> tuple[U8, U8]:
 
 
 def _bit_length(values: U64) -> U8:
+    """Return the bit length of each value; 0 for 0."""
     length = np.zeros(len(values), np.uint8)
     rest = values.copy()
     for shift in (32, 16, 8, 4, 2, 1):
@@ -164,7 +170,7 @@ def _bit_length(values: U64) -> U8:
 
 
 def difference_widths(classes: U8, where: str) -> U8:
-    """Return the bits that each row has in the plane of differences.
+    """Return the bits of each row in the plane of differences.
 
     Raises
     ------
@@ -182,7 +188,7 @@ def difference_widths(classes: U8, where: str) -> U8:
 
 
 def unpack_differences(classes: U8, differences: U8, where: str) -> U64:
-    """Return the (n,) Morton codes of a plane of classes and a plane of differences.
+    """Return the (n,) Morton codes from the planes of classes and of differences.
 
     Raises
     ------
@@ -193,7 +199,7 @@ def unpack_differences(classes: U8, differences: U8, where: str) -> U64:
     deltas = bit_fields.unpack(differences, widths, where)
     deltas |= np.uint64(1) << widths.astype(np.uint64)
     deltas[classes == 0] = 0
-    # The first sum out of range is below 2^52, and shows; those after it do not matter.
+    # The first sum out of range stays below 2^52, so the check finds it; later ones may wrap.
     codes = np.cumsum(deltas, dtype=np.uint64)
     if len(codes) and bool((codes >> np.uint64(MORTON_BITS)).any()):
         raise FormatError(
@@ -222,15 +228,15 @@ def parse(stream: StoredStream) -> tuple[Grid, StepModel]:
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     """Write the means of a sorted stream into (rows, 3) float32 `out`.
 
-    Needs `inputs.scales`; bits that refine it are `inputs.refinement`.
+    Needs `inputs.scales`; `inputs.refinement` holds the bits that refine it.
 
     Raises
     ------
     FormatError
         As `parse`, `unpack_differences` and `refinement_bits.read`;
-        ``bits-padding``; ``code-range``: a cell or a refined code that the grid does not have.
+        ``bits-padding``; ``code-range``: a cell or a refined code beyond the grid.
     ValueError
-        No scales are given.
+        The inputs have no scales.
     """
     grid, model = parse(stream)
     classes = stream.plane(0, stream.rows)
@@ -244,11 +250,11 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
             f"{stream.where}: cells up to {top.tolist()}, expected below {grid.levels.tolist()}",
             clause="6.5",
         )
-    extra_bits = model.extra_bits(step_models.scales_of(inputs))
+    extra_bits = model.extra_bits(step_models.require_scales(inputs))
     widths = extra_bits * _THREE
     plane = stream.plane(2, bit_fields.packed_bytes(widths))
     if not len(plane) and inputs.refinement is None:
-        # Cells alone, as they are on their grid.
+        # No bits below the cells.
         out[:] = grid.dequantise(cells)
         return
     codes = cells.astype(np.int64)
@@ -262,4 +268,4 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     if inputs.refinement is not None:
         codes, more = refinement_bits.read(inputs.refinement, codes)
         extra_bits = extra_bits + np.uint8(more)
-    out[:] = values(codes, grid, extra_bits)
+    out[:] = dequantise(codes, grid, extra_bits)

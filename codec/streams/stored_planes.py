@@ -1,4 +1,4 @@
-"""Where the byte planes of one payload stand, before any is decompressed (SPEC 6.1, 6.3)."""
+"""Positions of the byte planes in one payload, before decompression (SPEC 6.1, 6.3)."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ U32 = NDArray[np.uint32]
 
 @dataclass(frozen=True, eq=False)
 class StoredPlanes:
-    """All planes of one payload as they are stored.
+    """Stored bytes of all planes of one payload.
 
     Parameters
     ----------
     payload : memoryview
-        The segment's bytes.
+        Bytes of the segment.
     words : (p,) uint32
         Stored length and flags of each plane.
     ends : (p,) int64
-        Where each plane ends; the next one begins there.
+        End of each plane, where the next one begins.
     """
 
     payload: memoryview
@@ -38,15 +38,14 @@ class StoredPlanes:
 
 
 def locate(payload: memoryview, words: U32, start: int) -> StoredPlanes:
-    """Return the planes that follow each other from a byte of the payload on.
+    """Locate consecutive planes of a payload.
 
     Parameters
     ----------
     payload : memoryview
     words : (p,) uint32
     start : int
-        Where the first plane begins. That the last one ends within the payload is for the caller
-        to check.
+        Position of the first plane. The caller checks that the last one ends within the payload.
     """
     lengths = (words & np.uint32(LENGTH_MASK)).astype(np.int64)
     return StoredPlanes(payload, words, start + np.cumsum(lengths))

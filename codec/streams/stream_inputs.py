@@ -1,4 +1,4 @@
-"""What the reader of a stream is given besides the stream."""
+"""Inputs of a stream's reader besides the stream."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """Decoded values and streams that a stream may depend on; each kind uses those it needs.
+    """Decoded values and streams that the reader of a stream may need.
 
     Parameters
     ----------
     scales : (rows, 3) float32, optional
-        Log scales of the same rows as the head alone gives them: the adaptive step of means and
-        rotations follows from these (SPEC 6.10).
+        Log scales of the same rows, decoded without refinement: the adaptive steps of means and
+        rotations follow from them (SPEC 6.10).
     refinement : StoredStream, optional
-        The stream of the chunk's refinement that refines this one (SPEC 7.4).
+        Stream of the chunk's refinement that refines this stream (SPEC 7.4).
     coarse : (rows, c) float32, optional
-        Array to fill with the values that the stream has without its refinement.
+        Array that receives the values without refinement.
     codebook : (C, d) float32, optional
-        Rows of the codebook that the stream names.
+        Rows of the codebook that the stream refers to.
     escape : (e, d) float32, optional
-        Escape rows of the same payload, which follow the rows of the codebook.
+        Escape rows of the same payload, indexed after the rows of the codebook.
     """
 
     scales: F32 | None = None
@@ -40,4 +40,4 @@ class Inputs:
 
 
 NO_INPUTS: Final = Inputs()
-"""For streams that depend on nothing else."""
+"""Inputs of streams that need none."""

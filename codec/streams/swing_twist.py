@@ -1,4 +1,4 @@
-"""Swing-twist streams: a swing of the longest axis and a twist about it (SPEC 6.11)."""
+"""Swing-twist streams: rotations as swing of the long axis and twist about it (SPEC 6.11)."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ U8 = NDArray[np.uint8]
 U32 = NDArray[np.uint32]
 
 SYMBOL_BITS: Final = 6
-"""Extra bits up to here are stored as symbols; the bits below them are packed (SPEC 6.11)."""
+"""High bits of a code that are stored as a symbol; lower bits are packed (SPEC 6.11)."""
 
 COMPONENT_PLANES: Final = SYMBOL_BITS + 1
-"""Planes of a component: one of symbols for each number of bits, and one of the low bits."""
+"""Planes of a component: symbols for each number of extra bits, and the low bits."""
 
 BASE_STEP: Final = 2.0
-"""Step of a component without extra bits: its values lie in ±1."""
+"""Quantiser step of a component without extra bits; values lie in ±1."""
 
 STEPS: Final = np.ldexp(np.float32(BASE_STEP), -np.arange(MAX_EXTRA_BITS + 1)).astype(np.float32)
-"""Distance between levels at each number of extra bits."""
+"""Quantiser step for each number of extra bits."""
 
 
 def decompose(quats: F32, scales: F32) -> tuple[F64, F32]:
-    """Return each rotation as swing and twist, its axes renamed to middle, thin, long.
+    """Return rotations as swing and twist, with axes in the order middle, thin, long.
 
-    Every Gaussian has such a name: its axes may be permuted and reversed.
+    A Gaussian stays the same if its axes are permuted or reversed.
 
     Parameters
     ----------
     quats : (n, 4) float32
         Unit, wxyz.
     scales : (n, 3) float32
-        Log.
+        Log scales.
 
     Returns
     -------
@@ -52,19 +52,19 @@ def decompose(quats: F32, scales: F32) -> tuple[F64, F32]:
         Swing (a, b) and twist c: the quaternion is (1, a, b, 0)·(1, 0, 0, c), normalised; a² + b²
         and |c| are at most 1.
     scales : (n, 3) float32
-        Permuted: middle, thin, long.
+        Log scales in the order middle, thin, long.
     """
     order = np.argsort(scales, axis=1, kind="stable")[:, [1, 0, 2]]
     permuted = np.take_along_axis(scales, order, axis=1)
     axes = np.take_along_axis(rotations.matrices(quats), order[:, None, :], axis=2)
-    # A permutation may mirror: reversing one axis makes it a rotation again.
+    # An odd permutation mirrors; reversing one axis makes it a rotation again.
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
-    # The long axis points up, so that it swings by at most 90°: reverse it with the middle one.
+    # The long axis must point up to swing by at most 90°; the middle axis is reversed with it.
     down = axes[:, 2, 2] < 0
     axes[down, :, 2] *= -1
     axes[down, :, 0] *= -1
     quat = rotations.from_matrices(axes)
-    # A twist of 180° changes nothing: (w, z) becomes (-z, w).
+    # A twist by 180° leaves the Gaussian unchanged: (w, z) becomes (-z, w).
     far = np.abs(quat[:, 3]) > np.abs(quat[:, 0])
     w, x, y, z = quat[far].T
     quat[far] = np.stack([-z, y, -x, w], axis=1)
@@ -92,7 +92,7 @@ def compose(components: F32) -> F32:
 
 
 def quantise(values: F64, extra_bits: U8) -> U32:
-    """Return the codes of (n,) values in ±1 on 2^h + 1 levels; one level, 0, without extra bits."""
+    """Return the codes of (n,) values in ±1 on 2^h + 1 levels; 0 for rows without extra bits."""
     half = np.ldexp(0.5, extra_bits.astype(np.int32))
     codes = np.rint((values + 1) * half)
     codes = np.clip(codes, 0, 2 * half)
@@ -111,27 +111,27 @@ def write(components: F64, scales: F32, swing: StepModel, twist: StepModel) -> S
     Parameters
     ----------
     components : (n, 3) float64
-        As `decompose` returns them.
+        Swing and twist from `decompose`.
     scales : (n, 3) float32
-        As the head alone gives them: middle, thin, long.
+        Decoded log scales of the head: middle, thin, long.
     swing, twist : StepModel
-        Extra bits of a and b, and of c.
+        Step models of the swing (a, b) and of the twist c.
     """
     planes: list[U8] = []
     for column, extra_bits in enumerate(extra_bits_of(scales, swing, twist)):
-        planes += split(quantise(components[:, column], extra_bits), extra_bits)
+        planes += split_component(quantise(components[:, column], extra_bits), extra_bits)
     params = swing.pack() + twist.pack()
     return Stream(Attribute.QUATS, Kind.SWING_TWIST, len(components), params, planes)
 
 
 def extra_bits_of(scales: F32, swing: StepModel, twist: StepModel) -> list[U8]:
-    """Return the (n,) extra bits of a, of b and of c."""
+    """Return the extra bits of the components a, b and c, (n,) each."""
     swings = swing.extra_bits(scales)
     return [swings, swings, twist.extra_bits(scales)]
 
 
-def split(codes: U32, extra_bits: U8) -> list[U8]:
-    """Return the planes of one component.
+def split_component(codes: U32, extra_bits: U8) -> list[U8]:
+    """Return the planes of one component's codes.
 
     Parameters
     ----------
@@ -141,8 +141,8 @@ def split(codes: U32, extra_bits: U8) -> list[U8]:
     Returns
     -------
     list of uint8 arrays
-        For each m from 1 to `SYMBOL_BITS` the high bits of the rows with m extra bits, the last
-        for those with more as well; then the low bits of these, packed.
+        For each m from 1 to `SYMBOL_BITS`, the symbols of the rows with m extra bits; the last
+        plane includes rows with more. Then the low bits of those rows, packed.
     """
     capped = np.minimum(extra_bits, SYMBOL_BITS)
     low = extra_bits - capped
@@ -176,10 +176,10 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     FormatError
         As `parse`; ``bits-padding``; ``code-range``: a code beyond the levels of its row.
     ValueError
-        No scales are given.
+        The inputs have no scales.
     """
     swing, twist = parse(stream)
-    columns = extra_bits_of(step_models.scales_of(inputs), swing, twist)
+    columns = extra_bits_of(step_models.require_scales(inputs), swing, twist)
     components = np.empty((stream.rows, 3), np.float32)
     for column, extra_bits in enumerate(columns):
         codes = _read_codes(stream, column * COMPONENT_PLANES, extra_bits)
@@ -194,12 +194,12 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
 
 
 def _read_codes(stream: StoredStream, first: int, extra_bits: U8) -> U32:
-    """Return the codes of the component whose planes start at `first`."""
+    """Return the codes of the component whose planes begin at number `first`."""
     capped = np.minimum(extra_bits, SYMBOL_BITS)
     counts = np.bincount(capped, minlength=SYMBOL_BITS + 1).tolist()
     symbols = [stream.plane(first + m - 1, counts[m]) for m in range(1, SYMBOL_BITS + 1)]
     codes = np.zeros(len(extra_bits), np.uint32)
-    # Rows by their number of bits, within one number as they come; those without bits are first.
+    # Rows by number of extra bits, in stored order within a number; rows without bits come first.
     order = np.argsort(capped, kind="stable")
     codes[order[counts[0] :]] = np.concatenate(symbols)
     low = extra_bits - capped

@@ -1,4 +1,4 @@
-"""One zstd frame of a plane: its header checked here, its blocks decoded by libzstd (SPEC 6.3)."""
+"""zstd frames of planes: headers checked here, blocks decoded by libzstd (SPEC 6.3)."""
 
 from __future__ import annotations
 
@@ -25,35 +25,35 @@ _SINGLE_SEGMENT_BIT: Final = 0x20
 _DICTIONARY_BYTES: Final = (0, 1, 2, 4)
 _SIZE_BYTES: Final = (0, 2, 4, 8)
 
-# Of zstandard's backends, that in C alone decompresses several frames in one call, during which
-# other threads run. The call makes a decompressor of its own, which takes as long as four frames.
-_MANY_AT_ONCE: Final = "multi_decompress_to_buffer" in zstandard.backend_features
-_WORTH_ONE_CALL: Final = 8
+# Only zstandard's C backend decompresses several frames in one call, without the interpreter's
+# lock. The call creates a decompressor of its own, which takes as long as four frames.
+_HAS_BATCH_CALL: Final = "multi_decompress_to_buffer" in zstandard.backend_features
+_MIN_BATCH_FRAMES: Final = 8
 
 _local = threading.local()
 
 
 def decompress(stored: memoryview, length: int, where: str) -> bytes:
-    """Return the bytes of one zstd frame that must hold exactly `length` bytes.
+    """Decompress one zstd frame of exactly `length` bytes.
 
     Parameters
     ----------
     stored : memoryview
-        The frame, and nothing behind it.
+        The frame, without further bytes.
     length : int
         Decoded length in bytes, already checked against the limits.
     where : str
-        Names the frame in messages.
+        Name of the frame in messages.
 
     Raises
     ------
     FormatError
         ``zstd-frame``, ``zstd-size``, ``zstd-window``, ``zstd-dictionary``, ``zstd-checksum``: the
-        first that applies, in this order; the header's codes come before anything is decoded.
+        first that applies, in this order. The header is checked before anything is decoded.
     """
     _check_header(stored, length, where)
     try:
-        raw = _whole(stored, length)
+        raw = _decompress_frame(stored, length)
     except zstandard.ZstdError as error:
         raise FormatError("zstd-frame", f"{where}: {error}", clause="6.3") from error
     if len(raw) != length:
@@ -64,20 +64,20 @@ def decompress(stored: memoryview, length: int, where: str) -> bytes:
 
 
 def decompress_located(stored: memoryview, frames: U64, sizes: U64) -> bytes | None:
-    """Return the bytes of several frames one after the other; None where one is damaged.
+    """Decompress several zstd frames into consecutive bytes; None if a frame is damaged.
 
     Parameters
     ----------
     stored : memoryview
-        Holds the frames.
+        Bytes that contain the frames.
     frames : (n, 2) uint64
-        Where each begins and how long it is. The caller has checked their headers, and that
-        nothing follows the last block of any.
+        Position and length of each frame. The caller has checked its header, and that it ends with
+        its last block.
     sizes : (n,) uint64
         Decoded length of each, bytes; above 0.
     """
     try:
-        if len(frames) < _WORTH_ONE_CALL or not _MANY_AT_ONCE:
+        if len(frames) < _MIN_BATCH_FRAMES or not _HAS_BATCH_CALL:
             whole = _decompressor().decompress
             return b"".join([whole(stored[a : a + n]) for a, n in frames.tolist()])
         source = zstandard.BufferWithSegments(stored, frames.astype("<u8").tobytes())
@@ -85,17 +85,17 @@ def decompress_located(stored: memoryview, frames: U64, sizes: U64) -> bytes | N
             source, decompressed_sizes=sizes.astype("<u8").tobytes()
         )
     except zstandard.ZstdError:
-        # The caller decompresses them one by one, which tells what is wrong with which.
+        # The caller decompresses frame by frame instead, which raises the error of the damaged one.
         return None
-    # Segments are buffers, which their type does not say.
+    # Segments are buffers; their declared type lacks that.
     return b"".join(cast(list[bytes], [found[number] for number in range(len(found))]))
 
 
 def _check_header(stored: memoryview, length: int, where: str) -> None:
-    """Refuse what SPEC 6.3 forbids in a frame header.
+    """Raise the code of SPEC 6.3 that a frame header breaks.
 
-    libzstd's own reading of the header is not used: it takes skippable frames, accepts dictionary
-    fields that hold 0 and refuses the largest windows as damage.
+    libzstd's own check is not used: it accepts skippable frames and dictionary fields that hold 0,
+    and reports the largest windows as damage.
     """
     if stored[:4] != _MAGIC:
         raise FormatError(
@@ -141,7 +141,7 @@ def _check_header(stored: memoryview, length: int, where: str) -> None:
             f"{where}: the frame header has a dictionary field, expected none",
             clause="6.3",
         )
-    # Decoders for browsers do not verify it: a wrong one would be an error in some readers only.
+    # Decoders in browsers do not verify checksums: a wrong one would fail in some readers only.
     if descriptor & _CHECKSUM_BIT:
         raise FormatError(
             "zstd-checksum",
@@ -151,16 +151,17 @@ def _check_header(stored: memoryview, length: int, where: str) -> None:
 
 
 def _window_bytes(descriptor: int) -> int:
-    """Return the window that a window descriptor states (RFC 8878, 3.1.1.1.2)."""
+    """Return the window size of a window descriptor, bytes (RFC 8878, 3.1.1.1.2)."""
     base: int = 1 << 10 + (descriptor >> 3)
     return base + base // 8 * (descriptor & 7)
 
 
-def _whole(stored: memoryview, length: int) -> bytes:
+def _decompress_frame(stored: memoryview, length: int) -> bytes:
+    """Return the bytes of one whole frame whose header is checked."""
     if length:
         raw: bytes = _decompressor().decompress(stored, allow_extra_data=False)
         return raw
-    # `decompress` looks at no block of a frame that states 0 bytes, nor at what follows it.
+    # `decompress` ignores the blocks of a frame of 0 bytes, and bytes after it.
     piecewise = _decompressor().decompressobj()
     raw = piecewise.decompress(stored)
     if not piecewise.eof or piecewise.unused_data:
@@ -169,7 +170,7 @@ def _whole(stored: memoryview, length: int) -> bytes:
 
 
 def _decompressor() -> zstandard.ZstdDecompressor:
-    """Return this thread's decompressor: making one takes longer than a small frame."""
+    """Return this thread's decompressor, reused because creating one takes longer than a frame."""
     try:
         found: zstandard.ZstdDecompressor = _local.decompressor
     except AttributeError:

@@ -16,7 +16,7 @@ from cogsplat.codec.partition.nested_cells import parents
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.segments import codebooks
 from cogsplat.codec.segments.attributes import unpack_attributes
-from cogsplat.codec.segments.chunk_sets import equivalent_prefixes, is_closed
+from cogsplat.codec.segments.chunk_sets import equivalent_prefixes, has_all_parents
 from cogsplat.codec.segments.codebooks import Codebook
 from cogsplat.codec.segments.opacities import decode_opacities
 from cogsplat.codec.segments.prefix_compensation import Compensation, Layer
@@ -220,7 +220,7 @@ class ChunkDecoder(StoredFile):
         )
         if not compensate:
             return out
-        return self.compensation().apply_each(out, np.array(wanted, np.int64), prefixes)
+        return self.compensation().apply_per_chunk(out, np.array(wanted, np.int64), prefixes)
 
     def _prefixes_of(self, wanted: Sequence[int]) -> NDArray[np.int64]:
         """Return the prefix that each of some chunks is compensated as (SPEC 8.5)."""
@@ -229,7 +229,7 @@ class ChunkDecoder(StoredFile):
             return np.full(len(wanted), count, np.int64)
         above = parents(self.chunks.cell)
         ascend = all(one < other for one, other in pairwise(wanted))
-        if not ascend or not self.chunks.cell.all() or not is_closed(wanted, above):
+        if not ascend or not self.chunks.cell.all() or not has_all_parents(wanted, above):
             raise ValueError(
                 f"chunks {wanted[:8]} compensated, expected the first ones of the file in order "
                 "or, in a file that is cut into cells, ascending ones that each have their parent"

@@ -12,7 +12,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.encoded import EncodedChunk, EncodedScene
 from cogsplat.codec.partition.nested_cells import WHOLE
 from cogsplat.codec.rate.segment_order import OrderedKind, OrderedSegment
-from cogsplat.codec.segments.attributes import types_of
+from cogsplat.codec.segments.attributes import attribute_types
 from cogsplat.codec.segments.payloads import Payloads
 
 from . import layout
@@ -88,7 +88,7 @@ def build_root(scene: EncodedScene, writer: str, first_view: Camera | None = Non
         first_view=first_view,
         segments=no_segments(),
         chunks=table,
-        attributes=types_of(scene.scene.extras),
+        attributes=attribute_types(scene.scene.extras),
         levels=[Level(level.chunks, level.scale) for level in scene.levels],
     )
 

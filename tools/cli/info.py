@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import cogsplat
-from cogsplat.codec.segments.attributes import AttributeType, types_of
+from cogsplat.codec.segments.attributes import AttributeType, attribute_types
 from cogsplat.codec.splats import SceneInfo, Splats, sh_coefficients
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.scenes.registry import format_of
@@ -366,7 +366,7 @@ def _scene_report(path: Path, splats: Splats, file_bytes: int) -> dict[str, obje
         "antialiased": splats.info.antialiased,
         "extras": [
             {"name": kind.name, "type": kind.dtype, "components": kind.components}
-            for kind in types_of(splats.extras)
+            for kind in attribute_types(splats.extras)
         ],
         "ranges": {
             name: {"min": low, "max": high, "not_finite": odd}
@@ -388,7 +388,7 @@ def _print_scene(path: Path, splats: Splats, file_bytes: int) -> None:
         if invalid
         else ("invalid", "none"),
         ("origin", _origin(splats.info)),
-        ("attributes", _kinds(types_of(splats.extras))),
+        ("attributes", _kinds(attribute_types(splats.extras))),
     )
     rows = [
         (name, f"{low:.4g}", f"{high:.4g}", f"{odd:,}" if odd else "-")

@@ -40,12 +40,12 @@ def chunk_means(means: F32, step: float, sort: bool) -> tuple[NDArray[np.int64],
         rows = np.arange(len(means), dtype=np.int64)
         decoded = grid.dequantise(grid.quantise(means))
         return rows, scalar.write(Attribute.MEANS, means, grid), decoded
-    cells, bits = sorted_means.cells_of(grid)
+    cells, bits = sorted_means.cell_grid(grid)
     extra = np.full(len(means), bits, np.uint8)
-    codes = sorted_means.codes_of(means, cells, extra)
+    codes = sorted_means.quantise(means, cells, extra)
     rows = sorted_means.morton_order(codes, extra)
     stream = sorted_means.write(codes[rows], cells, extra, StepModel.constant(bits))
-    return rows, stream, sorted_means.values(codes[rows], cells, extra)
+    return rows, stream, sorted_means.dequantise(codes[rows], cells, extra)
 
 
 def chunk_opacities(opacities: F32, step: float) -> Stream:

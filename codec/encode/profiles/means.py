@@ -56,14 +56,14 @@ def quantise_means(
     model = adaptive_step.fit(scales, costs, head_lagrangian, base)
     extra = model.extra_bits(scales)
     grid = _grid(means, base)
-    refined = sorted_means.codes_of(means, grid, extra, later_bits)
+    refined = sorted_means.quantise(means, grid, extra, later_bits)
     codes = refinement_bits.coarse_codes(refined, later_bits)
     order = sorted_means.morton_order(codes, extra)
     codes, refined, extra = codes[order], refined[order], extra[order]
     stream = sorted_means.write(codes, grid, extra, model)
     if not later_bits:
         return order, stream, NOTHING
-    missed = np.square(means[order] - sorted_means.values(codes, grid, extra))
+    missed = np.square(means[order] - sorted_means.dequantise(codes, grid, extra))
     drop = float(costs[order] @ missed.sum(axis=1))
     return order, stream, Refined(refinement_bits.write(refined, later_bits), drop)
 

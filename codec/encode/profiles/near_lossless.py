@@ -98,8 +98,8 @@ def encode_chunk(
         first, last = band * band - 1, (band + 1) * (band + 1) - 1
         values = np.ascontiguousarray(splats.shN[:, first:last].reshape(len(splats), -1))
         tail.append(_bounded(attribute, values, bounds.shN))
-    tail_payload = records.pack_plain(tail) if tail else None
-    return Payloads(records.pack_plain(head), tail_payload, (), (), rows)
+    tail_payload = records.pack_uncompressed(tail) if tail else None
+    return Payloads(records.pack_uncompressed(head), tail_payload, (), (), rows)
 
 
 def _quat_step(bound: float) -> float:

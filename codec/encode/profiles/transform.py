@@ -165,7 +165,7 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
         if used.sh0_makes_up:
             # What shN lost, as its views see it on average.
             sh0 += np.einsum("nk,nkc->nc", costs.basis_mean, missed) / C0
-        tail = records.pack_plain([stream])
+        tail = records.pack_uncompressed([stream])
     before = source_scales[inside] if used.areas else scales
     logits = shapes.opacities_to_store(part.opacities, before, scales)
     opacities = refinement_split.split(
@@ -192,12 +192,12 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
     ]
     streams = [part.stream for part in refined if part.stream is not None]
     return Payloads(
-        records.pack_plain(head),
+        records.pack_uncompressed(head),
         tail,
         (),
         (BASIS,) if tail is not None else (),
         inside,
-        records.pack_plain(streams) if streams else None,
+        records.pack_uncompressed(streams) if streams else None,
         sum(part.distortion_drop for part in refined),
     )
 

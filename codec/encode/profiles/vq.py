@@ -249,7 +249,7 @@ def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton:
         scalar.write(Attribute.SH0, splats.sh0[rows], grids.fit(splats.sh0[rows], sh0_step)),
     ]
     if not plan_.colour_rows:
-        return Payloads(records.pack_plain(head), None, (SHAPE_CODEBOOK,), (), inside)
+        return Payloads(records.pack_uncompressed(head), None, (SHAPE_CODEBOOK,), (), inside)
     escape = plan_.colour_escape[rows]
     tail: list[Stream] = []
     if escape.any():
@@ -259,7 +259,11 @@ def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton:
     tail.append(_indices(Attribute.SHN, COLOUR_CODEBOOK, plan_.colour_rows, indices, escape))
     needs = (COLOUR_CODEBOOK,)
     return Payloads(
-        records.pack_plain(head), records.pack_plain(tail), (SHAPE_CODEBOOK,), needs, inside
+        records.pack_uncompressed(head),
+        records.pack_uncompressed(tail),
+        (SHAPE_CODEBOOK,),
+        needs,
+        inside,
     )
 
 

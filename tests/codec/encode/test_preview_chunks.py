@@ -17,7 +17,7 @@ from cogsplat.codec.order.orders import OrderConfig
 from cogsplat.codec.rate.segment_order import OrderedKind
 from cogsplat.codec.scoring.contribution import score, zero_scores
 from cogsplat.codec.scoring.reference_views import render_references
-from cogsplat.codec.segments.attributes import types_of, unpack_attributes
+from cogsplat.codec.segments.attributes import attribute_types, unpack_attributes
 
 UNTIL = 5
 
@@ -64,7 +64,7 @@ def test_boxes_and_attributes_are_of_all_chunks(parts):
     for chunk in joined.chunks:
         assert (joined.box[:3] <= chunk.box[:3]).all()
         assert (joined.box[3:] >= chunk.box[3:]).all()
-    kinds = types_of(made.scene.extras)
+    kinds = attribute_types(made.scene.extras)
     labels = []
     for chunk in joined.chunks:
         out = {kind.name: kind.allocate(chunk.splats) for kind in kinds}

@@ -9,8 +9,8 @@ from cogsplat.codec.errors import CogsplatError, FormatError
 from cogsplat.codec.segments.attributes import (
     AttributeType,
     attribute_bytes,
+    attribute_types,
     pack_attributes,
-    types_of,
     unpack_attributes,
 )
 from cogsplat.codec.splats import EXTRA_DTYPES
@@ -60,7 +60,7 @@ def unpacked(payload, types, rows):
 @pytest.mark.parametrize("rows", [1, 2, 700])
 def test_every_type_comes_back_to_the_bit(rows):
     extras = some(rows)
-    types = types_of(extras)
+    types = attribute_types(extras)
     found = unpacked(pack_attributes(extras), types, rows)
     for name, values in extras.items():
         assert found[name].dtype == values.dtype
@@ -69,7 +69,7 @@ def test_every_type_comes_back_to_the_bit(rows):
 
 
 def test_types_say_what_a_row_takes():
-    kinds = {kind.name: kind for kind in types_of(some(2))}
+    kinds = {kind.name: kind for kind in attribute_types(some(2))}
     assert kinds["f8 x3"] == AttributeType("f8 x3", "f8", 3)
     assert (kinds["f8 x3"].row_bytes, kinds["f8 x0"].row_bytes, kinds["u1 x1"].row_bytes) == (
         24,
@@ -86,7 +86,7 @@ def test_labels_take_little():
 @pytest.mark.parametrize("rows", [1, 64])
 def test_any_cut_and_any_byte_more_is_refused(rows):
     extras = {"a": some(rows)["f4 x3"], "b": np.zeros(rows, np.uint8)}
-    payload, types = pack_attributes(extras), types_of(extras)
+    payload, types = pack_attributes(extras), attribute_types(extras)
     for broken in (*(payload[:stop] for stop in range(len(payload))), payload + b"\0"):
         with pytest.raises(FormatError, match="expected") as caught:
             unpacked(broken, types, rows)
@@ -99,7 +99,7 @@ def test_any_cut_and_any_byte_more_is_refused(rows):
 def test_sizes_of_attributes_add_up_to_the_payload():
     extras = some(700)
     payload = pack_attributes(extras)
-    sizes = attribute_bytes(memoryview(payload), types_of(extras), "here")
+    sizes = attribute_bytes(memoryview(payload), attribute_types(extras), "here")
     assert list(sizes) == list(extras)
     assert sum(sizes.values()) == len(payload)
     assert sizes["label"] < sizes["u4 x3"]
@@ -128,4 +128,4 @@ def test_a_flipped_bit_is_decoded_or_refused(data):
     extras = {"a": np.arange(300, dtype=np.uint32), "b": np.zeros((300, 2), np.float32)}
     payload = bytearray(pack_attributes(extras))
     payload[data.draw(st.integers(0, len(payload) - 1))] ^= 1 << data.draw(st.integers(0, 7))
-    assert refusal(lambda: unpacked(bytes(payload), types_of(extras), 300)) in CODES
+    assert refusal(lambda: unpacked(bytes(payload), attribute_types(extras), 300)) in CODES

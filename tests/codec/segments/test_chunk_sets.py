@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cogsplat.codec.segments.chunk_sets import equivalent_prefixes, is_closed
+from cogsplat.codec.segments.chunk_sets import equivalent_prefixes, has_all_parents
 
 
 def _slow(chunks, parents, splats):
@@ -42,7 +42,7 @@ def _trees(draw):
 @given(_trees())
 def test_prefixes_follow_the_words_of_the_specification(tree):
     chunks, parents, splats = tree
-    assert is_closed(chunks, parents)
+    assert has_all_parents(chunks, parents)
     found = equivalent_prefixes(chunks, parents, splats)
     assert found.tolist() == _slow(chunks, parents.tolist(), splats.tolist())
     assert (found > chunks).all()
@@ -62,4 +62,4 @@ def test_no_chunks_have_no_prefixes():
 
 @pytest.mark.parametrize(("chunks", "closed"), [([0, 2], False), ([0, 1, 2], True), ([1], False)])
 def test_a_closed_set_has_the_parents(chunks, closed):
-    assert is_closed(chunks, np.array([-1, 0, 1])) is closed
+    assert has_all_parents(chunks, np.array([-1, 0, 1])) is closed

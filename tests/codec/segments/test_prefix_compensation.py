@@ -131,7 +131,7 @@ def test_chunks_are_shifted_as_in_prefixes_of_their_own(compensation):
     chunks, prefixes = np.array([0, 2, 3]), np.array([2, 4, 5])
     splats = oracle.scene(2, n=6)
     splats.opacities[-1] = np.float32(-0.0)
-    found = compensation.apply_each(splats, chunks, prefixes)
+    found = compensation.apply_per_chunk(splats, chunks, prefixes)
     two, four = shifts(compensation, 2), shifts(compensation, 4)
     np.testing.assert_array_equal(found.scales[:2], splats.scales[:2] + two[:2, :1])
     np.testing.assert_array_equal(found.opacities[2], splats.opacities[2] + four[4, 1])
@@ -144,11 +144,11 @@ def test_chunks_are_shifted_as_in_prefixes_of_their_own(compensation):
 def test_each_chunk_in_the_prefix_of_all_is_the_prefix(compensation):
     splats = oracle.scene(2, n=8)
     whole = compensation.apply(splats, 4)
-    each = compensation.apply_each(splats, np.arange(4), np.full(4, 4))
+    each = compensation.apply_per_chunk(splats, np.arange(4), np.full(4, 4))
     np.testing.assert_array_equal(whole.scales, each.scales)
     np.testing.assert_array_equal(whole.opacities, each.opacities)
 
 
 def test_splats_of_other_chunks_are_refused(compensation):
     with pytest.raises(ValueError, match="5 splats of 2 chunks, expected the 3"):
-        compensation.apply_each(oracle.scene(1, n=5), np.array([0, 2]), np.array([3, 3]))
+        compensation.apply_per_chunk(oracle.scene(1, n=5), np.array([0, 2]), np.array([3, 3]))

@@ -6,9 +6,9 @@ import pytest
 from cogsplat.codec.errors import FormatError
 from cogsplat.codec.segments.view_shares import (
     ViewTable,
+    encode_shares,
     pack_codes,
-    share_codes,
-    stored_directions,
+    quantise_directions,
     unpack_codes,
 )
 
@@ -30,7 +30,7 @@ def test_codes_stand_for_half_octaves_exactly():
 
 def test_shares_become_the_nearest_code():
     shares = np.concatenate([[0.0, 1.0], np.geomspace(1e-30, 1.0, 1000)])
-    found = table_of(share_codes(shares)[None]).shares[0]
+    found = table_of(encode_shares(shares)[None]).shares[0]
     assert found[0] == 0.0
     off = np.abs(found[1:] / shares[1:] - 1)
     # Half of the widest step: from 2 to 3 of something.
@@ -59,6 +59,6 @@ def test_directions_keep_within_a_degree():
     rng = np.random.default_rng(4)
     directions = rng.normal(size=(500, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    stored = stored_directions(directions).astype(np.float64)
+    stored = quantise_directions(directions).astype(np.float64)
     stored /= np.linalg.norm(stored, axis=1, keepdims=True)
     assert (stored * directions).sum(axis=1).min() > np.cos(np.radians(1.0))

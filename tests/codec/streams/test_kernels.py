@@ -152,7 +152,7 @@ def head_of(rng, scales, model, levels, refined_by):
     extra = model.extra_bits(decoded)
     cells = Grid(np.full(3, -1, np.float32), np.full(3, 1, np.float32), np.full(3, 99, np.uint32))
     means = rng.uniform(-1, 1, (ROWS, 3)).astype(np.float32)
-    fine = sorted_means.codes_of(means, cells, extra, refined_by=refined_by)
+    fine = sorted_means.quantise(means, cells, extra, refined_by=refined_by)
     codes = refinement_bits.coarse_codes(fine, refined_by)
     order = sorted_means.morton_order(codes, extra)
     opacities = rng.normal(size=(ROWS, 1)).astype(np.float32)

@@ -64,9 +64,9 @@ def read_all(data):
 
 @pytest.mark.parametrize("digits", [True, False])
 def test_planes_can_be_compressed_after_they_were_packed(digits):
-    plain = streams.pack_plain(some_streams())
+    plain = streams.pack_uncompressed(some_streams())
     at_once = streams.pack(some_streams(), digits=digits)
-    assert streams.compressed(plain, digits=digits) == at_once
+    assert streams.compress_payload(plain, digits=digits) == at_once
     assert len(at_once) < len(plain)
     for one in streams.unpack(memoryview(plain), "head 5", 200):
         assert not (one.words & np.uint32(ZSTD_FLAG | PACKED_FLAG)).any()

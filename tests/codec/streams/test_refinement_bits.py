@@ -50,7 +50,7 @@ def test_means_are_as_fine_as_in_one_piece(bits, kernels):
     grid, means = cells(700)
     scales = scales_of(700)
     extra = COARSE.extra_bits(scales)
-    fine = sorted_means.codes_of(means, grid, extra, bits)
+    fine = sorted_means.quantise(means, grid, extra, bits)
     codes = refinement_bits.coarse_codes(fine, bits)
     order = sorted_means.morton_order(codes, extra)
     codes, fine, extra, scales = codes[order], fine[order], extra[order], scales[order]
@@ -58,9 +58,9 @@ def test_means_are_as_fine_as_in_one_piece(bits, kernels):
     (below,) = stored(refinement_bits.write(fine, bits))
     out = np.empty((700, 3), np.float32)
     kinds.read(head, out, Inputs(scales=scales))
-    assert np.array_equal(out, sorted_means.values(codes, grid, extra))
+    assert np.array_equal(out, sorted_means.dequantise(codes, grid, extra))
     kinds.read(head, out, Inputs(scales=scales, refinement=below))
-    assert np.array_equal(out, sorted_means.values(fine, grid, extra + np.uint8(bits)))
+    assert np.array_equal(out, sorted_means.dequantise(fine, grid, extra + np.uint8(bits)))
     step = np.ldexp(grid.step, -(extra + bits).astype(int)[:, None])
     inside = means[order] < grid.maximum
     missed = np.abs(out - means[order])

@@ -39,7 +39,7 @@ def grid_of(step, levels, minimum=(-3.0, 0.5, 100.0)):
 
 def encoded(means, grid, halvings):
     """A sorted stream, its scales, the order and the codes in it."""
-    codes = sorted_means.codes_of(means, grid, halvings)
+    codes = sorted_means.quantise(means, grid, halvings)
     order = sorted_means.morton_order(codes, halvings)
     stream = sorted_means.write(codes[order], grid, halvings[order], BY_LONG)
     return stream, sized(halvings[order]), order, codes[order]
@@ -114,7 +114,7 @@ def test_rows_follow_the_morton_order_of_their_cells_and_ties_stay():
     rng = np.random.default_rng(1)
     wide = rng.integers(0, 6, 300).astype(np.uint8)
     grid = grid_of(1.0, (6, 5, 4), (0, 0, 0))
-    codes = sorted_means.codes_of(rng.uniform(0, 4, (300, 3)).astype(f32), grid, wide)
+    codes = sorted_means.quantise(rng.uniform(0, 4, (300, 3)).astype(f32), grid, wide)
     order = sorted_means.morton_order(codes, wide)
     keys = [plain_key(codes[row] >> wide[row]) for row in range(300)]
     assert order.tolist() == sorted(range(300), key=lambda row: keys[row])
@@ -125,7 +125,7 @@ def test_codes_stay_inside_the_grid():
     means = np.array([[-9, 0, 99], [1.5, 1.74, 1.76]], f32)
     for halvings in (0, 1, 5):
         wide = np.full(2, halvings, np.uint8)
-        codes = sorted_means.codes_of(means, grid, wide)
+        codes = sorted_means.quantise(means, grid, wide)
         assert (codes >> halvings).max() <= 3
         assert codes[0].tolist() == [0, 0, (4 << halvings) - 1]
 
@@ -352,7 +352,7 @@ def test_cells_reach_as_far_as_the_levels_of_their_grid(levels):
     minimum = np.array([-1, 0.25, 7], f32)
     span = (np.array(levels, float) - 1) * 2.0**-10
     grid = Grid(minimum, (minimum + span).astype(f32), np.array(levels, np.uint32))
-    cells, bits = sorted_means.cells_of(grid)
+    cells, bits = sorted_means.cell_grid(grid)
     assert cells.levels.max() <= sorted_means.MAX_CELLS
     assert bits == max(0, (max(levels) - 1).bit_length() - 17)
     assert ((cells.levels.astype(int) << bits) >= levels).all()

@@ -157,7 +157,7 @@ def test_codes_split_into_symbols_and_low_bits(extra_bits, seed):
     rng = np.random.default_rng(seed)
     wide = np.array(extra_bits, np.uint8)
     codes = np.array([rng.integers(0, (1 << h) + 1) if h else 0 for h in extra_bits], np.uint32)
-    planes = swing_twist.split(codes, wide)
+    planes = swing_twist.split_component(codes, wide)
     # SPEC 6.11: a plane for each number of bits up to 6, empty or not, then the low bits.
     assert len(planes) == swing_twist.COMPONENT_PLANES == 7
     for group, plane in enumerate(planes[:6], start=1):

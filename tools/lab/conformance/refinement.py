@@ -58,7 +58,7 @@ def refined_means(
     low = np.array([scenes.numbers(3, 1 << 15, seed + 50 + row) for row in range(count)])
     low[0] = 0
     codes = (rows << extra.astype(np.int64)[:, None]) | (low & ((1 << extra[:, None]) - 1))
-    half = refinement_bits.half_of(bits)
+    half = refinement_bits.half_level(bits)
     digit = np.array([scenes.numbers(3, 1 << bits, seed + 99 + row) for row in range(count)])
     # No code may fall below 0.
     digit = np.where(codes == 0, digit | half, digit)

@@ -60,7 +60,7 @@ def rotations(scales: Stream, seed: int, twist: StepModel = _MODEL) -> Stream:
             for row, h in enumerate(extra)
         ]
         codes[:2] = [0, (1 << int(extra[1])) if extra[1] else 0]
-        planes += swing_twist.split(np.array(codes, np.uint32), extra)
+        planes += swing_twist.split_component(np.array(codes, np.uint32), extra)
     params = _MODEL.pack() + twist.pack()
     return Stream(Attribute.QUATS, Kind.SWING_TWIST, scales.rows, params, planes)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.segments.view_shares import ViewTable, share_codes, stored_directions
+from cogsplat.codec.segments.view_shares import ViewTable, encode_shares, quantise_directions
 from cogsplat.tools.lab.scheduling.chunk_ratios import PoseRatios, by_sgss, over_usual
 from cogsplat.tools.lab.scheduling.poses import Pose
 from cogsplat.tools.lab.scheduling.scheduler import urgencies
@@ -59,8 +59,8 @@ def table_of(cameras: Sequence[Camera], contributions: F64) -> ViewTable:
     pixels = np.array([camera.width * camera.height for camera in cameras], np.float64)
     return ViewTable(
         np.stack([camera.position for camera in cameras]).astype(np.float32),
-        stored_directions(np.stack([camera.rotation[2] for camera in cameras])),
-        share_codes(contributions / pixels[:, None]),
+        quantise_directions(np.stack([camera.rotation[2] for camera in cameras])),
+        encode_shares(contributions / pixels[:, None]),
     )
 
 

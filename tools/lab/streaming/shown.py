@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.partition.nested_cells import parents
-from cogsplat.codec.segments.chunk_sets import equivalent_prefixes, is_closed
+from cogsplat.codec.segments.chunk_sets import equivalent_prefixes, has_all_parents
 from cogsplat.codec.segments.prefix_compensation import Compensation
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs.layout import SegmentKind
@@ -128,10 +128,10 @@ class ShownScene:
         if self._compensation is None or not held:
             return splats
         is_prefix = held == list(range(len(held)))
-        if not is_prefix and not (self._is_cut and is_closed(held, self._parents)):
+        if not is_prefix and not (self._is_cut and has_all_parents(held, self._parents)):
             return splats
         counts = self._compensation.chunk_splats
         if ratios is not None:
             counts = counted_splats(counts, ratios)
         prefixes = equivalent_prefixes(held, self._parents, counts)
-        return self._compensation.apply_each(splats, np.array(held, np.int64), prefixes)
+        return self._compensation.apply_per_chunk(splats, np.array(held, np.int64), prefixes)

@@ -252,7 +252,7 @@ READER = [
     ),
     Mutant(
         "a shift of 0 is not added",
-        prefix_compensation.Compensation.apply_each,
+        prefix_compensation.Compensation.apply_per_chunk,
         "shifts = self.shifts_of(chunks[is_part], prefixes[is_part])",
         "shifts = self.shifts_of(chunks[is_part], prefixes[is_part])\n"
         "    if not shifts.any():\n        return splats",

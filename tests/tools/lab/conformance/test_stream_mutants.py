@@ -79,7 +79,7 @@ READER = [
     ),
     Mutant(
         "planes of any size are read",
-        byte_planes.packing_of,
+        byte_planes.parse_packing,
         "if length > MAX_PLANE_BYTES:",
         "if False:",
         ("9.1",),
@@ -87,7 +87,7 @@ READER = [
     Mutant(
         "infinities have as many levels as others",
         scalar.parse,
-        "grids.MAX_LEVELS - extra_codes(stream)",
+        "grids.MAX_LEVELS - infinity_codes(stream)",
         "grids.MAX_LEVELS",
         ("6.4",),
     ),
@@ -100,7 +100,7 @@ READER = [
     ),
     Mutant(
         "codes above 2^24 are not rounded",
-        sorted_means.values,
+        sorted_means.dequantise,
         "codes.astype(np.float32) * step",
         "codes * step.astype(np.float64)",
         ("6.5",),

@@ -1,6 +1,6 @@
 import numpy as np
 
-from cogsplat.codec.segments.view_shares import ViewTable, share_codes
+from cogsplat.codec.segments.view_shares import ViewTable, encode_shares
 from cogsplat.tools.lab.scheduling.chunk_ratios import (
     LEAST_RATIO,
     along,
@@ -21,7 +21,7 @@ LEFT, RIGHT = np.array([-2.0, 0.0, 0.5]), np.array([2.0, 0.0, 0.5])
 TABLE = ViewTable(
     np.array([LEFT, RIGHT], np.float32),
     np.array([[0, 0, 127], [0, 0, 127]], np.int8),
-    share_codes(np.array([[0.3, 0.6, 0.0, 0.0], [0.0, 0.0, 0.3, 0.6]])),
+    encode_shares(np.array([[0.3, 0.6, 0.0, 0.0], [0.0, 0.0, 0.3, 0.6]])),
 )
 
 
