@@ -1,4 +1,4 @@
-"""Extra attributes of a chunk's splats as byte planes, bit for bit (SPEC 5.7)."""
+"""Extra attributes of a chunk's splats as byte planes, lossless (SPEC 5.7)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _WORD: Final = np.dtype("<u4")
 
 @dataclass(frozen=True)
 class AttributeType:
-    """What one extra attribute is (SPEC 5.7).
+    """Name and type of an extra attribute (SPEC 5.7).
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ class AttributeType:
     dtype : str
         One of `splats.EXTRA_DTYPES`.
     components : int
-        Values a splat; 0 where the array has one dimension.
+        Values per splat; 0 for a one-dimensional array.
     """
 
     name: str
@@ -35,22 +35,22 @@ class AttributeType:
 
     @property
     def values(self) -> int:
-        """Values a splat, at least 1."""
+        """Values per splat, at least 1."""
         return max(1, self.components)
 
     @property
     def row_bytes(self) -> int:
-        """Bytes of one splat's values, and so the number of planes."""
+        """Bytes of one splat's values, equal to the number of planes."""
         return self.values * int(self.dtype[1:])
 
     def allocate(self, rows: int) -> Extra:
-        """Return an array of `rows` splats, not filled."""
+        """Return an uninitialised array for `rows` splats."""
         shape = (rows, self.components) if self.components else (rows,)
         return np.empty(shape, self.dtype)
 
 
 def attribute_types(extras: Mapping[str, Extra]) -> tuple[AttributeType, ...]:
-    """Return what the extras of a scene are, in their order."""
+    """Return the types of a scene's extra attributes, in their order."""
     return tuple(
         AttributeType(name, values.dtype.str[1:], values.shape[1] if values.ndim == 2 else 0)
         for name, values in extras.items()
@@ -58,12 +58,12 @@ def attribute_types(extras: Mapping[str, Extra]) -> tuple[AttributeType, ...]:
 
 
 def pack_attributes(extras: Mapping[str, Extra]) -> bytes:
-    """Return the payload of one chunk: of each attribute, component and byte a plane.
+    """Return the payload of one chunk: one plane for each attribute, component and byte.
 
     Parameters
     ----------
     extras : mapping of str to (n,) or (n, c) array
-        In the order in which the chunk stores its splats.
+        Arrays in the order of the chunk's stored splats.
     """
     words: list[int] = []
     bodies: list[bytes] = []
@@ -80,17 +80,17 @@ def pack_attributes(extras: Mapping[str, Extra]) -> bytes:
 def attribute_bytes(
     payload: memoryview, types: Sequence[AttributeType], where: str
 ) -> dict[str, int]:
-    """Return the bytes that each attribute takes of a payload.
+    """Return the stored bytes of each attribute in a payload.
 
     Parameters
     ----------
     payload, types, where
-        As `unpack_attributes` takes them.
+        See `unpack_attributes`.
 
     Raises
     ------
     FormatError
-        ``attribute-record``: words and planes are not exactly the payload.
+        ``attribute-record``: words and planes do not fill the payload exactly.
     """
     words = _words(payload, types, where)
     sizes = {}
@@ -108,18 +108,18 @@ def unpack_attributes(
     Parameters
     ----------
     payload : memoryview
-        The segment's bytes, its CRC already checked.
+        Bytes of the segment, its CRC already checked.
     types : sequence of AttributeType
-        As the root lists them.
+        Types in the order of the root.
     out : mapping of str to (n,) or (n, c) array
-        The chunk's rows, of these types.
+        Rows of the chunk, of these types.
     where : str
-        Names the segment in messages.
+        Name of the segment in messages.
 
     Raises
     ------
     FormatError
-        ``attribute-record``: words and planes are not exactly the payload; otherwise as
+        ``attribute-record``: words and planes do not fill the payload exactly; or a code of
         `byte_planes.unpack_plane`.
     """
     words = _words(payload, types, where)
@@ -140,7 +140,7 @@ def unpack_attributes(
 
 
 def _words(payload: memoryview, types: Sequence[AttributeType], where: str) -> list[int]:
-    """Return the words of all planes, checked to give exactly the payload."""
+    """Return the words of all planes; check that words and planes fill the payload."""
     count = sum(kind.row_bytes for kind in types)
     end = count * _WORD.itemsize
     words: list[int] = []

@@ -14,18 +14,18 @@ F32 = NDArray[np.float32]
 
 
 def read_band(found: StreamSet, band: int, out: F32, *, escape: bool = False) -> None:
-    """Write one SH band of some rows.
+    """Write one SH band of all rows; zeros if it has no stream.
 
     Parameters
     ----------
     found : StreamSet
-        Whose stream of the band is taken; without one the band is 0.
+        Streams of the payload; the band's stream is removed from the set.
     band : int
         1 to 3.
     out : (n, K-1, 3) float32
-        Is left alone, and the stream unread, where K does not reach the band.
+        Unchanged if K does not reach the band; the stream is then checked but not decoded.
     escape : bool
-        Whether to take the band's escape rows.
+        Whether to read the band's escape rows.
     """
     attribute = SH_BANDS[band - 1]
     first, last = band * band - 1, (band + 1) * (band + 1) - 1

@@ -1,4 +1,4 @@
-"""Sets of chunks that hold with each chunk its parent, as clients that choose by view have them."""
+"""Sets of chunks that include all parents: the chunks of a client with view-dependent order."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ I64 = NDArray[np.int64]
 
 
 def has_all_parents(chunks: Sequence[int], parents: I64) -> bool:
-    """Return whether each chunk's parent stands before it in a set.
+    """Return whether a set of chunks includes the parent of each chunk.
 
     Parameters
     ----------
     chunks : sequence of int
-        Numbers of the set, ascending.
+        Chunk numbers of the set, ascending.
     parents : (c,) int64
-        Of each chunk of the file; -1 where it has none (SPEC 5.4).
+        Parent of each chunk of the file; -1 for none (SPEC 5.4).
     """
     held = set(chunks)
     return all(int(parents[chunk]) in held or parents[chunk] < 0 for chunk in chunks)
 
 
 def equivalent_prefixes(chunks: Sequence[int], parents: I64, chunk_splats: I64) -> I64:
-    """Return for each chunk of a set the prefix that holds as much of its descendants (SPEC 8.5).
+    """Return for each chunk of a set the prefix with as many of its descendants (SPEC 8.5).
 
     Parameters
     ----------
     chunks : sequence of int
-        Numbers of the set, ascending, with each chunk its parent.
+        Chunk numbers of the set, ascending, including all parents.
     parents : (c,) int64
-        Of each chunk of the file; -1 where it has none.
+        Parent of each chunk of the file; -1 for none.
     chunk_splats : (c,) int64
         Splats of each chunk of the file.
 
     Returns
     -------
     (k,) int64
-        Chunks of each one's prefix: the longest, up to the last chunk of the set, in which the
-        chunk and its descendants have no more splats than in the set. Where the set is the first n
+        Number of chunks of each prefix: the longest, up to the last chunk of the set, in which the
+        chunk and its descendants have no more splats than in the set. If the set is the first n
         chunks, n for all.
 
     Examples
@@ -54,7 +54,7 @@ def equivalent_prefixes(chunks: Sequence[int], parents: I64, chunk_splats: I64) 
     [3, 4, 4]
     """
     end = chunks[-1] + 1 if len(chunks) else 0
-    lines = _lines(end, parents)
+    lines = _ancestor_lines(end, parents)
     held = np.zeros(end, np.int64)
     for chunk in chunks:
         for above in lines[chunk]:
@@ -69,8 +69,8 @@ def equivalent_prefixes(chunks: Sequence[int], parents: I64, chunk_splats: I64) 
     return found[np.asarray(chunks, np.int64)]
 
 
-def _lines(chunks: int, parents: I64) -> list[tuple[int, ...]]:
-    """Return each of the first chunks with its parent, the parent's parent and so on."""
+def _ancestor_lines(chunks: int, parents: I64) -> list[tuple[int, ...]]:
+    """Return for each of the first chunks itself and all its ancestors."""
     lines: list[tuple[int, ...]] = []
     for chunk in range(chunks):
         above = int(parents[chunk])

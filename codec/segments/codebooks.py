@@ -1,4 +1,4 @@
-"""Codebook segments: rows of shapes and of SH coefficients that chunks share (SPEC 7.1)."""
+"""Codebook segments: shapes and SH coefficients that chunks share (SPEC 7.1)."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class ShapeCodebook:
-    """Rows of normalised shapes.
+    """Codebook of shapes, without the size of the splat.
 
     Parameters
     ----------
     scales : (C, 3) float32
-        Natural logarithm, without the splat's scale factor.
+        Log scales without the splat's scale factor.
     quats : (C, 4) float32
         Unit, wxyz, w ≥ 0.
     """
@@ -39,18 +39,18 @@ class ShapeCodebook:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of both arrays."""
+        """Size of both arrays, bytes."""
         return self.scales.nbytes + self.quats.nbytes
 
 
 @dataclass(frozen=True, eq=False)
 class ColourCodebook:
-    """Rows of SH coefficients above DC.
+    """Codebook of SH coefficients above DC.
 
     Parameters
     ----------
     shN : (C, K-1, 3) float32
-        Zeros in the bands that were not read.
+        Coefficients; 0 in bands that were not read.
     """
 
     shN: F32  # noqa: N815 - the field's name
@@ -60,7 +60,7 @@ class ColourCodebook:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the array."""
+        """Size of the array, bytes."""
         return self.shN.nbytes
 
 
@@ -68,7 +68,7 @@ Codebook = ShapeCodebook | ColourCodebook
 
 
 def decode_shape_codebook(payload: memoryview, rows: int, where: str) -> ShapeCodebook:
-    """Return the rows of a shape codebook segment (SPEC 7.1)."""
+    """Decode a shape codebook from its segment (SPEC 7.1)."""
     found = StreamSet(payload, where, rows, "7.1")
     book = ShapeCodebook(np.empty((rows, 3), np.float32), np.empty((rows, 4), np.float32))
     kinds.read(found.pop(Attribute.SCALES), book.scales)
@@ -80,16 +80,16 @@ def decode_shape_codebook(payload: memoryview, rows: int, where: str) -> ShapeCo
 def decode_colour_codebook(
     payloads: Mapping[int, memoryview], rows: int, degree: int, where: str
 ) -> ColourCodebook:
-    """Return the rows of a colour codebook from its band segments (SPEC 7.1).
+    """Decode a colour codebook from the segments of its bands (SPEC 7.1).
 
     Parameters
     ----------
     payloads : mapping of int to memoryview
-        Band (1 to `degree`) to the bytes of its segment.
+        Bytes of each segment by band, 1 to `degree`.
     rows, degree : int
-        Of the codebook and of the result.
+        Rows of the codebook, and SH degree of the result.
     where : str
-        Names the codebook in messages.
+        Name of the codebook in messages.
     """
     coefficients = np.zeros((rows, sh_coefficients(degree) - 1, 3), np.float32)
     for band, payload in payloads.items():
@@ -101,7 +101,7 @@ def decode_colour_codebook(
 
 
 def codebook_error(stream: StoredStream, number: int, attribute: str) -> FormatError:
-    """Return the error for a codebook that a stream names and its segment cannot use."""
+    """Return the error of a stream that refers to a codebook its segment does not need."""
     return FormatError(
         "codebook-missing",
         f"{stream.where}: codebook {number}, "

@@ -1,4 +1,4 @@
-"""Chunk heads: means, opacities, sh0, scales and quats, with their refinement (SPEC 7.2, 7.4)."""
+"""Chunk heads: means, opacities, sh0, scales and quats, refined if possible (SPEC 7.2, 7.4)."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ def decode_head(
     where: str,
     refinement: memoryview | None = None,
 ) -> None:
-    """Write a chunk head's means, opacities, sh0, scales and quats into the rows of `out`.
+    """Decode a chunk's head and refinement into the rows of `out`.
 
     Parameters
     ----------
     payload : memoryview
-        The segment's bytes, its CRC already checked.
+        Bytes of the head, its CRC already checked.
     codebooks : mapping of int to Codebook
-        At least those the segment needs.
+        Codebooks by number, at least those that the segment needs.
     out : Splats
-        The chunk's rows, as views of a larger scene; shN is left alone.
+        Rows of the chunk, as views of a larger scene; shN is unchanged.
     where : str
-        Names the segment in messages.
+        Name of the segment in messages.
     refinement : memoryview, optional
-        Bytes of the chunk's refinement, likewise checked; without it the head's coarse values.
+        Bytes of the chunk's refinement, its CRC already checked; without it values are coarse.
 
     Raises
     ------
@@ -66,14 +66,14 @@ def _read(
     out: F32,
     scales: F32,
 ) -> None:
-    """Read an attribute, refined where there is a refinement; `scales` are the head's alone."""
+    """Read an attribute, refined if possible; `scales` are the unrefined scales."""
     stream = found.pop(attribute)
     inputs = Inputs(scales=scales, refinement=finer.pop(stream))
     kinds.read(stream, out, inputs)
 
 
 def _read_scales(found: StreamSet, finer: RefinementSet, out: Splats) -> F32:
-    """Read the scales into `out`; return those of the head alone, from which steps follow."""
+    """Read the scales into `out`; return the scales without refinement, which set the steps."""
     stream = found.pop(Attribute.SCALES)
     refinement = finer.pop(stream)
     if refinement is None:
@@ -97,7 +97,7 @@ def _read_shapes(found: StreamSet, codebooks: Mapping[int, Codebook], out: Splat
     book = codebooks.get(use.number)
     if not isinstance(book, ShapeCodebook):
         raise codebook_error(stream, use.number, "shape")
-    # One list of indices for two arrays: rows of all seven values would have to be copied apart.
+    # Two arrays, one list of indices: rows of seven values would have to be copied apart.
     indices = codebook_index.read_indices(stream, len(book))
     codebook_index.gather(book.scales, escape.scales, indices, out.scales)
     codebook_index.gather(book.quats, escape.quats, indices, out.quats)

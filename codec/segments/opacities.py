@@ -1,4 +1,4 @@
-"""Opacities of a chunk's splats at a later level of the scene (SPEC 5.11, 7.5)."""
+"""Opacities of a chunk at a later level of the scene (SPEC 5.11, 7.5)."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from .stream_set import StreamSet
 F32 = NDArray[np.float32]
 
 MAX_LOGIT: Final = 12.0
-"""Opacities beyond ± this are stored as this: σ(12) differs from 1 by 6e-6, far below 1/255."""
+"""Largest magnitude of stored opacities, logits: σ(12) differs from 1 by 6e-6, far below 1/255."""
 
 
 def pack_opacities(opacities: F32, first: F32, step: float) -> bytes:
     """Return the payload of a chunk's opacities at a level.
 
-    They are stored as they are or as differences to those of the head, whichever is smaller.
+    The payload stores the opacities, or their differences to the head, whichever is smaller.
 
     Parameters
     ----------
     opacities : (n,) float32
         Logits at the level, in stored order.
     first : (n,) float32
-        Logits as the chunk's head and its refinement decode to.
+        Logits decoded from the chunk's head and refinement.
     step : float
         Largest distance between stored values, logits.
 
@@ -51,16 +51,16 @@ def pack_opacities(opacities: F32, first: F32, step: float) -> bytes:
 
 
 def decode_opacities(payload: memoryview, out: F32, where: str) -> None:
-    """Replace a chunk's opacities by those of a level.
+    """Replace the opacities of a chunk by the opacities at a later level.
 
     Parameters
     ----------
     payload : memoryview
-        The segment's bytes, its CRC already checked.
+        Bytes of the segment, its CRC already checked.
     out : (n,) float32
-        Logits as the chunk's head and its refinement decode to; the level's afterwards.
+        On input, logits decoded from the chunk's head and refinement.
     where : str
-        Names the segment in messages.
+        Name of the segment in messages.
 
     Raises
     ------

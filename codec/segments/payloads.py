@@ -1,4 +1,4 @@
-"""The payloads of one chunk: head, refinement and tail (SPEC 7)."""
+"""Payloads of one chunk: head, refinement and tail (SPEC 7)."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ from cogsplat.codec.streams import records
 
 @dataclass(frozen=True)
 class Payloads:
-    """The encoded segments of one chunk and the codebooks they need.
+    """Encoded segments of one chunk, and the codebooks that they need.
 
     Parameters
     ----------
     head : bytes
     tail : bytes or None
-        None where the scene has no SH above DC.
+        None for a scene without SH above DC.
     head_needs, tail_needs : tuple of int
+        Numbers of the codebooks that head and tail need.
     order : (n,) int64
-        Which of the chunk's rows, as it was given, stands in each place as it is stored.
+        Input row of each stored row.
     refinement : bytes or None
-        What makes the head's values fine; None where they are.
+        Refinement of the head's values; None if the head is fine already.
     refinement_drop : float
-        Squared error of the picture that it removes.
+        Squared error of rendered images that the refinement removes.
     """
 
     head: bytes
@@ -37,12 +38,12 @@ class Payloads:
     refinement_drop: float = 0.0
 
     def compressed(self, *, digits: bool = True) -> Payloads:
-        """Return the same with compressed planes, where these are stored as they are.
+        """Return the payloads with their uncompressed planes compressed.
 
         Parameters
         ----------
         digits : bool
-            As `records.pack` takes it.
+            Whether a byte of a plane may pack several symbols.
         """
 
         def of(plain: bytes | None) -> bytes | None:

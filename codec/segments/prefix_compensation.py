@@ -1,6 +1,6 @@
-"""Compensation: splats of a prefix are larger and more opaque while other splats are missing.
+"""Compensation: larger and more opaque splats in a prefix, for the splats it lacks (SPEC 5.9, 8.5).
 
-SPEC 5.9, 8.5. Applying takes numpy alone; `compensation_fit` finds what is applied.
+This module applies shifts of scales and opacities; `compensation_fit` fits them.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 
 MAX_CODE_BITS: Final = 8
-"""Bits of a splat's code, at most (SPEC 5.9)."""
+"""Bits of a splat's code at most (SPEC 5.9)."""
 
-# SPEC 8.5: units of the shifts and of the book, then of the strengths. Powers of two, so that a
-# shift is an integer below 2^16 times a power of two: exact in float32.
+# SPEC 8.5: units of shifts and book entries, and of strengths. All are powers of two: a shift is an
+# integer below 2^16 times a power of two, exact in float32.
 SCALE_STEP: Final = 2.0**-7
 OPACITY_STEP: Final = 2.0**-4
 STRENGTH_STEP: Final = 2.0**-6
@@ -29,21 +29,21 @@ STRENGTH_STEP: Final = 2.0**-6
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """The shifts of log scales and logits for one prefix of whole chunks.
+    """Shifts of log scales and logits for one prefix of whole chunks.
 
     Parameters
     ----------
     scales, opacities : (m,) int8
-        Added to the log scales and the logits of every splat of each of the prefix's m chunks, in
+        Shift of the log scales and of the logits of each of the prefix's m chunks, in units of
         `SCALE_STEP` and `OPACITY_STEP`.
     strengths : (m, 2) uint8
-        By what the book's entries are multiplied for the splats of each chunk, for scales and for
-        opacities, in `STRENGTH_STEP`.
+        Factors of each chunk for the book's entries of scales and of opacities, in units of
+        `STRENGTH_STEP`.
     book : (k, 2) int8
-        Shifts that the codes of this layer's own chunks stand for, in `SCALE_STEP` and
-        `OPACITY_STEP`. Without rows, its own chunks have no codes.
+        Shifts by code, in units of `SCALE_STEP` and `OPACITY_STEP`, for chunks that the previous
+        layer lacks. Without rows, these chunks have no codes.
     codes : (n,) uint8
-        Row of the book for each splat of the chunks that the layer before does not have, in stored
+        Row of the book for each splat of the chunks that the previous layer lacks, in stored
         order.
     """
 
@@ -61,12 +61,12 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
-    """The layers of a scene: shifts for some of its prefixes, from which those of others follow.
+    """Compensation layers of a scene; shifts of prefixes between two layers are interpolated.
 
     Parameters
     ----------
     layers : sequence of Layer
-        Of more and more chunks, at least one each and at most all.
+        Layers with ascending numbers of chunks, from 1 to all.
     chunk_splats : (c,) int64
         Splats of every chunk of the scene.
     """
@@ -75,25 +75,26 @@ class Compensation:
     chunk_splats: NDArray[np.int64]
 
     def apply(self, splats: Splats, chunks: int, drawn: Sequence[int] | None = None) -> Splats:
-        """Return the first chunks of a scene with their log scales and logits shifted.
+        """Return a prefix of a scene with its log scales and logits shifted.
 
         Parameters
         ----------
         splats : Splats
-            Of the first `chunks` chunks in stored order, all of them or those that are `drawn`.
+            Splats of the first `chunks` chunks in stored order, or of the `drawn` ones of them.
         chunks : int
+            Chunks of the prefix.
         drawn : sequence of int, optional
-            Numbers of the chunks that `splats` hold: those that have not ended (SPEC 5.10).
+            Numbers of the chunks in `splats`: those that have not ended (SPEC 5.10).
 
         Returns
         -------
         Splats
-            With other scales and opacities; the same object where nothing is added.
+            Shifted scales and opacities; the same object if no shift applies.
 
         Raises
         ------
         ValueError
-            The splats are not as many as these chunks hold.
+            The number of splats differs from that of the chunks.
         """
         if not 0 <= chunks <= len(self.chunk_splats):
             raise ValueError(
@@ -103,27 +104,27 @@ class Compensation:
         return self.apply_per_chunk(splats, held, np.full(len(held), chunks, np.int64))
 
     def apply_per_chunk(self, splats: Splats, chunks: I64, prefixes: I64) -> Splats:
-        """Return some chunks of a scene, each shifted as in a prefix of its own.
+        """Return chunks of a scene, each shifted for a prefix of its own.
 
         Parameters
         ----------
         splats : Splats
-            Of these chunks, one behind the other.
+            Splats of the chunks, concatenated.
         chunks : (k,) int64
-            Their numbers.
+            Numbers of the chunks.
         prefixes : (k,) int64
-            Chunks of each one's prefix, more than its number; nothing is added to chunks whose
-            prefix is the whole scene.
+            Chunks of each chunk's prefix, more than its number. A chunk whose prefix is the whole
+            scene is unchanged.
 
         Returns
         -------
         Splats
-            With other scales and opacities; the same object where nothing is added.
+            Shifted scales and opacities; the same object if no shift applies.
 
         Raises
         ------
         ValueError
-            The splats are not as many as these chunks hold.
+            The number of splats differs from that of the chunks.
         """
         counts = self.chunk_splats[chunks]
         if len(splats) != int(counts.sum()):
@@ -139,7 +140,7 @@ class Compensation:
             scales: F32 = splats.scales + shifts[:, :1]
             opacities: F32 = splats.opacities + shifts[:, 1]
             return replace(splats, scales=scales, opacities=opacities)
-        # Rows to which nothing is added keep their bits, -0 among them.
+        # Rows without shift keep their bits, including -0.
         rows = np.repeat(is_part, counts)
         scales, opacities = splats.scales.copy(), splats.opacities.copy()
         scales[rows] += shifts[:, :1]
@@ -147,19 +148,19 @@ class Compensation:
         return replace(splats, scales=scales, opacities=opacities)
 
     def shifts_of(self, chunks: I64, prefixes: I64) -> F32:
-        """Return what is added to the log scales and the logits of chunks, each as in a prefix.
+        """Return the shifts of log scales and logits of chunks, each for a prefix of its own.
 
         Parameters
         ----------
         chunks : (k,) int64
-            Their numbers.
+            Numbers of the chunks.
         prefixes : (k,) int64
-            Chunks of each one's prefix: more than its number, less than all.
+            Chunks of each chunk's prefix: more than its number, fewer than all.
 
         Returns
         -------
         (n, 2) float32
-            Of the splats of these chunks, one behind the other.
+            Shifts of the chunks' splats, concatenated.
         """
         counts = self.chunk_splats[chunks]
         entries = self._entries(chunks)
@@ -173,7 +174,7 @@ class Compensation:
         return out
 
     def _in_prefix(self, prefix: int, chunks: I64, entries: NDArray[np.int8]) -> F32:
-        """Return the shifts of some chunks' splats in one prefix."""
+        """Return the shifts of chunks for one prefix, (n, 2)."""
         ends = np.concatenate([[0], np.cumsum(self.chunk_splats)])
         above = next(
             (k for k, layer in enumerate(self.layers) if layer.chunks >= prefix), len(self.layers)
@@ -181,8 +182,8 @@ class Compensation:
         upper = self._of_layer(above, chunks, entries)
         if above == 0 or (above < len(self.layers) and self.layers[above].chunks == prefix):
             return upper
-        # Between two layers, from one to the other in proportion to the splats that are there.
-        # Behind the last layer comes the whole scene, whose shifts are 0.
+        # Interpolate between two layers in proportion to the splats of the prefix. The whole scene,
+        # with shifts of 0, follows the last layer.
         below = self.layers[above - 1].chunks
         stop = self.layers[above].chunks if above < len(self.layers) else len(self.chunk_splats)
         part = np.float32(
@@ -195,7 +196,7 @@ class Compensation:
         return upper
 
     def _of_layer(self, number: int, chunks: I64, entries: NDArray[np.int8]) -> F32:
-        """Return the shifts of a layer for the splats of some of its chunks."""
+        """Return the shifts of one layer for chunks, (n, 2)."""
         out = np.zeros((len(entries), 2), np.float32)
         if number == len(self.layers):
             return out
@@ -203,14 +204,14 @@ class Compensation:
         per_chunk = np.stack([layer.scales[chunks], layer.opacities[chunks]], axis=1)
         strengths = layer.strengths[chunks].astype(np.int32)
         chunk = np.repeat(np.arange(len(chunks)), self.chunk_splats[chunks])
-        # Integers up to 2^15 + 2^15 in units of a step and 1/64 of it.
+        # Integers up to 2^15 + 2^15, in units of 1/64 of a step.
         units = per_chunk.astype(np.int32)[chunk] * 64 + strengths[chunk] * entries.astype(np.int32)
         out[:, 0] = units[:, 0].astype(np.float32) * np.float32(SCALE_STEP * STRENGTH_STEP)
         out[:, 1] = units[:, 1].astype(np.float32) * np.float32(OPACITY_STEP * STRENGTH_STEP)
         return out
 
     def _entries(self, chunks: I64) -> NDArray[np.int8]:
-        """Return the books' entries of the splats of some chunks, (n, 2)."""
+        """Return the book entry of each splat of chunks, (n, 2)."""
         counts = self.chunk_splats[chunks]
         out = np.zeros((int(counts.sum()), 2), np.int8)
         first = 0
@@ -230,12 +231,12 @@ class Compensation:
 
 
 def code_bits(rows: int) -> int:
-    """Return the bits of a code for a book of so many rows (SPEC 5.9)."""
+    """Return the bits of a code for a book of `rows` rows (SPEC 5.9)."""
     return max(rows - 1, 0).bit_length()
 
 
 def pack_codes(codes: NDArray[np.uint8], bits: int) -> bytes:
-    """Return codes of `bits` bits each, lowest bit first, the last byte filled with zeros."""
+    """Return codes packed with `bits` bits each, lowest bit first, padded with zeros."""
     if bits == 0:
         return b""
     each = np.unpackbits(codes[:, None], axis=1, bitorder="little")[:, :bits]
@@ -243,14 +244,14 @@ def pack_codes(codes: NDArray[np.uint8], bits: int) -> bytes:
 
 
 def unpack_codes(packed: bytes, bits: int, count: int) -> NDArray[np.uint8]:
-    """Return `count` codes; the caller has checked that the bytes are as many as they take."""
+    """Return `count` codes of `bits` bits; the caller has checked the number of bytes."""
     if bits == 0:
-        # One byte for all: so many may be a number that a file states and no bytes stand for.
+        # A view of one byte: a file may state a large count that no stored bytes back up.
         return np.broadcast_to(np.uint8(0), (count,))
     codes = np.empty(count, np.uint8)
     octets = np.frombuffer(packed, np.uint8)
-    # Unpacked bits take 8 to 64 times the room of what they come from: a piece at a time. A piece
-    # of 2^16 codes ends at a whole byte, whatever the bits of a code.
+    # Unpacked bits take 8 to 64 times the memory of packed ones, hence pieces. A piece of 2^16
+    # codes always ends at a whole byte.
     piece = 1 << 16
     for start in range(0, count, piece):
         stop = min(start + piece, count)
@@ -263,5 +264,5 @@ def unpack_codes(packed: bytes, bits: int, count: int) -> NDArray[np.uint8]:
 
 
 def packed_bytes(count: int, bits: int) -> int:
-    """Return the bytes that so many codes take."""
+    """Return the size of `count` packed codes, bytes."""
     return (count * bits + 7) // 8

@@ -1,4 +1,4 @@
-"""The streams of one payload, each taken exactly once (SPEC 7)."""
+"""Streams of one payload, each to be read exactly once (SPEC 7)."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from cogsplat.codec.streams.records import ESCAPE, INFINITIES, Attribute, Stored
 
 
 class StreamSet:
-    """The streams of a head, a tail or a codebook, each to be taken exactly once.
+    """Streams of a head, a tail or a codebook that have not been read yet.
 
     Parameters
     ----------
     payload : memoryview
-        The segment's bytes, its CRC already checked.
+        Bytes of the segment, its CRC already checked.
     where : str
-        Names the segment in messages.
+        Name of the segment in messages.
     rows : int
-        Of the chunk or the codebook.
+        Rows of the chunk or the codebook.
     clause : str
-        Clause of SPEC 7 that says which streams the payload has.
+        Clause of SPEC 7 that lists the payload's streams.
     heads_only : bool
-        Whether kinds that stand in heads only are allowed.
+        Whether kinds limited to heads are allowed.
     levels : bool
-        Whether kinds that stand for opacities of later levels only are allowed.
+        Whether kinds limited to opacities of later levels are allowed.
     """
 
     def __init__(
@@ -47,11 +47,11 @@ class StreamSet:
         self._levels = levels
 
     def has(self, attribute: Attribute, *, escape: bool = False) -> bool:
-        """Tell whether a stream of this attribute has not been taken yet."""
+        """Tell whether the set has a stream of an attribute."""
         return (attribute, ESCAPE if escape else 0) in self._stored
 
     def pop(self, attribute: Attribute) -> StoredStream:
-        """Return the stream of an attribute, one row for each row of the payload.
+        """Remove and return the stream of an attribute, which must have a row for each payload row.
 
         Raises
         ------
@@ -61,10 +61,11 @@ class StreamSet:
         return self._pop(attribute, 0, self._rows)
 
     def pop_escape(self, attribute: Attribute, rows: int) -> StoredStream:
-        """Return the escape rows of an attribute, which must be `rows`."""
+        """Remove and return the escape stream of an attribute, which must have `rows` rows."""
         return self._pop(attribute, ESCAPE, rows)
 
     def _pop(self, attribute: Attribute, flag: int, rows: int) -> StoredStream:
+        """Remove and return a stream; check its rows and that its kind is allowed here."""
         stream = self._stored.pop((attribute, flag), None)
         name = attribute.name.lower() + (" escape" if flag else "")
         if stream is None:
@@ -91,25 +92,25 @@ class StreamSet:
         return stream
 
     def require_empty(self) -> None:
-        """Refuse streams that nothing took.
+        """Check that no stream is left.
 
         Raises
         ------
         FormatError
             ``stream-unexpected``.
         """
-        _refuse_rest(self._stored, self._where, self._clause)
+        _require_empty(self._stored, self._where, self._clause)
 
 
 class RefinementSet:
-    """The streams of a refinement, each to be taken at most once (SPEC 7.4).
+    """Streams of a refinement that have not been read yet (SPEC 7.4).
 
     Parameters
     ----------
     payload : memoryview or None
-        None where the chunk has no refinement, or its head is to be decoded alone.
+        Bytes of the refinement; None if it is absent or not requested.
     where, rows
-        As `StreamSet` takes them.
+        See `StreamSet`.
     """
 
     def __init__(self, payload: memoryview | None, where: str, rows: int) -> None:
@@ -119,12 +120,12 @@ class RefinementSet:
         self._rows = rows
 
     def pop(self, head: StoredStream) -> StoredStream | None:
-        """Return the stream that refines a stream of the head, None where none does.
+        """Remove and return the stream that refines a stream of the head; None if absent.
 
         Raises
         ------
         FormatError
-            ``stream-rows``; ``stream-kind``: another kind than refines the head's stream.
+            ``stream-rows``; ``stream-kind``: the kind does not refine that of the head's stream.
         """
         wanted = kinds.refinement_kind(head)
         stream = self._stored.get((head.attribute, 0))
@@ -144,18 +145,18 @@ class RefinementSet:
         return stream
 
     def require_empty(self) -> None:
-        """Refuse streams that nothing took.
+        """Check that no stream is left.
 
         Raises
         ------
         FormatError
             ``stream-unexpected``.
         """
-        _refuse_rest(self._stored, self._where, "7.4")
+        _require_empty(self._stored, self._where, "7.4")
 
 
 def _require_rows(stream: StoredStream, rows: int) -> None:
-    """Refuse a stream of another number of rows than its place has."""
+    """Raise ``stream-rows`` if a stream does not have `rows` rows."""
     if stream.rows != rows:
         raise FormatError(
             "stream-rows",
@@ -164,10 +165,10 @@ def _require_rows(stream: StoredStream, rows: int) -> None:
         )
 
 
-def _refuse_rest(
+def _require_empty(
     stored: Mapping[tuple[Attribute, int], StoredStream], where: str, clause: str
 ) -> None:
-    """Refuse the streams of a payload that nothing took."""
+    """Raise ``stream-unexpected`` if streams are left."""
     if stored:
         names = sorted(stream.label for stream in stored.values())
         raise FormatError(

@@ -27,17 +27,16 @@ def decode_tail(
     *,
     sh_degree: int = MAX_SH_DEGREE,
 ) -> None:
-    """Write a chunk tail's shN into the rows of `out`.
+    """Decode a chunk's tail into the rows of shN.
 
     Parameters
     ----------
     payload, codebooks, where
-        As in `decode_head`.
+        See `decode_head`.
     out : (n, K-1, 3) float32
-        The chunk's rows, C-contiguous; K may be lower than the file's, and the bands above are
-        skipped.
+        Rows of the chunk, C-contiguous; bands of the file beyond K are skipped.
     sh_degree : int
-        Of the file; bands above it have no place in a tail.
+        SH degree of the file; a tail must not have bands above it.
 
     Raises
     ------
@@ -56,6 +55,7 @@ def decode_tail(
 def _read_from_codebook(
     found: StreamSet, codebooks: Mapping[int, Codebook], out: F32, sh_degree: int
 ) -> None:
+    """Decode shN from its codebook stream and escape rows into `out`."""
     stream = found.pop(Attribute.SHN)
     use = kinds.codebook_use(stream)
     escape = np.zeros((use.escape_rows, *out.shape[1:]), np.float32)

@@ -1,7 +1,7 @@
-"""The view table: what each chunk adds to the pictures of some viewpoints (SPEC 5.12).
+"""View table: each chunk's share of the images from sampled viewpoints (SPEC 5.12).
 
-A client reads from it which chunks a pose near one of these viewpoints shows: it knows of walls,
-which boxes alone do not.
+A client finds in it the chunks visible near a viewpoint. Unlike bounding boxes, the table accounts
+for occlusion by walls.
 """
 
 from __future__ import annotations
@@ -19,36 +19,36 @@ F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
 MAX_VIEWS: Final = 64
-"""Views of a table, at most (SPEC 5.12)."""
+"""Viewpoints of a table at most (SPEC 5.12)."""
 
 MAX_CODES: Final = MAX_PLANE_BYTES
-"""Codes of a table, at most: they are one plane (SPEC 6.3)."""
+"""Codes of a table at most: the limit of the one plane that stores them (SPEC 6.3)."""
 
 DIRECTION_UNIT: Final = 127
-"""Length of a stored direction, about (SPEC 5.12)."""
+"""Approximate length of a stored direction (SPEC 5.12)."""
 
 _WORD: Final = np.dtype("<u4")
 
-# SPEC 5.12: code 2e + m stands for (2 + m) · 2^(e - 128), code 0 for nothing.
+# SPEC 5.12: code 2e + m means a share of (2 + m) · 2^(e - 128), code 0 means 0.
 _SHARES: Final = np.array(
     [0.0, *(np.ldexp(2.0 + (code & 1), (code >> 1) - 128) for code in range(1, 256))]
 )
-# A share goes to the code whose own share is nearest.
+# Boundaries between codes: a share becomes the code of the nearest share.
 _BETWEEN: Final = 0.5 * (_SHARES[1:] + _SHARES[:-1])
 
 
 @dataclass(frozen=True, eq=False)
 class ViewTable:
-    """What each chunk of a scene adds to the pictures of some viewpoints.
+    """Shares of all chunks in the images from sampled viewpoints.
 
     Parameters
     ----------
     positions : (V, 3) float32
-        Where a viewpoint is, in the space of the means. V is 1 to `MAX_VIEWS`.
+        Positions of the viewpoints in the space of the means; V is 1 to `MAX_VIEWS`.
     directions : (V, 3) int8
-        Where it looks, in `DIRECTION_UNIT`; not (0, 0, 0).
+        View directions, about `DIRECTION_UNIT` long; not (0, 0, 0).
     codes : (V, c) uint8
-        For each viewpoint and chunk the share of the picture, as `encode_shares` gives it.
+        Code of each chunk's share in the image of each viewpoint, from `encode_shares`.
     """
 
     positions: NDArray[np.float32]
@@ -57,12 +57,12 @@ class ViewTable:
 
     @property
     def shares(self) -> F64:
-        """Share of each viewpoint's picture that each chunk makes up, (V, c) float64, 0 to 1."""
+        """Share of each chunk in the image of each viewpoint, (V, c) float64, 0 to 1."""
         return _SHARES[self.codes]
 
 
 def encode_shares(shares: F64) -> U8:
-    """Return the codes of shares of pictures, each the nearest.
+    """Return the nearest code of each share.
 
     Examples
     --------
@@ -76,14 +76,14 @@ def encode_shares(shares: F64) -> U8:
 
 
 def quantise_directions(directions: F64) -> NDArray[np.int8]:
-    """Return directions, (V, 3) float64 of unit length, as a table stores them."""
+    """Return unit vectors, (V, 3), quantised to int8 for a view table."""
     return np.rint(DIRECTION_UNIT * directions).astype(np.int8)
 
 
 def pack_codes(codes: U8) -> bytes:
-    """Return the codes of a table as the word of a plane and the plane.
+    """Return the codes of a table as a byte plane, with its word in front.
 
-    Each code is stored as what it has more than that of the viewpoint before, modulo 256.
+    The plane stores differences to the codes of the previous viewpoint, modulo 256.
     """
     differences = np.diff(codes, axis=0, prepend=np.zeros((1, codes.shape[1]), np.uint8))
     word, stored = pack_plane(np.ascontiguousarray(differences).reshape(-1))
@@ -91,20 +91,21 @@ def pack_codes(codes: U8) -> bytes:
 
 
 def unpack_codes(packed: bytes, views: int, chunks: int, where: str) -> U8:
-    """Return the codes of a table, (views, chunks) uint8.
+    """Return the codes of a packed table, (views, chunks) uint8.
 
     Parameters
     ----------
     packed : bytes
-        At least the word.
+        Word and plane; at least four bytes.
     views, chunks : int
+        Numbers of viewpoints and of chunks.
     where : str
-        Names the segment in messages.
+        Name of the segment in messages.
 
     Raises
     ------
     FormatError
-        As `byte_planes.unpack_plane`.
+        See `byte_planes.unpack_plane`.
     """
     word = int(np.frombuffer(packed, _WORD, 1)[0])
     plane = unpack_plane(memoryview(packed)[_WORD.itemsize :], word, views * chunks, where)

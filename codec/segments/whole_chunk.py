@@ -1,4 +1,4 @@
-"""Chunks: head, refinement and tail decoded together (SPEC 7.2 to 7.4)."""
+"""Decoding of a whole chunk: head, refinement and tail (SPEC 7.2 to 7.4)."""
 
 from __future__ import annotations
 
@@ -28,26 +28,25 @@ def decode_chunk(
     *,
     sh_degree: int,
 ) -> None:
-    """Write a chunk into the rows of `out`: zeros for shN where there is no tail.
+    """Decode a chunk into the rows of `out`; shN is 0 without a tail.
 
     Parameters
     ----------
     head, refinement, tail : memoryview or None
-        The segments' bytes, their CRCs already checked; None for those that are not there or not
-        wanted.
+        Bytes of the segments, their CRCs already checked; None if absent or not requested.
     codebooks : tuple of mappings
-        Those that the head needs, and those that the tail needs.
+        Codebooks by number: those that the head needs, and those that the tail needs.
     out : Splats
-        The chunk's rows, as views of a larger scene.
+        Rows of the chunk, as views of a larger scene.
     where : str
-        Names the chunk in messages.
+        Name of the chunk in messages.
     sh_degree : int
-        Of the file.
+        SH degree of the file.
 
     Raises
     ------
     FormatError, UnsupportedError, LimitError
-        As `decode_head` and then `decode_tail`.
+        See `decode_head` and `decode_tail`, in this order.
     """
     if not _decode_compiled(head, refinement, tail, codebooks, out, sh_degree):
         decode_head(head, codebooks[0], out, f"{where} head", refinement)

@@ -124,7 +124,7 @@ def read_values(
 
 
 def read_codes(stream: StoredStream, grid: Grid) -> U32:
-    """Return the (rows, c) codes of a stream that has no other planes.
+    """Return the (rows, c) codes of a stream on a grid.
 
     Raises
     ------

@@ -328,7 +328,7 @@ def _codebook_number(data: U8, records: I64, stream: int) -> int:
 def _locate(
     payload: bytes, ends: I64, streams: I64, limit: int, rows: int
 ) -> tuple[U8, I64, I64] | None:
-    """Return the arrays data, records and spans of `ChunkPlanes`, or None for other streams.
+    """Return the arrays of `ChunkPlanes` but for the tables; None for other streams.
 
     Parameters
     ----------

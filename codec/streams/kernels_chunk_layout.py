@@ -126,9 +126,9 @@ def locate(
     max_bytes : int
         Limit of all planes together, decompressed and unpacked, bytes.
     records : (s + 1, 6) int64, out
-        As in `ChunkPlanes`.
+        See `ChunkPlanes`.
     spans : (4, planes) int64, out
-        As in `ChunkPlanes`.
+        See `ChunkPlanes`.
     frames : (planes, 2) uint64, out
         Position and length of each zstd frame in `data`.
     sizes : (planes,) uint64, out

@@ -244,7 +244,7 @@ class StoredStream:
         return self.params
 
     def read_planes(self, lengths: Sequence[int]) -> list[U8]:
-        """Return all planes, decompressed; `lengths` in bytes."""
+        """Return all planes, decompressed to `lengths` bytes."""
         self.require_planes(len(lengths))
         return [self.plane(index, length) for index, length in enumerate(lengths)]
 
