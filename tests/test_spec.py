@@ -26,9 +26,9 @@ from cogsplat.codec.streams.kinds import KINDS
 from cogsplat.formats.cogs import (
     camera_segment,
     canonical_msgpack,
+    chunk_decoder,
     decoded_rows,
     layout,
-    chunk_decoder,
     root,
 )
 from cogsplat.formats.storage.limits import Limits
