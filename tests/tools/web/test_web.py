@@ -7,10 +7,14 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from running import ROOT, installed
 from web_package import SERVED, WEB, npm
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Route
 
 
 @pytest.mark.slow
@@ -77,3 +81,28 @@ def test_bundle_is_small_enough_for_a_page(web_package: Path) -> None:
     for name, limit in (("cogsplat.js", 42_000), ("worker.js", 22_000)):
         size = len(gzip.compress((web_package / "dist" / name).read_bytes(), 9))
         assert size <= limit, f"{name}: {size} bytes gzipped"
+
+
+@pytest.mark.slow
+def test_a_policy_that_forbids_webassembly_is_named(web_package: Path, browser: Browser) -> None:
+    policy = {"Content-Security-Policy": "script-src 'self'"}
+    library = (web_package / "dist" / "cogsplat.js").read_text(encoding="utf-8")
+
+    def answer(route: Route) -> None:
+        if route.request.url.endswith("/cogsplat.js"):
+            route.fulfill(body=library, content_type="text/javascript", headers=policy)
+        else:
+            route.fulfill(body="<!doctype html>", content_type="text/html", headers=policy)
+
+    page = browser.new_page()
+    page.route("**/*", answer)
+    page.goto("http://page.invalid/")
+    message = page.evaluate(
+        """async () => {
+          const { loadKernels } = await import("/cogsplat.js");
+          return loadKernels().then(() => "compiled", (error) => error.message);
+        }"""
+    )
+    page.close()
+    assert "'wasm-unsafe-eval'" in message
+    assert "script-src" in message

@@ -24,13 +24,13 @@ window.visit = async ({ url, poses, interval, budget, moments }) => {
   const abort = new AbortController();
   const options = { format: "packed", compensate: true, signal: abort.signal };
   const visit = await Visit.begin(scene, budget > 0 ? { ...options, splatBudget: budget } : options);
-  const look = () => visit.look(poses[Math.min(Math.floor(seconds() / interval), poses.length - 1)]);
+  const look = () => visit.setPose(poses[Math.min(Math.floor(seconds() / interval), poses.length - 1)]);
   look();
   const timer = setInterval(look, 1000 * interval);
   const held = new Map();
   const gone = (async () => {
     for await (const change of visit.changes()) {
-      if (change.kind === "gone") held.delete(change.chunk);
+      if (change.kind === "evicted") held.delete(change.chunk);
       else held.set(change.chunk, [change.chunk, change.refined, change.tail]);
     }
   })().catch((error) => {

@@ -3,7 +3,9 @@ import { test } from "node:test";
 import { CogsplatError, SourceError } from "../src/errors.js";
 import { loadKernels } from "../src/kernels/load.js";
 import { HttpSource, retryAfter } from "../src/loader/http_source.js";
-import { nextRequest, RangeAssembler } from "../src/loader/range_plan.js";
+import { nextRequest } from "../src/loader/range_plan.js";
+import type { RetryingReader } from "../src/loader/retrying_reader.js";
+import { SegmentRequests } from "../src/loader/segment_requests.js";
 import type { ChunkUpdate, StreamOptions } from "../src/loader/stream_options.js";
 import { type OpenOptions, StreamedScene } from "../src/loader/streamed_scene.js";
 import { SceneFile } from "../src/scene/scene_file.js";
@@ -272,25 +274,46 @@ test("requests take neighbours together and stop at gaps, lengths and orders", (
   assert.equal(take([]), undefined);
 });
 
-test("an assembler hands out segments however the bytes are cut", () => {
+test("a request delivers its segments however the bytes are cut, without those of gaps", async () => {
   const bytes = Uint8Array.from({ length: 40 }, (_, i) => i);
-  const rangeOf = (segment: number) =>
-    [
-      { offset: 10, length: 8 },
-      { offset: 20, length: 20 },
-    ][segment]!;
+  // The last two share their bytes, as segments of a folder may.
+  const ranges = [
+    { offset: 10, length: 8 },
+    { offset: 20, length: 20 },
+    { offset: 20, length: 20 },
+  ];
   for (let size = 1; size <= 31; size++) {
-    const assembler = new RangeAssembler({ offset: 10, length: 30, segments: [0, 1] }, rangeOf);
-    const got = [];
-    for (let at = 10; at < 40; at += size) got.push(...assembler.add(bytes.subarray(at, at + size)));
-    assert.ok(assembler.complete);
-    assert.deepEqual(
-      got.map(({ segment }) => segment),
-      [0, 1],
-    );
-    assert.deepEqual(Array.from(got[0]!.payload), Array.from(bytes.subarray(10, 18)));
-    assert.deepEqual(Array.from(got[1]!.payload), Array.from(bytes.subarray(20, 40)));
+    const reader = {
+      parts: async (_: unknown, __: unknown, take: (part: Uint8Array) => void) => {
+        for (let at = 10; at < 40; at += size) take(bytes.subarray(at, Math.min(at + size, 40)));
+      },
+    } as unknown as RetryingReader;
+    const received: [number, number[]][] = [];
+    await new Promise<void>((ended) => {
+      const requests = new SegmentRequests(reader, (segment) => ranges[segment]!, {
+        received: (segment, payload) => received.push([segment, Array.from(payload)]),
+        failed: () => assert.fail("nothing fails"),
+        ended,
+      });
+      requests.start({ offset: 10, length: 30, segments: [0, 1, 2] });
+    });
+    const second = Array.from(bytes.subarray(20, 40));
+    assert.deepEqual(received, [
+      [0, Array.from(bytes.subarray(10, 18))],
+      [1, second],
+      [2, second],
+    ]);
   }
+});
+
+test("segments that share a part of their bytes come by requests of their own", () => {
+  const ranges = [
+    { offset: 0, length: 20 },
+    { offset: 10, length: 20 },
+  ];
+  const wanted = [0, 1];
+  assert.deepEqual(nextRequest(wanted, (segment) => ranges[segment]!)!.segments, [0]);
+  assert.deepEqual(wanted, [1]);
 });
 
 /** A source whose first answer stops behind some bytes until it is told to go on. */

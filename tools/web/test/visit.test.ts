@@ -5,9 +5,9 @@ import { loadKernels } from "../src/kernels/load.js";
 import { folders } from "../src/loader/folders.js";
 import { LinkEstimate } from "../src/loader/link_estimate.js";
 import { PoseHistory } from "../src/loader/pose_history.js";
+import { SegmentRequests } from "../src/loader/segment_requests.js";
 import { segmentUnits, type UnitIndex } from "../src/loader/segment_units.js";
 import { StreamedScene } from "../src/loader/streamed_scene.js";
-import { UnitRequests } from "../src/loader/unit_requests.js";
 import { Visit, type VisitOptions } from "../src/loader/visit.js";
 import { SceneFile } from "../src/scene/scene_file.js";
 import { along, byBoxes } from "../src/schedule/chunk_ratios.js";
@@ -112,10 +112,10 @@ test("a path leads on from where a visitor was a quarter of a second ago, until 
 /** Rows of each chunk as they were given last. */
 async function visited(scene: StreamedScene, options: VisitOptions, pose: Pose): Promise<Map<number, string>> {
   const visit = await Visit.begin(scene, options);
-  visit.look(pose);
+  visit.setPose(pose);
   const last = new Map<number, string>();
   for await (const change of visit.changes()) {
-    if (change.kind === "gone") assert.fail("there is room for all");
+    if (change.kind === "evicted") assert.fail("there is room for all");
     const { means, opacities, shN } = change.splats!;
     const parents = parentsOf(scene.index.chunks.cell);
     assert.ok(parents[change.chunk]! < 0 || last.has(parents[change.chunk]!), "a chunk before its parent");
@@ -194,7 +194,7 @@ test("a server without ranges cannot be visited", async () => {
   const server = new RangeServer(vectorBytes("valid", "chunks"), () => "ignore-range");
   const url = await server.start();
   try {
-    await assert.rejects(Visit.begin(await StreamedScene.open(url)), /expected one that answers them/);
+    await assert.rejects(Visit.begin(await StreamedScene.open(url)), /answers range requests/);
   } finally {
     await server.stop();
   }
@@ -239,13 +239,13 @@ for (const padding of [0, 70_000]) {
       const held = new Set<number>();
       const ended = (async () => {
         for await (const change of visit.changes()) {
-          if (change.kind === "gone") assert.ok(held.delete(change.chunk));
+          if (change.kind === "evicted") assert.ok(held.delete(change.chunk));
           else held.add(change.chunk);
           assert.ok(held.size <= 2);
         }
       })();
       const look = async (pose: Pose, expected: number[]): Promise<void> => {
-        visit.look(pose);
+        visit.setPose(pose);
         const isThere = (): boolean => isSettled && expected.every((chunk) => held.has(chunk));
         for (let wait = 0; wait < 500 && !isThere(); wait++) await new Promise((resolve) => setTimeout(resolve, 10));
         assert.deepEqual([...held].sort(), expected);
@@ -254,7 +254,7 @@ for (const padding of [0, 70_000]) {
       await look(viewpoint(file, 2), [0, 1]);
       await look(viewpoint(file, 0), [2, 3]);
       // A budget that is lowered is kept at once.
-      visit.limit(3);
+      visit.setSplatBudget(3);
       for (let wait = 0; wait < 500 && held.size > 1; wait++) await new Promise((resolve) => setTimeout(resolve, 10));
       assert.equal(held.size, 1);
       abort.abort();
@@ -280,36 +280,36 @@ test("what was stopped goes on from the byte where it was, and what was asked fo
       takes.push(take);
       return new Promise<void>((_, reject) => signal.addEventListener("abort", () => reject(signal.reason as Error)));
     },
-  } as unknown as ConstructorParameters<typeof UnitRequests>[0];
+  } as unknown as ConstructorParameters<typeof SegmentRequests>[0];
   const came = new Map<number, string>();
-  const requests = new UnitRequests(reader, (unit) => ({ offset: 100 * unit, length: 100 }), {
-    came: (unit, payload) => came.set(unit, sha256(payload)),
+  const requests = new SegmentRequests(reader, (unit) => ({ offset: 100 * unit, length: 100 }), {
+    received: (unit, payload) => came.set(unit, sha256(payload)),
     failed: () => assert.fail("nothing fails"),
     ended: () => undefined,
   });
   // As much as keeps the connection busy: of 500 bytes a second those of the first unit are enough.
   requests.link.bytesPerSecond = 500;
-  requests.start([8, 9], () => "auto");
+  requests.fillConnection([8, 9], () => "auto");
   assert.deepEqual(asked.splice(0), [[800, 200, "auto"]]);
-  requests.start([3], () => "auto");
+  requests.fillConnection([3], () => "auto");
   assert.deepEqual(asked, []);
   requests.close();
   takes.splice(0);
   requests.link.bytesPerSecond = 1e6;
-  requests.start([3, 4, 5, 8], (unit) => (unit === 3 ? "high" : "low"));
+  requests.fillConnection([3, 4, 5, 8], (unit) => (unit === 3 ? "high" : "low"));
   assert.deepEqual(asked, [
     [300, 300, "high"],
     [800, 100, "low"],
   ]);
   takes[0]!(file.slice(300, 450));
   assert.deepEqual([...came.keys()], [3]);
-  assert.deepEqual(requests.underWay, [4, 5, 8]);
+  assert.deepEqual(requests.inFlight, [4, 5, 8]);
   assert.equal(requests.stop([5]), 2);
-  assert.deepEqual(requests.underWay, [8]);
+  assert.deepEqual(requests.inFlight, [8]);
   // Bytes that were on their way are left.
   takes[0]!(file.slice(450, 600));
-  assert.deepEqual([...requests.received], [[4, 50]]);
-  requests.start([4, 5], () => "auto");
+  assert.deepEqual([...requests.partial], [[4, 50]]);
+  requests.fillConnection([4, 5], () => "auto");
   assert.deepEqual(asked.at(-1), [450, 150, "auto"]);
   takes[2]!(file.slice(450, 600));
   assert.deepEqual(
@@ -317,5 +317,5 @@ test("what was stopped goes on from the byte where it was, and what was asked fo
     [3, 4, 5].map((unit) => [unit, sha256(file.slice(100 * unit, 100 * unit + 100))]),
   );
   requests.close();
-  assert.deepEqual(requests.underWay, []);
+  assert.deepEqual(requests.inFlight, []);
 });

@@ -107,8 +107,8 @@ test("chunks take the rows of those that went, and bring what they add with them
   assert.deepEqual(drawn(), wanted(0, 1, 3, 4));
   assert.deepEqual(shifts, rows);
   assert.ok(layer.compensated);
-  visited.take({ kind: "gone", chunk: 3 });
-  visited.take({ kind: "gone", chunk: 4 });
+  visited.take({ kind: "evicted", chunk: 3 });
+  visited.take({ kind: "evicted", chunk: 4 });
   visited.work(Infinity);
   assert.deepEqual(drawn(), wanted(0, 1));
   assert.equal(visited.splats, 20);
@@ -118,7 +118,7 @@ test("chunks take the rows of those that went, and bring what they add with them
   assert.deepEqual(drawn(), wanted(0, 1, 2));
   for (const [row, added] of shifts.entries())
     assert.ok(added === 0 || added === rows[row], `row ${row} is shifted by ${added}`);
-  visited.take({ kind: "gone", chunk: 1 });
+  visited.take({ kind: "evicted", chunk: 1 });
   take(5);
   visited.work(Infinity);
   assert.deepEqual(drawn(), wanted(0, 2, 5));

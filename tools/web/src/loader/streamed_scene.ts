@@ -13,7 +13,8 @@ import { BlobSource, type ByteSource } from "./byte_source.js";
 import { type HttpOptions, HttpSource } from "./http_source.js";
 import { DEFAULT_RETRY, type RetryOptions } from "./retry.js";
 import { RetryingReader } from "./retrying_reader.js";
-import { SceneStream, type StreamSource } from "./scene_stream.js";
+import type { FetchSource } from "./scene_fetch.js";
+import { SceneStream } from "./scene_stream.js";
 import { bytesPerSplat, type ChunkUpdate, type StreamOptions } from "./stream_options.js";
 
 /** Bytes of the first request; they always hold the root (SPEC 8.1). */
@@ -52,7 +53,7 @@ export interface FolderReader {
 }
 
 /** A scene that is read from the URL of a file or a folder, a file or another source of bytes while it is drawn. */
-export class StreamedScene implements StreamSource {
+export class StreamedScene implements FetchSource {
   /** The last page that is being read; pages are read one after the other, once for all streams. */
   private pages: Promise<unknown> = Promise.resolve();
   /** Layers of compensation, as far as a stream with `compensate` has brought them. */
@@ -186,14 +187,7 @@ export class StreamedScene implements StreamSource {
    */
   async *stream(options: StreamOptions = {}): AsyncGenerator<ChunkUpdate, void, undefined> {
     this.checkSize(options);
-    const service = await this.makeService();
-    const stream = new SceneStream(this, service, options);
-    try {
-      yield* stream.updates();
-    } finally {
-      stream.stop();
-      service.close();
-    }
+    yield* new SceneStream(this, await this.makeService(), options).changes();
   }
 
   /** What decodes the chunks of one run through the scene; who asks for it closes it. */

@@ -154,7 +154,7 @@ export class CogsFeed implements SceneFeed {
   private async beVisited(scene: StreamedScene, signal: AbortSignal): Promise<void> {
     const host = this.host!;
     const layer = this.layer!;
-    const visited = new VisitedScene(scene, layer, this.shifted, () => this.visit?.shown());
+    const visited = new VisitedScene(scene, layer, this.shifted, () => this.visit?.ratios());
     this.visited = visited;
     const visit = await Visit.begin(scene, {
       signal,
@@ -168,7 +168,7 @@ export class CogsFeed implements SceneFeed {
       },
     });
     this.visit = visit;
-    if (this.pose !== undefined) visit.look(this.pose);
+    if (this.pose !== undefined) visit.setPose(this.pose);
     for await (const change of visit.changes()) {
       if (change.kind === "rows") host.rowsCame(change.packed!, visited.splats === 0);
       visited.take(change);
@@ -188,12 +188,12 @@ export class CogsFeed implements SceneFeed {
 
   look(pose: Pose): void {
     this.pose = pose;
-    this.visit?.look(pose);
+    this.visit?.setPose(pose);
     this.visited?.look();
   }
 
   limit(splats: number): boolean {
-    this.visit?.limit(Math.min(splats, this.layer!.capacity));
+    this.visit?.setSplatBudget(Math.min(splats, this.layer!.capacity));
     return this.visit !== undefined;
   }
 

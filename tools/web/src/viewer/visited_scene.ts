@@ -44,7 +44,7 @@ export class VisitedScene {
   take(change: VisitChange): void {
     this.isStale = true;
     const { chunk } = change;
-    if (change.kind === "gone") {
+    if (change.kind === "evicted") {
       const runs = this.rows.get(chunk)!;
       for (const { first, count } of runs) {
         this.splats -= count;

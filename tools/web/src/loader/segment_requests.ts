@@ -1,0 +1,177 @@
+import type { ByteRange } from "../container/scene_index.js";
+import { windowBytes } from "../schedule/scheduler.js";
+import { LinkEstimate } from "./link_estimate.js";
+import { nextRequest, type RangeRequest } from "./range_plan.js";
+import type { RetryingReader } from "./retrying_reader.js";
+
+/** Requests in flight at most (SPEC 8.8). */
+export const MAX_REQUESTS = 6;
+/** Bytes of a request that may be stopped, at most, unless the connection needs longer ones: it is stopped as a whole. */
+const REQUEST_BYTES = 65_536;
+
+/** Handlers of what requests bring. */
+export interface SegmentReceiver {
+  /** All bytes of a segment have arrived. */
+  received(segment: number, payload: Uint8Array): void;
+  /** A request failed after all attempts, with these segments incomplete. */
+  failed(error: unknown, segments: readonly number[]): void;
+  /** A request has ended. */
+  ended(): void;
+}
+
+interface Request {
+  /** Incomplete segments, in file order. */
+  readonly left: number[];
+  readonly abort: AbortController;
+  /** Offset of the next byte of the answer. */
+  position: number;
+}
+
+/** Range requests in flight; a stopped segment is resumed later from its first missing byte. */
+export class SegmentRequests {
+  readonly link = new LinkEstimate();
+  /** Bytes received of each incomplete segment. */
+  readonly partial = new Map<number, number>();
+  private readonly parts = new Map<number, Uint8Array>();
+  private readonly requests = new Set<Request>();
+
+  /** @param rangeOf - Byte range of a segment in the source of `reader`. */
+  constructor(
+    private readonly reader: RetryingReader,
+    private readonly rangeOf: (segment: number) => ByteRange,
+    private readonly receiver: SegmentReceiver,
+  ) {}
+
+  /** Number of requests in flight. */
+  get count(): number {
+    return this.requests.size;
+  }
+
+  /** Incomplete segments of the requests in flight. */
+  get inFlight(): number[] {
+    return [...this.requests].flatMap(({ left }) => left);
+  }
+
+  /** Whether another request keeps the connection busier; answers share it, so more requests only delay the first. */
+  private get hasRoom(): boolean {
+    const { bytesPerSecond, latency } = this.link;
+    const toCome = this.inFlight.reduce((sum, segment) => sum + this.missing(segment).length, 0);
+    return this.count === 0 || (this.count < MAX_REQUESTS && toCome < windowBytes(bytesPerSecond, latency));
+  }
+
+  /**
+   * Request segments, adjacent ones together, until the bytes in flight fill the connection.
+   *
+   * @param wanted - Segments in the order of their urgency.
+   * @param priority - `fetch` priority of a request that begins with this segment.
+   */
+  fillConnection(wanted: readonly number[], priority: (segment: number) => RequestPriority): void {
+    const left = [...wanted];
+    const { bytesPerSecond, latency } = this.link;
+    // Fast connections are filled by longer requests.
+    const most = Math.max(REQUEST_BYTES, (bytesPerSecond * latency) / MAX_REQUESTS);
+    while (left.length > 0 && this.hasRoom) {
+      const range = nextRequest(left, this.missing, most, 0)!;
+      this.start(range, priority(range.segments[0]!));
+    }
+  }
+
+  /** Start one request. */
+  start(range: RangeRequest, priority?: RequestPriority): void {
+    const request = { left: [...range.segments], abort: new AbortController(), position: range.offset };
+    this.requests.add(request);
+    void this.run(request, range, priority);
+  }
+
+  /**
+   * Stop the requests of some segments; bytes already received are kept.
+   *
+   * @returns Number of segments stopped, including those of the same requests.
+   */
+  stop(segments: readonly number[]): number {
+    let stopped = 0;
+    for (const request of this.requests) {
+      if (!request.left.some((segment) => segments.includes(segment))) continue;
+      this.requests.delete(request);
+      request.abort.abort();
+      stopped += request.left.length;
+    }
+    return stopped;
+  }
+
+  /** Stop all requests. */
+  close(): void {
+    this.stop(this.inFlight);
+  }
+
+  /** Drop the bytes received of a segment. */
+  forget(segment: number): void {
+    this.parts.delete(segment);
+    this.partial.delete(segment);
+  }
+
+  /** Byte range still missing of a segment. */
+  private readonly missing = (segment: number): ByteRange => {
+    const { offset, length } = this.rangeOf(segment);
+    const had = this.partial.get(segment) ?? 0;
+    return { offset: offset + had, length: length - had };
+  };
+
+  private async run(request: Request, range: ByteRange, priority: RequestPriority | undefined): Promise<void> {
+    const { signal } = request.abort;
+    const start = performance.now();
+    let isFirst = true;
+    const receive = (part: Uint8Array): void => {
+      if (signal.aborted) return;
+      const now = performance.now();
+      if (isFirst) this.link.answered((now - start) / 1000);
+      isFirst = false;
+      this.link.came(part.length, now / 1000);
+      this.distribute(part, request);
+    };
+    try {
+      await this.reader.parts(range, signal, receive, priority);
+    } catch (error) {
+      if (signal.aborted) return;
+      this.requests.delete(request);
+      this.receiver.failed(error, request.left);
+    }
+    if (signal.aborted) return;
+    this.requests.delete(request);
+    if (this.requests.size === 0) this.link.rest();
+    this.receiver.ended();
+  }
+
+  /** Distribute the next bytes of an answer among its segments. */
+  private distribute(part: Uint8Array, request: Request): void {
+    const { left } = request;
+    let rest = part;
+    while (rest.length > 0 && left.length > 0) {
+      const segment = left[0]!;
+      const { offset, length } = this.missing(segment);
+      const gap = Math.min(offset - request.position, rest.length);
+      const used = rest.subarray(gap, gap + length);
+      rest = rest.subarray(gap + used.length);
+      request.position += gap + used.length;
+      const bytes = this.parts.get(segment) ?? new Uint8Array(this.rangeOf(segment).length);
+      const had = bytes.length - length;
+      bytes.set(used, had);
+      if (used.length < length) {
+        this.parts.set(segment, bytes);
+        this.partial.set(segment, had + used.length);
+        continue;
+      }
+      this.complete(segment, bytes, request);
+    }
+  }
+
+  /** Deliver a segment, and the segments that share its bytes in an object of a folder. */
+  private complete(segment: number, bytes: Uint8Array, { left, position }: Request): void {
+    let next: number | undefined = segment;
+    while (next !== undefined && (next === segment || this.rangeOf(next).offset < position)) {
+      this.forget(left.shift()!);
+      this.receiver.received(next, bytes);
+      [next] = left;
+    }
+  }
+}
