@@ -1,7 +1,7 @@
-/** The four classes of refusals (SPEC 12). */
+/** Class of a refusal (SPEC 12). */
 export type RefusalClass = "format" | "truncated" | "unsupported" | "limit";
 
-/** Every reason code of SPEC 12 with its class and the clause that it is raised for first. */
+/** Reason codes of SPEC 12, each with its class and its first clause. */
 const REASONS = {
   "not-cogs": ["format", "3.1"],
   "preamble-truncated": ["truncated", "3.1"],
@@ -102,22 +102,22 @@ const REASONS = {
 /** A stable reason code of SPEC 12. */
 export type ReasonCode = keyof typeof REASONS;
 
-/** Every reason code and its class. */
+/** Reason codes and their classes. */
 export const REASON_CODES: ReadonlyMap<ReasonCode, RefusalClass> = new Map(
   Object.entries(REASONS).map(([code, [refusal]]) => [code as ReasonCode, refusal]),
 );
 
-/** A file, a payload or a reader's limit that SPEC.md refuses. */
+/** Error of a file, a payload or a limit that SPEC.md refuses. */
 export class CogsplatError extends Error {
-  /** What kind of refusal this is: `format`, `truncated`, `unsupported` or `limit`. */
+  /** Class of the refusal: `format`, `truncated`, `unsupported` or `limit`. */
   readonly refusal: RefusalClass;
   /** The clause of SPEC.md that the data breaks. */
   readonly clause: string;
 
   /**
    * @param code - Reason code of SPEC 12.
-   * @param detail - What was found and what was expected.
-   * @param offset - Byte of the file, page or payload where it was found, where that is known.
+   * @param detail - Found and expected values.
+   * @param offset - Byte offset of the fault in the file, page or payload, if known.
    */
   constructor(
     readonly code: ReasonCode,
@@ -132,13 +132,13 @@ export class CogsplatError extends Error {
   }
 }
 
-/** A source of bytes that failed: the network or the disk, not the file's content. */
+/** Error of a source of bytes: the network or the disk, not the content of the file. */
 export class SourceError extends Error {
   /**
-   * @param message - What was asked and what came.
-   * @param status - HTTP status where there was one.
-   * @param retryable - Whether asking again may help.
-   * @param retryAfter - Time after which the server wants to be asked again, ms, where it said so.
+   * @param message - The request and the failure.
+   * @param status - HTTP status, if any.
+   * @param retryable - Whether a retry may succeed.
+   * @param retryAfter - Wait that the server asked for, ms, if any.
    */
   constructor(
     message: string,

@@ -1,13 +1,13 @@
-/** Where +x, +y and +z of renderers that follow OpenGL point: right, up, back. */
+/** Directions of +x, +y and +z in renderers with OpenGL's axes: right, up, back. */
 const OPENGL = "RUB";
 const OPPOSITE: Readonly<Record<string, string>> = { R: "L", L: "R", U: "D", D: "U", F: "B", B: "F" };
 
 /**
- * The matrix that takes positions of a scene with some axes to those of another.
+ * Return the matrix from a scene's axes to those of a renderer.
  *
- * @param from - Directions of the scene's +x, +y and +z, such as `RDF` (SPEC 4.2).
- * @param to - Directions of the other's; `RUB`, three.js and PlayCanvas, by default.
- * @returns Nine numbers, row by row, each −1, 0 or 1; a reflection where the one is right-handed and the other is not.
+ * @param from - Directions of the scene's +x, +y and +z, for example `RDF` (SPEC 4.2).
+ * @param to - Directions of the renderer's axes; by default `RUB`, of three.js and PlayCanvas.
+ * @returns Nine numbers, row by row, each −1, 0 or 1; a reflection where the handedness differs.
  */
 export function axesMatrix(from: string, to = OPENGL): number[] {
   return [...to].flatMap((direction) =>
@@ -16,16 +16,16 @@ export function axesMatrix(from: string, to = OPENGL): number[] {
 }
 
 /**
- * The same as a rotation x y z w, for renderers that place objects by one.
+ * Return the rotation x y z w from a scene's axes to those of a renderer.
  *
- * @throws RangeError where the axes differ by a reflection, which no rotation is.
+ * @throws RangeError where the axes differ by a reflection.
  */
 export function axesRotation(from: string, to = OPENGL): [number, number, number, number] {
   const m = axesMatrix(from, to) as [number, number, number, number, number, number, number, number, number];
   const determinant =
     m[0] * (m[4] * m[8] - m[5] * m[7]) - m[1] * (m[3] * m[8] - m[5] * m[6]) + m[2] * (m[3] * m[7] - m[4] * m[6]);
   if (determinant < 0) throw new RangeError(`axes ${from} are a reflection of ${to}`);
-  // The component of largest magnitude is found first, so that nothing is divided by 0.
+  // The component of largest magnitude comes first, so that no division is by 0.
   const squares = [1 + m[0] - m[4] - m[8], 1 - m[0] + m[4] - m[8], 1 - m[0] - m[4] + m[8], 1 + m[0] + m[4] + m[8]];
   const largest = squares.indexOf(Math.max(...squares));
   const r = Math.sqrt(squares[largest]!);

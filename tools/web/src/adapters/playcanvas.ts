@@ -21,27 +21,31 @@ import {
 export type { PlayCanvasApplication } from "./playcanvas_sorting.js";
 export type { AdapterOptions, AdapterStream } from "./texel_stream.js";
 
-/** How a scene is streamed into PlayCanvas. */
+/** Options of a stream into PlayCanvas. */
 export interface PlayCanvasOptions extends AdapterOptions {
   /**
-   * Rows that the engine is given at least; those beyond the scene's show nothing. In WebGL the engine sorts few splats by few
-   * keys, a quarter of their number and 1,025 at least, so that many share one: with 65,536 rows it sorts by 16,385. None by default.
+   * Rows of the resource at least; rows beyond the scene's are transparent. None by default.
+   *
+   * In WebGL the engine sorts by at least 1,025 keys, otherwise a quarter of the number of rows. With few keys many
+   * splats
+   * share one; with 65,536 rows there are 16,385 keys.
    */
   readonly leastRows?: number;
   /**
-   * The application that shows the scene. Where it is given, the splats are sorted once more when its cameras have come to
-   * rest: PlayCanvas 2.23.3 forgets a view that comes while it sorts for another one.
+   * Application that shows the scene. If given, the splats are sorted once more when its cameras have come to rest,
+   * because
+   * PlayCanvas 2.23.3 drops a view that arrives during a sort.
    */
   readonly application?: PlayCanvasApplication;
 }
 
-/** What the adapter uses of a texture. */
+/** Part of a texture that the adapter uses. */
 export interface PlayCanvasTexture {
   lock(): { set(values: ArrayLike<number>): void };
   unlock(): void;
 }
 
-/** What the adapter uses of the engine's `GSplatContainer`. */
+/** Part of the engine's `GSplatContainer` that the adapter uses. */
 export interface PlayCanvasContainer {
   readonly centers: Float32Array;
   readonly gsplatData: { shBands?: number };
@@ -56,7 +60,7 @@ interface Settable {
   set(x: number, y: number, z: number): unknown;
 }
 
-/** What the adapter uses of the module `playcanvas`. */
+/** Part of the module `playcanvas` that the adapter uses. */
 export interface PlayCanvasModule<D, C extends PlayCanvasContainer> {
   readonly GSplatFormat: new (
     device: D,
@@ -79,18 +83,18 @@ export interface PlayCanvasScene<C extends PlayCanvasContainer> extends AdapterS
   readonly position: readonly [number, number, number];
 }
 
-/** Parts of shaders, by their names. */
+/** Shader chunks by name. */
 export interface PlayCanvasChunks {
   get(name: string): string | undefined;
   set(name: string, text: string): unknown;
 }
 
-/** What `drawBySpec` uses of the module `playcanvas`. */
+/** Part of the module `playcanvas` that `drawBySpec` uses. */
 export interface PlayCanvasShaders {
   readonly ShaderChunks: { get(device: never, language: "glsl"): PlayCanvasChunks };
 }
 
-/** What `drawBySpec` sets of an application. */
+/** Settings of an application that `drawBySpec` changes. */
 export interface PlayCanvasSettings {
   readonly graphicsDevice: unknown;
   readonly scene: {
@@ -103,16 +107,18 @@ export interface PlayCanvasSettings {
 }
 
 /**
- * Have PlayCanvas draw more nearly by the rules of SPEC 8.7, in WebGL: Gaussians to where they add 1/255, the scene's
- * kernel, and the Jacobian of a point within 1.3 times the picture. In WebGL the engine (2.23.3, its
- * `gsplat-unified-sort-worker`) sorts by whole-numbered keys: 2^b + 1 of them, where b is log₂ of a quarter of the number of
- * splats, rounded and held between 10 and 20, so 1,025 up to 5,792 splats. Splats of one key are drawn in an order that has
- * nothing to do with their depths. No setting changes the number of keys; `leastRows` of `streamToPlayCanvas` does, by rows
- * that show nothing.
+ * Bring PlayCanvas's pictures closer to SPEC 8.7, in WebGL.
  *
- * Call it before the first picture. It holds for all splats of the application.
+ * Gaussians extend to a contribution of 1/255, the scene's kernel is used, and the projection's Jacobian is clamped to
+ * 1.3 times the picture. The settings apply to all splats of the application; call it before the first picture.
  *
- * @returns Whether the engine's shaders are known; those of another version are left as they are.
+ * The number of sorting keys stays that of the engine (2.23.3, `gsplat-unified-sort-worker`): 2^b + 1, where b is log₂
+ * of
+ * a quarter of the number of splats, rounded and between 10 and 20. Splats that share a key are drawn in arbitrary
+ * order;
+ * `leastRows` of `streamToPlayCanvas` raises the number of keys.
+ *
+ * @returns Whether the engine's shaders were recognised; those of another version stay unchanged.
  *
  * @example
  * ```ts
@@ -129,7 +135,7 @@ export function drawBySpec(
   gsplat.minPixelSize = 0;
   gsplat.antiAlias = info.antialiased;
   const own = pc.ShaderChunks.get(app.graphicsDevice as never, "glsl");
-  // The engine counts in half pixels, where variances are four times as large.
+  // The engine works in half pixels, where variances are four times as large.
   const kernel = glslFloat(4 * info.kernelPx);
   const edits = {
     gsplatPS: [
@@ -157,10 +163,10 @@ export function drawBySpec(
   return true;
 }
 
-/** Uploads whose numbers of splats differ. At four uploads a second they last four minutes without a frame. */
+/** Number of distinct splat counts for uploads; at four uploads per second they last four minutes. */
 const SPARE_ROWS = 1024;
 
-/** How the engine's shader reads a splat; it reads the bands as those of its own uncompressed splats. */
+/** Splat access of the engine's shader; bands are read like those of its own uncompressed splats. */
 const READ_GLSL = `
 uint cogsRotation;
 vec4 cogsScale;
@@ -206,10 +212,10 @@ fn getRotation() -> vec4f {
 `;
 
 /**
- * Stream a scene into a resource of PlayCanvas, all SH bands included.
+ * Stream a scene, with all SH bands, into a resource of PlayCanvas.
  *
  * @param pc - The module `playcanvas`, 2.23 or a later 2.
- * @param device - The graphics device of the application.
+ * @param device - Graphics device of the application.
  *
  * @example
  * ```ts
@@ -243,8 +249,8 @@ export function streamToPlayCanvas<D, C extends PlayCanvasContainer>(
   const leastRows = options.leastRows ?? 0;
   const most = Math.max(scene.info.splats, leastRows) + SPARE_ROWS - 1;
   const resource = new pc.GSplatContainer(device, most, format as never);
-  // A container takes splats one after the other but draws them without bands, unless it is told of them; and colours
-  // follow the camera only where its data says that there are bands.
+  // A container draws splats without bands unless its material defines them, and updates view-dependent colour only
+  // where its data declares bands.
   resource.configureMaterialDefines = (defines) => defines.set("SH_BANDS", String(degree));
   resource.gsplatData.shBands = degree;
   const { box } = scene.info;
@@ -254,12 +260,11 @@ export function streamToPlayCanvas<D, C extends PlayCanvasContainer>(
   ];
   resource.aabb.center.set(center[0]!, center[1]!, center[2]!);
   resource.aabb.halfExtents.set(half[0]!, half[1]!, half[2]!);
-  // Rows that show nothing are sorted as well, and the engine's keys end at the box.
+  // Transparent rows are sorted too, and the range of the engine's keys is the bounding box.
   for (let at = 0; at < 3 * most; at++) resource.centers[at] = center[at % 3]!;
   resource.update(0);
-  // The engine copies what the textures hold into those that it draws from when, from one of its frames to the next, the
-  // number of splats has changed; with the same number it goes on to draw what it copied before. Rows without data show
-  // nothing, so that every upload can have a number of its own: frames are missed for fewer uploads than there are spare rows.
+  // The engine copies the textures into its own only when the number of splats has changed since its last frame. The
+  // number therefore changes with every upload, by transparent rows.
   let uploads = 0;
   const redraw = (rows: number, centersUpdated: boolean): void =>
     resource.update(rows + (uploads++ % SPARE_ROWS), centersUpdated);

@@ -1,4 +1,4 @@
-/** What `sortBehindCameras` uses of an application of PlayCanvas. */
+/** Part of a PlayCanvas application that `sortBehindCameras` uses. */
 export interface PlayCanvasApplication {
   readonly scene: PlayCanvasEvents;
   readonly systems: { readonly camera?: { readonly cameras: readonly { readonly entity: PlayCanvasNode }[] } };
@@ -18,14 +18,15 @@ interface PlayCanvasNode {
 }
 
 /**
- * Ask for another sort when the cameras have come to rest.
+ * Sort again when the cameras have come to rest.
  *
- * PlayCanvas 2.23.3 sorts in a worker, one order after the other. A view that comes while it sorts is noted as sorted
- * (`GSplatManager.update`), though `GSplatUnifiedSorter.setSortParams` has thrown the request away: the splats then keep
- * the order of an earlier view until a camera turns again.
+ * PlayCanvas 2.23.3 sorts in a worker, one order at a time. `GSplatManager.update` marks a view that arrives during a
+ * sort
+ * as sorted, although `GSplatUnifiedSorter.setSortParams` has dropped it. The splats then keep the order of an earlier
+ * view until a camera turns again.
  *
- * @param again - Makes the engine sort by the cameras as they are now.
- * @returns What ends it.
+ * @param again - Makes the engine sort for the present cameras.
+ * @returns Function that ends it.
  */
 export function sortBehindCameras(app: PlayCanvasApplication, again: () => void): () => void {
   let [seen, moved, answered] = ["", false, false];
@@ -36,7 +37,7 @@ export function sortBehindCameras(app: PlayCanvasApplication, again: () => void)
     if (now !== seen) {
       [seen, moved, answered] = [now, true, false];
     } else if (moved && answered) {
-      // An order has come since the last movement: the worker is free, and the next request is not thrown away.
+      // An order has arrived since the last movement: the worker is idle and accepts the next request.
       moved = false;
       again();
     }

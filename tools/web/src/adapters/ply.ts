@@ -1,12 +1,12 @@
 import type { Splats } from "../scene/splats.js";
 
-/** How a PLY is written. */
+/** Options of `toPly`. */
 export interface PlyOptions {
-  /** Added to every mean: the scene's origin, for positions in the world; zeros by default. */
+  /** Offset added to every mean, for example the scene's origin for world positions; zeros by default. */
   readonly origin?: readonly number[];
 }
 
-/** The properties of a splat in the PLY of 3DGS training, in their order, for a degree. */
+/** Return the property names of a splat in the PLY of 3DGS training, in file order. */
 export function plyProperties(shDegree: number): string[] {
   const rest = 3 * ((shDegree + 1) ** 2 - 1);
   return [
@@ -64,7 +64,7 @@ export function toPly(splats: Splats, { origin = [0, 0, 0] }: PlyOptions = {}): 
     for (let axis = 0; axis < 3; axis++) put(splats.means[3 * i + axis]! + origin[axis]!);
     for (let axis = 0; axis < 3; axis++) put(0);
     for (let channel = 0; channel < 3; channel++) put(splats.sh0[3 * i + channel]!);
-    // In the PLY channels stand one behind the other, each with all its coefficients.
+    // The PLY stores coefficients channel by channel.
     for (let channel = 0; channel < 3; channel++) {
       for (let k = 0; k < coefficients; k++) put(splats.shN[3 * (coefficients * i + k) + channel]!);
     }

@@ -1,8 +1,8 @@
 /**
- * Put other lines in the place of a shader's own.
+ * Replace parts of a shader.
  *
- * @param edits - What stands there, and what takes its place, everywhere in the text.
- * @returns The shader; undefined where one of the lines is missing, as it may be in other versions of a renderer.
+ * @param edits - Old and new text of each part, replaced everywhere.
+ * @returns undefined where an old text is missing, as in other versions of a renderer.
  */
 export function editShader(shader: string, edits: readonly (readonly [string, string])[]): string | undefined {
   let text = shader;
@@ -13,7 +13,7 @@ export function editShader(shader: string, edits: readonly (readonly [string, st
   return text;
 }
 
-/** A number as GLSL writes it. */
+/** Return a number as a GLSL literal. */
 export function glslFloat(value: number): string {
   return Number.isInteger(value) ? `${value}.0` : String(value);
 }

@@ -18,7 +18,7 @@ import {
 
 export type { AdapterOptions, AdapterStream } from "./texel_stream.js";
 
-/** What the adapter uses of Spark's `ExtSplats`. */
+/** Part of Spark's `ExtSplats` that the adapter uses. */
 export interface SparkExtSplats {
   numSplats: number;
   readonly textures: readonly { needsUpdate: boolean }[];
@@ -26,7 +26,7 @@ export interface SparkExtSplats {
   dispose(): void;
 }
 
-/** What the adapter uses of Spark's `SplatMesh`. */
+/** Part of Spark's `SplatMesh` that the adapter uses. */
 export interface SparkMesh {
   numSplats: number;
   readonly quaternion: { set(x: number, y: number, z: number, w: number): unknown };
@@ -35,7 +35,7 @@ export interface SparkMesh {
   dispose(): void;
 }
 
-/** The two classes of `@sparkjsdev/spark` that the adapter makes objects of. */
+/** Classes of `@sparkjsdev/spark` that the adapter instantiates. */
 export interface SparkModule<M extends SparkMesh> {
   readonly ExtSplats: new (options: {
     extArrays: [Uint32Array, Uint32Array];
@@ -47,11 +47,11 @@ export interface SparkModule<M extends SparkMesh> {
 
 /** A scene in Spark. */
 export interface SparkScene<M extends SparkMesh> extends AdapterStream {
-  /** Add it to a three.js scene; it fills as chunks arrive. */
+  /** Mesh to add to a three.js scene; it fills as chunks arrive. */
   readonly mesh: M;
 }
 
-/** What `drawBySpec` sets of Spark's `SparkRenderer`. */
+/** Settings of Spark's `SparkRenderer` that `drawBySpec` changes. */
 export interface SparkSettings {
   readonly material: { vertexShader: string; needsUpdate: boolean };
   preBlurAmount: number;
@@ -63,9 +63,9 @@ export interface SparkSettings {
   clipXY: number;
 }
 
-/** A splat reaches to where it adds 1/255 (SPEC 8.7). */
+/** Contribution at which the extent of a splat ends (SPEC 8.7). */
 const ALPHA_MIN = 1 / 255;
-/** The Jacobian of the projection is that of a point within 1.3 times the picture (SPEC 8.7), which Spark leaves out. */
+/** Clamping of the projection's Jacobian to 1.3 times the picture (SPEC 8.7), which Spark lacks. */
 const CLAMPED_JACOBIAN = [
   [
     "vec2 J2 = -(J1 * viewCenter.xy) * invZ;",
@@ -74,13 +74,14 @@ const CLAMPED_JACOBIAN = [
 ] as const;
 
 /**
- * Have Spark draw by the rules of SPEC 8.7: sorted by depth, with the scene's kernel, every splat to where it adds 1/255.
+ * Make Spark draw by SPEC 8.7: sorted by depth, with the scene's kernel, with extents to a contribution of 1/255.
  *
- * Call it before the first picture. A renderer has one kernel for all of its scenes. In a version of Spark whose shader is
- * not known, splats that are centred far beside the picture are left out instead, because they would fill it.
+ * Call it before the first picture. A renderer has one kernel for all of its scenes. In a version of Spark with an
+ * unknown
+ * shader, splats centred far outside the picture are hidden instead, because they would fill it.
  *
  * @param renderer - A `SparkRenderer`, made with `accumExtSplats: true`.
- * @returns Whether all rules are kept.
+ * @returns Whether all rules apply.
  *
  * @example
  * ```ts
@@ -90,7 +91,7 @@ const CLAMPED_JACOBIAN = [
  * ```
  */
 export function drawBySpec(renderer: SparkSettings, { info }: Pick<StreamedScene, "info">): boolean {
-  // What is added before Spark compares determinants leaves opacities as they are.
+  // A kernel added before Spark compares determinants leaves opacities unchanged.
   renderer.preBlurAmount = info.antialiased ? 0 : info.kernelPx;
   renderer.blurAmount = info.antialiased ? info.kernelPx : 0;
   renderer.sortRadial = false;
@@ -105,19 +106,20 @@ export function drawBySpec(renderer: SparkSettings, { info }: Pick<StreamedScene
   return true;
 }
 
-/** Spark's textures are so many splats wide, and whole lines of them are made. */
+/** Width of Spark's textures, splats; they consist of whole lines. */
 const TEXTURE_WIDTH = 2048;
 const BANDS = ["sh1", "sh2", "sh3a", "sh3b"] as const;
 
 /**
  * Stream a scene into a mesh of Spark (three.js).
  *
- * The mesh can be added to a three.js scene at once; splats appear as chunks arrive, and get their view-dependent
- * colour and finer values in place. Rows that have not come are fully transparent; those that are there make up for
- * them (SPEC 8.5) unless `compensate` is false.
+ * The mesh can be added to a three.js scene at once. Splats appear as chunks arrive; refinements and SH coefficients
+ * replace their rows. Missing rows are transparent, and the others compensate for them (SPEC 8.5) unless `compensate`
+ * is
+ * false.
  *
- * The splats keep SPEC 8.6 as they are uploaded, in Spark's `ExtSplats`. Spark packs all splats of a picture once more
- * before it draws them, coarser unless its renderer is made with `accumExtSplats`.
+ * The upload, in Spark's `ExtSplats`, keeps SPEC 8.6. Spark packs all splats of a picture again before drawing, more
+ * coarsely unless its renderer is made with `accumExtSplats`.
  *
  * @param spark - The module `@sparkjsdev/spark`, 2.1 or later.
  *
@@ -141,7 +143,7 @@ export function streamToSpark<M extends SparkMesh>(
   const degree = wantedDegree(scene, options);
   const lines = Math.max(1, Math.ceil(scene.info.splats / TEXTURE_WIDTH));
   const arrays = sceneArrays(scene, "spark", degree).map((array) => {
-    // Whole lines, because Spark leaves out those that are not.
+    // Whole lines, because Spark drops partial ones.
     const whole = new Uint32Array(4 * TEXTURE_WIDTH * lines);
     return array.length === whole.length ? (array as Uint32Array<ArrayBuffer>) : whole;
   });
@@ -171,10 +173,10 @@ export function streamToSpark<M extends SparkMesh>(
   };
 }
 
-/** Where Spark keeps the texture of each band. */
+/** Names of the band textures in Spark. */
 const TEXTURES = { sh1: "sh1Texture", sh2: "sh2Texture", sh3a: "sh3TextureA", sh3b: "sh3TextureB" } as const;
 
-/** A texture of a band exists once Spark has drawn; it is uploaded again only where it is told to. */
+/** Mark a band texture for upload; it exists once Spark has drawn. */
 function refreshTexture(texture: unknown): void {
   const value = (texture as { value?: { needsUpdate: boolean } } | undefined)?.value;
   if (value !== undefined) value.needsUpdate = true;

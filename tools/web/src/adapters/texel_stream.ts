@@ -4,49 +4,50 @@ import type { TexelArray, TexelLayout, Texels } from "../scene/texel_layouts.js"
 import { makeTexelArrays, writeTexels } from "../scene/texels.js";
 import { axesMatrix } from "./axes.js";
 
-/** How a scene is streamed into a renderer. */
+/** Options of a stream into a renderer. */
 export interface AdapterOptions extends Omit<StreamOptions, "format" | "ranges"> {
-  /** Shortest time between two uploads, ms, because renderers upload whole textures. 250 by default. */
+  /** Shortest time between two uploads, ms, because renderers upload whole textures; 250 by default. */
   readonly uploadInterval?: number;
-  /** Told after every upload how many rows may be drawn. */
+  /** Called after every upload with the number of rows to draw. */
   readonly onUpload?: (rows: number) => void;
   /**
-   * Position in the world that the renderer's own origin stands for, scene units; the scene's origin by default. Scenes
-   * with other origins are then placed where they belong beside each other.
+   * World position of the renderer's origin, scene units; by default that of the scene's origin. It places scenes with
+   * different origins relative to each other.
    */
   readonly worldOrigin?: readonly number[];
 }
 
-/** The arrays of a whole scene, and what uploads them. */
+/** Arrays of a whole scene, and their upload. */
 export interface TexelTarget {
-  /** As `texelWidths` orders them, for all of the scene's splats. */
+  /** Arrays in the order of `texelWidths`, for all splats of the scene. */
   readonly arrays: readonly TexelArray[];
-  /** Show what the arrays hold, up to a number of rows. */
+  /** Upload the arrays, and draw the first `rows` rows. */
   upload(rows: number): void;
 }
 
 /** A stream into a renderer. */
 export interface AdapterStream {
-  /** Kept when everything has been uploaded; broken by what ends the stream, an abort among it. */
+  /** Resolves when everything has been uploaded; rejects with the error that ends the stream, including an abort. */
   readonly done: Promise<void>;
-  /** End the requests and give back what the renderer holds. */
+  /** Abort the requests and release the memory of the renderer. */
   dispose(): void;
 }
 
 const UPLOAD_INTERVAL = 250;
-/** Longest time that is worked at once, ms: a frame at 60 Hz has 16, and others work in it too. */
+/** Longest task, ms: a frame at 60 Hz has 16, shared with other work. */
 const LONGEST_TASK = 6;
 
-/** SH degree that a stream asks for. */
+/** Return the SH degree of a stream. */
 export function wantedDegree(scene: StreamedScene, options: AdapterOptions): number {
   return Math.min(options.degree ?? scene.info.shDegree, scene.info.shDegree);
 }
 
 /**
- * Fill a renderer's arrays as chunks come, and have them uploaded at intervals.
+ * Fill a renderer's arrays as chunks arrive, and upload them at intervals.
  *
- * Rows that are there make up for those that are not (SPEC 8.5), less with every chunk; refinements and coefficients
- * take the places of the rows that they replace. No more is done at once than fits into a frame.
+ * Rows present compensate for missing ones (SPEC 8.5), less with every chunk; refinements and coefficients replace
+ * rows.
+ * No task is longer than `LONGEST_TASK`.
  */
 export async function streamTexels(
   scene: StreamedScene,
@@ -72,7 +73,7 @@ export async function streamTexels(
   options.onUpload?.(rows.shown);
 }
 
-/** Arrays for a scene, of a degree. */
+/** Make arrays of a scene for an SH degree. */
 export function sceneArrays(scene: StreamedScene, layout: TexelLayout, degree: number): TexelArray[] {
   return makeTexelArrays(layout, degree, scene.info.splats);
 }
@@ -82,14 +83,14 @@ interface ChunkRows {
   readonly firstRow: number;
 }
 
-/** The rows that have come, as they were decoded while others are missing, and how much of them is uploaded. */
+/** Rows received so far, without compensation while chunks are missing, and the number uploaded. */
 class DrawnRows {
   shown = 0;
   private rows = 0;
   private prefix = 0;
-  /** Chunks whose rows change while more of the scene comes. */
+  /** Chunks whose rows change as more of the scene arrives. */
   private readonly chunks = new Map<number, ChunkRows>();
-  /** Chunks that have come since the last upload. */
+  /** Chunks received since the last upload. */
   private readonly fresh = new Set<number>();
   private shownPrefix = -1;
 
@@ -106,10 +107,10 @@ class DrawnRows {
     this.prefix = prefix;
   }
 
-  /** Write what has changed and upload it, if anything has. */
+  /** Write and upload the changed rows, if any. */
   async show(pace: Pace): Promise<void> {
     const prefix = this.prefix;
-    // Compensation differs with the prefix, for every chunk of it.
+    // Compensation differs between prefixes, for every chunk.
     const changed = this.compensate && prefix !== this.shownPrefix ? [...this.chunks.keys()] : [...this.fresh];
     if (changed.length === 0) return;
     for (const chunk of changed) {
@@ -121,17 +122,17 @@ class DrawnRows {
     this.fresh.clear();
     this.shownPrefix = prefix;
     this.shown = this.rows;
-    // With all chunks there nothing is added any more, and what comes still replaces whole rows.
+    // The whole scene has no compensation; later updates replace whole rows.
     if (!this.compensate || prefix === this.scene.index.totalChunkCount) this.chunks.clear();
     this.target.upload(this.rows);
   }
 }
 
-/** Lets other work of the page have its turn. */
+/** Yields to other work of the page. */
 class Pace {
   private since = performance.now();
 
-  /** Wait for the next turn where this one has lasted long enough. */
+  /** Yield if the present task has lasted long enough. */
   async rest(): Promise<void> {
     if (performance.now() - this.since < LONGEST_TASK) return;
     await new Promise((resolve) => setTimeout(resolve, 0));
@@ -139,7 +140,7 @@ class Pace {
   }
 }
 
-/** An abort of one's own that follows the caller's. */
+/** Return an abort controller that follows a signal. */
 export function ownAbort(signal: AbortSignal | undefined): AbortController {
   const abort = new AbortController();
   if (signal?.aborted) abort.abort(signal.reason);
@@ -147,7 +148,7 @@ export function ownAbort(signal: AbortSignal | undefined): AbortController {
   return abort;
 }
 
-/** Where the scene's origin is in a world whose axes are the renderer's. */
+/** Return the position of the scene's origin in a world with the renderer's axes. */
 export function placeOf(scene: StreamedScene, { worldOrigin }: AdapterOptions): [number, number, number] {
   const away = scene.info.origin.map((value, axis) => value - (worldOrigin ?? scene.info.origin)[axis]!);
   const matrix = axesMatrix(scene.info.axes);

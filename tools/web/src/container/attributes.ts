@@ -28,9 +28,9 @@ const ARRAYS = {
 /**
  * Read a chunk's extra attributes (SPEC 5.7).
  *
- * @param payload - The segment's bytes; their CRC was checked.
+ * @param payload - Bytes of the segment, whose CRC was checked.
  * @param rows - Splats of the chunk.
- * @returns Values by name, those of a row side by side.
+ * @returns Values by attribute name, row by row.
  */
 export function readAttributes(
   k: Kernels,

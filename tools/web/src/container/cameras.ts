@@ -4,13 +4,13 @@ import { parseMap } from "./msgpack.js";
 import { isRotation, type Pinhole } from "./pinhole.js";
 import { float64Column } from "./tables.js";
 
-/** A camera that the scene was made from or encoded for. */
+/** A camera of the views that the scene was trained or encoded with. */
 export interface Camera extends Pinhole {
   readonly name: string;
 }
 
 const MAX_CAMERAS = 65_536;
-/** Most values of a map of cameras (SPEC 4.1). */
+/** Values of a map of cameras at most (SPEC 4.1). */
 const MAX_VALUES = 131_072;
 
 /** Read a segment of cameras (SPEC 5.8). */

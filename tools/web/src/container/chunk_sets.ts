@@ -1,8 +1,8 @@
 /**
- * The chunk that each chunk adds detail to (SPEC 5.4).
+ * Return the parent of each chunk: the chunk that it adds detail to (SPEC 5.4).
  *
- * @param cells - Number of each chunk's cell, 0 where chunks are not cut by cell.
- * @returns A number for each chunk; -1 where it has no parent.
+ * @param cells - Cell number of each chunk, 0 where chunks are not cut by cell.
+ * @returns Chunk number of each parent; -1 for a chunk without one.
  */
 export function parentsOf(cells: ArrayLike<number>): Int32Array {
   const last = new Map<number, number>();
@@ -15,20 +15,26 @@ export function parentsOf(cells: ArrayLike<number>): Int32Array {
   });
 }
 
-/** Whether a set of chunks, ascending, holds with each chunk its parent. */
+/**
+ * Return whether a set of chunks contains the parent of each of its chunks.
+ *
+ * @param chunks - Chunk numbers, ascending.
+ */
 export function isClosed(chunks: readonly number[], parents: Int32Array): boolean {
   const held = new Set(chunks);
   return chunks.every((chunk) => parents[chunk]! < 0 || held.has(parents[chunk]!));
 }
 
 /**
- * The prefix that each chunk of a set is compensated as (SPEC 8.5): the longest, up to the last chunk of the set, in
- * which the chunk and its descendants have no more splats than in the set.
+ * Return the equivalent prefix of each chunk of a set, for its compensation (SPEC 8.5).
  *
- * @param chunks - Numbers of the set, ascending, with each chunk its parent.
- * @param parents - Of each chunk of the file, as {@link parentsOf} gives them.
- * @param splats - Of each chunk of the file.
- * @returns For each chunk of the set the chunks of its prefix.
+ * The equivalent prefix is the longest prefix, up to the last chunk of the set, in which the chunk and its descendants
+ * have no more splats than in the set.
+ *
+ * @param chunks - Chunk numbers, ascending, each with its parent in the set.
+ * @param parents - Parent of each chunk of the file, from {@link parentsOf}.
+ * @param splats - Number of splats of each chunk of the file.
+ * @returns Number of chunks of the prefix, for each chunk of the set.
  */
 export function equivalentPrefixes(
   chunks: readonly number[],

@@ -6,31 +6,31 @@ import type { ChunkTable } from "./tables.js";
 const f32 = Math.fround;
 const MAX_BOOK_ROWS = 256;
 
-/** One layer of compensation (SPEC 5.9): what the splats of the first `chunks` chunks gain where only these are there. */
+/** One layer of compensation (SPEC 5.9): added to splats while the first `chunks` chunks alone are present. */
 export interface CompensationLayer {
   readonly chunks: number;
-  /** For each chunk what its log scales gain, in 1/128. */
+  /** Addend of the log scales of each chunk, in 1/128. */
   readonly scales: Int8Array;
-  /** For each chunk what its logits gain, in 1/16. */
+  /** Addend of the logits of each chunk, in 1/16. */
   readonly opacities: Int8Array;
-  /** For each chunk how much codes count for scales and for opacities, in 1/64. */
+  /** Strength of the codes of each chunk, for scales and for opacities, in 1/64. */
   readonly strengths: Uint8Array;
-  /** For each code what it adds to the log scales, in 1/128, and to the logit, in 1/16. */
+  /** Addends of each code: log scales in 1/128, logit in 1/16. */
   readonly book: Int8Array;
-  /** Codes of the splats of the chunks that the layer before does not have. */
+  /** Codes of the splats of the chunks from `firstChunk` on. */
   readonly codes: Uint8Array;
-  /** First chunk that the layer before does not have. */
+  /** Number of chunks of the previous layer, which hold their codes there. */
   readonly firstChunk: number;
 }
 
 /**
  * Read the next layer.
  *
- * @param payload - The segment's bytes; their CRC was checked.
- * @param chunks - The file's chunks as far as they are known.
+ * @param payload - Bytes of the segment, whose CRC was checked.
+ * @param chunks - Chunk table, as far as its pages were read.
  * @param totalChunks - Chunks of the whole file.
- * @param before - The layer before, where there is one.
- * @returns The layer, or undefined where it has chunks whose index is not known yet.
+ * @param before - Previous layer; undefined for the first.
+ * @returns undefined where the layer covers chunks whose index page was not read.
  */
 export function readLayer(
   payload: Uint8Array,
@@ -80,21 +80,21 @@ function readCodes(fields: Fields, packed: Uint8Array, splats: number, rows: num
   return codes;
 }
 
-/** What is added to each splat of a chunk: to its three log scales, and to its logit. */
+/** Addends of compensation for each splat of a chunk: log scales (one for all three axes) and logits. */
 export interface Shifts {
   readonly scales: Float32Array;
   readonly opacities: Float32Array;
 }
 
 /**
- * Shifts that are added to a chunk's splats where only the first chunks of the file are there (SPEC 8.5).
+ * Return the shifts of a chunk in a prefix of the file (SPEC 8.5).
  *
- * @param layers - Layers whose segments are there, from the first on.
- * @param chunks - The file's chunks as far as they are known.
+ * @param layers - Layers received, from the first on.
+ * @param chunks - Chunk table, as far as its pages were read.
  * @param scene - Chunks and splats of the whole file.
- * @param prefix - Number of chunks that are there, from the first on.
- * @param chunk - A chunk of them.
- * @returns For each splat what its log scales and its logit gain; undefined where nothing is added.
+ * @param prefix - Number of chunks of the prefix.
+ * @param chunk - Chunk of the prefix.
+ * @returns undefined where nothing is added.
  */
 export function shiftsOf(
   layers: readonly CompensationLayer[],
@@ -115,7 +115,7 @@ export function shiftsOf(
   if (chunk >= first) return u;
   const s = layerShifts(layers, below, chunks, chunk);
   const counted = sumSplats(chunks, first, prefix);
-  // Without a layer above, the file's last chunk is the end; chunks that are not known count by the root's sum.
+  // Without a later layer the file's last chunk ends the interpolation; chunks of unread pages count by the root's sum.
   const all = above < 0 ? scene.splats - sumSplats(chunks, 0, first) : sumSplats(chunks, first, layers[above]!.chunks);
   const t = f32(counted / all);
   const blend = (from: Float32Array, to: Float32Array) =>
@@ -123,11 +123,11 @@ export function shiftsOf(
   return { scales: blend(s.scales, u.scales), opacities: blend(s.opacities, u.opacities) };
 }
 
-/** Shifts of one layer for the splats of a chunk that it has. */
+/** Return the shifts of one layer for a chunk that it covers. */
 function layerShifts(layers: readonly CompensationLayer[], number: number, chunks: ChunkTable, chunk: number): Shifts {
   const layer = layers[number]!;
   const rows = chunks.splats[chunk]!;
-  // The first layer that has the chunk brings its codes.
+  // The codes of a chunk are in the first layer that covers it.
   const coder = layers.find((candidate) => candidate.chunks > chunk)!;
   const scale = layer.scales[chunk]! / 128;
   const opacity = layer.opacities[chunk]! / 16;
@@ -139,7 +139,7 @@ function layerShifts(layers: readonly CompensationLayer[], number: number, chunk
     const start = sumSplats(chunks, coder.firstChunk, chunk);
     for (let i = 0; i < rows; i++) {
       const code = coder.codes[start + i]!;
-      // All of these numbers have so few bits that float32 holds every one exactly.
+      // Every number here has few enough bits that float32 represents it exactly.
       scales[i] = scale + (scaleStrength * coder.book[2 * code]!) / 128;
       opacities[i] = opacity + (opacityStrength * coder.book[2 * code + 1]!) / 16;
     }

@@ -1,4 +1,4 @@
-/** Eight tables of the CRC-32 of zlib, so that eight bytes take one step ("slicing by 8"). */
+/** Eight lookup tables for the CRC-32 of zlib, which process eight bytes per step ("slicing by 8"). */
 const TABLES: readonly Int32Array[] = makeTables();
 
 function makeTables(): Int32Array[] {
@@ -18,12 +18,7 @@ function makeTables(): Int32Array[] {
   return tables;
 }
 
-/**
- * The CRC-32 of zlib and PNG (SPEC 2.1).
- *
- * @param bytes - What is checked.
- * @returns An unsigned 32-bit number.
- */
+/** Return the CRC-32 of zlib and PNG (SPEC 2.1), an unsigned 32-bit number. */
 export function crc32(bytes: Uint8Array): number {
   const [t0, t1, t2, t3, t4, t5, t6, t7] = TABLES as [
     Int32Array,

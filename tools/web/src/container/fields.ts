@@ -1,20 +1,20 @@
 import { CogsplatError } from "../errors.js";
 import { Float, type Value, type ValueMap } from "./msgpack.js";
 
-/** The keys of one map of SPEC 4 and 5, taken by name and checked as they are taken. */
+/** The fields of one msgpack map of SPEC 4 and 5, type-checked as they are read. */
 export class Fields {
   private readonly taken = new Set<string>();
 
   /**
    * @param map - The map.
-   * @param where - What the map is, for messages.
+   * @param where - Name of the map, for messages.
    */
   constructor(
     private readonly map: ValueMap,
     readonly where: string,
   ) {}
 
-  /** Whether the key is there. */
+  /** Return whether the map has a key. */
   has(key: string): boolean {
     return this.map.has(key);
   }
@@ -33,7 +33,7 @@ export class Fields {
     return value.value;
   }
 
-  /** An array of so many finite floats. */
+  /** Read an array of `count` finite floats. */
   floats(key: string, count: number): number[] {
     const values = this.array(key);
     if (values.length !== count) throw this.outOfRange(key, `${values.length} values in the place of ${count}`);
@@ -63,7 +63,7 @@ export class Fields {
     return value as readonly Value[];
   }
 
-  /** An array of maps, each with the fields of its own. */
+  /** Read an array of at most `most` maps. */
   maps(key: string, most: number): Fields[] {
     const values = this.array(key);
     if (values.length > most) throw this.outOfRange(key, `${values.length} entries, at most ${most}`);
@@ -86,9 +86,9 @@ export class Fields {
   }
 
   /**
-   * A column: a bin of rows of a fixed size.
+   * Read a column: a bin of rows of a fixed size.
    *
-   * @param rows - How many rows it must have; without it, as many as there are.
+   * @param rows - Number of rows expected; by default any.
    */
   column(key: string, rowBytes: number, rows?: number): DataView {
     const bytes = this.binary(key);
@@ -101,7 +101,7 @@ export class Fields {
     return new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
   }
 
-  /** Skip the keys that were not taken, and refuse those that must be understood (SPEC 4.3). */
+  /** Skip the keys that were not read, and refuse an unknown key that a reader must understand (SPEC 4.3). */
   finish(): void {
     for (const key of this.map.keys()) {
       if (!this.taken.has(key) && key.endsWith("!")) {
@@ -110,7 +110,7 @@ export class Fields {
     }
   }
 
-  /** The refusal of a value out of range, for checks that are not made here. */
+  /** Return the error of a value out of range, for checks outside this class. */
   outOfRange(key: string, found: string): CogsplatError {
     return new CogsplatError("root-value", `${this.where}.${key}: ${found}`);
   }
@@ -127,7 +127,7 @@ export class Fields {
   }
 }
 
-/** Bytes of a str in UTF-8. */
+/** Return the number of bytes of a string in UTF-8. */
 export function textBytes(text: string): number {
   return new TextEncoder().encode(text).length;
 }

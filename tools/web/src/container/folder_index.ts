@@ -3,40 +3,41 @@ import { crc32 } from "./crc32.js";
 import { hex, PREAMBLE_BYTES } from "./preamble.js";
 import type { ByteRange, SceneIndex, ScenePlaces } from "./scene_index.js";
 
-/** Bytes of a row of a table of places: the object's name, its size, and where the segment begins in it (SPEC 3.4). */
+/** Bytes of a row of a table of places: name and size of the object, offset of the segment in it (SPEC 3.4). */
 const ROW_BYTES = 24;
 const NAME_BYTES = 16;
 const CRC_BYTES = 4;
 
-/** Objects, of less than 2^32 bytes, lie so far apart that no request joins ranges of two. */
+/** Distance of two objects in the address space; objects are shorter than 2^32 bytes, so no request spans two. */
 const SPACE = 2 ** 33;
 
 /** An object of a folder. */
 export interface FolderObject {
-  /** Relative to the manifest. */
+  /** Path relative to the manifest. */
   readonly name: string;
   readonly size: number;
 }
 
 /**
- * Where the segments of a scene are in the objects of a folder (SPEC 3.4).
+ * Addresses of a scene's segments in the objects of a folder (SPEC 3.4).
  *
- * All objects are in one space of addresses: the manifest begins at 0, and the first object at 2^33, the second at 2 · 2^33, and so on.
+ * All objects share one address space: the manifest is at 0, the first object at 2^33, the second at 2 · 2^33, and so
+ * on.
  */
 export class FolderIndex implements ScenePlaces {
-  /** The manifest, which has no name, and the objects that are known. */
+  /** The manifest, whose name is empty, then the objects in the order of their first segment. */
   private readonly objects: FolderObject[] = [];
   private readonly numbers = new Map<string, number>();
-  /** Address of each segment that is known. */
+  /** Address of each segment whose table of places was read. */
   private readonly addresses: number[] = [];
-  /** First byte of the manifest behind what was read. */
+  /** Offset of the next index page in the manifest. */
   private end: number;
   /** Bytes of the manifest. */
   readonly manifestBytes: number;
 
   /**
-   * @param index - Of the scene, its root alone.
-   * @param manifest - Beginning of the manifest; the places of the root's segments are in its first 64 KiB.
+   * @param index - Index of the scene, with its root alone.
+   * @param manifest - First bytes of the manifest; the places of the root's segments are in its first 64 KiB.
    */
   constructor(
     private readonly index: SceneIndex,
@@ -58,7 +59,7 @@ export class FolderIndex implements ScenePlaces {
     this.enter(places);
   }
 
-  /** Compare the length of the manifest with what its root says. */
+  /** Compare the length of the manifest with the length that its root implies. */
   checkLength(length: number): void {
     const code = length < this.manifestBytes ? "file-truncated" : "file-trailing";
     if (length !== this.manifestBytes) {
@@ -84,20 +85,20 @@ export class FolderIndex implements ScenePlaces {
     const number = this.index.pagesRead;
     const { length } = this.index.pages[number]!;
     const places = bytes.subarray(length);
-    // Before the page is read, so that one that came damaged can be asked for again.
+    // The places are checked before the page is entered, so that a damaged page can be fetched again.
     checkPlaces(places, `page ${number}`);
     this.index.addPage(bytes.slice(0, length));
     this.enter(places);
     this.end += bytes.length;
   }
 
-  /** The object that an address is in, and where in it; the manifest has no name. */
+  /** Return the object at an address and the offset in it. */
   at(address: number): { readonly object: FolderObject; readonly offset: number } {
     const number = Math.floor(address / SPACE);
     return { object: this.objects[number]!, offset: address % SPACE };
   }
 
-  /** Take the places of the segments behind those that have one. */
+  /** Enter the addresses of the segments of a page. */
   private enter(places: Uint8Array): void {
     const first = this.addresses.length;
     const count = this.index.segments.kind.length - first;
@@ -114,7 +115,7 @@ export class FolderIndex implements ScenePlaces {
   }
 
   private numberOf(name: string, size: number): number {
-    // One that is stated with two sizes is refused with one of them.
+    // An object stated with two sizes becomes two entries; fetching one of them fails.
     const key = `${name} ${size}`;
     const known = this.numbers.get(key);
     if (known !== undefined) return known;
@@ -123,7 +124,7 @@ export class FolderIndex implements ScenePlaces {
   }
 }
 
-/** Bytes that a table of places of so many segments takes. */
+/** Return the length of a table of places, bytes. */
 function placesBytes(segments: number): number {
   return ROW_BYTES * segments + CRC_BYTES;
 }

@@ -1,6 +1,6 @@
 import { CogsplatError } from "../errors.js";
 
-/** A msgpack float 64. A class of its own, because an integer in a float's place is refused. */
+/** A msgpack float 64; a class of its own, because SPEC refuses an integer in place of a float. */
 export class Float {
   constructor(readonly value: number) {}
 }
@@ -10,21 +10,20 @@ export type Value = null | boolean | number | Float | string | Uint8Array | read
 /** A map of the subset. A `Map`, because `__proto__` is a key like any other. */
 export type ValueMap = Map<string, Value>;
 
-/** Most levels of arrays and maps, the outermost map counted (SPEC 9.1). */
+/** Nesting depth of arrays and maps at most, the outermost map included (SPEC 9.1). */
 const MAX_DEPTH = 8;
-/** Most values of a map (SPEC 4.1); cameras may have more. */
+/** Values of a map at most (SPEC 4.1); a map of cameras may have more. */
 const MAX_VALUES = 4_096;
 
 // `ignoreBOM` keeps a leading U+FEFF, which is a character of the str.
 const UTF8 = new TextDecoder("utf-8", { fatal: true, ignoreBOM: true });
 
 /**
- * Read the one map that a root, an index page or a metadata payload is.
+ * Read the single map of a root, an index page or a metadata payload.
  *
- * @param bytes - Exactly the map.
- * @param maxValues - Most values, the map itself, keys and elements counted.
- * @returns The map.
- * @throws CogsplatError with a code `msgpack-…` for the first fault from front to back.
+ * @param bytes - The bytes of the map, nothing after it.
+ * @param maxValues - Values at most, counting maps, keys and elements.
+ * @throws CogsplatError `msgpack-…` for the first fault in the order of the bytes.
  */
 export function parseMap(bytes: Uint8Array, maxValues = MAX_VALUES): ValueMap {
   const parser = new Parser(bytes, maxValues);
@@ -39,7 +38,7 @@ export function parseMap(bytes: Uint8Array, maxValues = MAX_VALUES): ValueMap {
 class Parser {
   at = 0;
   private readonly view: DataView;
-  /** Values that were stated so far. */
+  /** Number of values announced so far. */
   private values = 1;
 
   constructor(
@@ -124,7 +123,7 @@ class Parser {
     return start;
   }
 
-  /** An unsigned integer of 1, 2 or 4 bytes that no shorter encoding could hold. */
+  /** Read an unsigned integer of 1, 2 or 4 bytes, and refuse one that a shorter encoding could hold. */
   private length(size: 1 | 2 | 4, least: number, start: number): number {
     const at = this.take(size);
     const value = size === 1 ? this.view.getUint8(at) : size === 2 ? this.view.getUint16(at) : this.view.getUint32(at);
@@ -162,7 +161,7 @@ class Parser {
     return this.bytes.subarray(start, start + length);
   }
 
-  /** Refuse what nests too deep, more values than the bytes left can hold, and more than are allowed. */
+  /** Refuse excessive nesting, more values than the remaining bytes can hold, and more values than the limit. */
   private enter(values: number, depth: number, start: number): void {
     if (depth >= MAX_DEPTH) throw new CogsplatError("msgpack-depth", `nested deeper than ${MAX_DEPTH}`, start);
     if (values > this.bytes.length - this.at) {

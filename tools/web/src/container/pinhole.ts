@@ -1,23 +1,23 @@
 import type { Fields } from "./fields.js";
 
-/** A pinhole camera as SPEC 4.4 has it: world to camera, x right, y down, z forward. */
+/** A pinhole camera (SPEC 4.4): world to camera, x right, y down, z forward. */
 export interface Pinhole {
-  /** px */
+  /** Pixels. */
   readonly width: number;
-  /** px */
+  /** Pixels. */
   readonly height: number;
-  /** Focal lengths and principal point, px. */
+  /** Focal lengths and principal point, pixels. */
   readonly fx: number;
   readonly fy: number;
   readonly cx: number;
   readonly cy: number;
-  /** R, row by row. */
+  /** Rotation R, row by row. */
   readonly rotation: readonly number[];
-  /** t of x_camera = R·x + t, scene units. */
+  /** Translation t in x_camera = R·x + t, scene units. */
   readonly translation: readonly number[];
 }
 
-/** How far an entry of R·Rᵀ may be from the identity's (SPEC 4.4). */
+/** Largest difference between an entry of R·Rᵀ and of the identity (SPEC 4.4). */
 const ORTHOGONALITY = 1e-3;
 
 /** Read the root's `first_view`. */
@@ -38,7 +38,7 @@ export function readFirstView(fields: Fields): Pinhole {
   return view;
 }
 
-/** Whether nine numbers, row by row, are a rotation within the tolerance of SPEC 4.4. */
+/** Return whether nine numbers, row by row, are a rotation within the tolerance of SPEC 4.4. */
 export function isRotation(r: readonly number[]): boolean {
   for (let i = 0; i < 3; i++) {
     for (let j = 0; j < 3; j++) {

@@ -1,17 +1,17 @@
 import { CogsplatError } from "../errors.js";
 import { crc32 } from "./crc32.js";
 
-/** Bytes of the preamble. */
+/** Length of the preamble, bytes. */
 export const PREAMBLE_BYTES = 64;
-/** Most bytes of a root: it ends at byte 16,384 (SPEC 3.3). */
+/** Length of a root at most, bytes: it ends at byte 16,384 (SPEC 3.3). */
 const MAX_ROOT_BYTES = 16_320;
 const MAGIC = Uint8Array.of(0x89, 0x43, 0x4f, 0x47, 0x53, 0x0d, 0x0a, 0x1a);
-/** Of the manifest of a folder (SPEC 3.4). */
+/** Magic bytes of the manifest of a folder (SPEC 3.4). */
 const MANIFEST_MAGIC = Uint8Array.of(0x89, 0x43, 0x4f, 0x47, 0x4d, 0x0d, 0x0a, 0x1a);
 const MAJOR = 0;
 const MINOR = 3;
 
-/** What the first 64 bytes state (SPEC 3.1). */
+/** Contents of the preamble, the first 64 bytes (SPEC 3.1). */
 export interface Preamble {
   readonly rootLength: number;
   readonly fileLength: number;
@@ -21,7 +21,7 @@ export interface Preamble {
 /**
  * Read and check the preamble.
  *
- * @param bytes - The beginning of the file.
+ * @param bytes - First bytes of the file.
  */
 export function readPreamble(bytes: Uint8Array): Preamble {
   const magic = bytes.subarray(0, MAGIC.length);
@@ -54,15 +54,15 @@ export function readPreamble(bytes: Uint8Array): Preamble {
   return { rootLength, fileLength: Number(fileLength), rootCrc: view.getUint32(24, true) };
 }
 
-/** Whether bytes begin as the manifest of a folder does (SPEC 3.4). */
+/** Return whether bytes begin with the magic of a folder's manifest (SPEC 3.4). */
 export function isManifest(bytes: Uint8Array): boolean {
   return bytes.length >= MANIFEST_MAGIC.length && MANIFEST_MAGIC.every((byte, i) => bytes[i] === byte);
 }
 
 /**
- * The same bytes with the preamble of the file that a manifest stands for: its magic, and a CRC that matches.
+ * Return the first bytes of the file that a manifest stands for: magic and CRC replaced.
  *
- * @param manifest - Its beginning, 64 bytes or more.
+ * @param manifest - First bytes of the manifest, at least 64.
  */
 export function fileBeginning(manifest: Uint8Array): Uint8Array<ArrayBuffer> {
   const bytes = Uint8Array.from(manifest);
@@ -75,7 +75,7 @@ export function fileBeginning(manifest: Uint8Array): Uint8Array<ArrayBuffer> {
   return bytes;
 }
 
-/** Bytes as hexadecimal digits, two each. */
+/** Return bytes as hexadecimal digits. */
 export function hex(bytes: Uint8Array, between = ""): string {
   return Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join(between);
 }

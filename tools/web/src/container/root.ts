@@ -4,7 +4,7 @@ import { parseMap } from "./msgpack.js";
 import { type Pinhole, readFirstView } from "./pinhole.js";
 import { type ChunkTable, readChunkTable, readSegmentTable, type SegmentTable } from "./tables.js";
 
-/** What a codebook's rows are (SPEC 5.5). */
+/** Contents of a codebook's rows (SPEC 5.5). */
 export interface CodebookEntry {
   readonly attribute: "shape" | "colour";
   readonly rows: number;
@@ -13,15 +13,15 @@ export interface CodebookEntry {
 /** Types of extra attributes (SPEC 5.7) with the bytes of a value. */
 export const ATTRIBUTE_TYPES = { u1: 1, i1: 1, u2: 2, i2: 2, u4: 4, i4: 4, f4: 4, f8: 8 } as const;
 
-/** An extra attribute that splats carry beside what is drawn of them (SPEC 5.7). */
+/** An extra attribute of splats, which rendering does not use (SPEC 5.7). */
 export interface AttributeEntry {
   readonly name: string;
   readonly type: keyof typeof ATTRIBUTE_TYPES;
-  /** Values of a splat where they are an array, 0 where a splat has one value. */
+  /** Values per splat of an array attribute; 0 for a single value. */
   readonly components: number;
 }
 
-/** An index page as the root announces it (SPEC 5.6). */
+/** An index page, as the root announces it (SPEC 5.6). */
 export interface PageEntry {
   readonly length: number;
   readonly crc: number;
@@ -30,37 +30,37 @@ export interface PageEntry {
   readonly span: number;
 }
 
-/** A level of a scene that is made for pictures of several sizes (SPEC 5.11). */
+/** A level of detail (SPEC 5.11). */
 export interface LevelEntry {
-  /** First chunks of the file that make it up. */
+  /** Number of chunks of the level, from the first of the file on. */
   readonly chunks: number;
-  /** Its pictures are the full ones divided by this in width and height. */
+  /** Factor by which width and height of its pictures are smaller than at full size. */
   readonly scale: number;
 }
 
-/** What the root says of the scene (SPEC 4.2). */
+/** Contents of the root about the scene (SPEC 4.2). */
 export interface SceneInfo {
   readonly writer: string;
-  /** Splats of all chunks, those that end counted. */
+  /** Splats of all chunks, including chunks that end. */
   readonly splats: number;
   readonly shDegree: number;
-  /** Where the means' zero is in the world, scene units. */
+  /** World position of the means' zero, scene units. */
   readonly origin: readonly number[];
-  /** Directions of +x, +y and +z, such as `RDF`. */
+  /** Directions of +x, +y and +z, for example `RDF`. */
   readonly axes: string;
   readonly colourSpace: "srgb" | "linear";
-  /** Variance that a renderer adds to projected covariances, px². */
+  /** Variance that a renderer adds to projected covariances, pixels². */
   readonly kernelPx: number;
   readonly antialiased: boolean;
-  /** Minimum then maximum corner of what the splats reach. */
+  /** Bounding box of the splats' extents: minimum corner, then maximum corner. */
   readonly box: readonly number[];
   readonly firstView: Pinhole | undefined;
   readonly attributes: readonly AttributeEntry[];
-  /** Coarsest first; none where the scene has no levels. */
+  /** Levels, coarsest first; empty for a scene without levels. */
   readonly levels: readonly LevelEntry[];
 }
 
-/** The root: the scene, the codebooks, the pages and the root's own tables. */
+/** The root: scene, codebooks, pages, and the tables of the root itself. */
 export interface Root {
   readonly scene: SceneInfo;
   readonly codebooks: readonly CodebookEntry[];
@@ -69,7 +69,7 @@ export interface Root {
   readonly chunks: ChunkTable;
 }
 
-/** Read and check the root's map; the CRC was checked before. */
+/** Read and check the map of the root, whose CRC was checked. */
 export function readRoot(bytes: Uint8Array): Root {
   const fields = new Fields(parseMap(bytes), "root");
   const writer = fields.text("writer");
@@ -113,7 +113,7 @@ export function readRoot(bytes: Uint8Array): Root {
   return { scene, codebooks, pages, segments, chunks };
 }
 
-/** Three letters, one of each pair of opposite directions. */
+/** Return whether three letters name one direction of each axis. */
 function isAxes(axes: string): boolean {
   const pairs = ["RL", "UD", "FB"];
   return axes.length === 3 && pairs.every((pair) => [...axes].filter((letter) => pair.includes(letter)).length === 1);

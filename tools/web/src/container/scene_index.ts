@@ -13,44 +13,44 @@ import {
   type SegmentTable,
 } from "./tables.js";
 
-/** Most segments of a file (SPEC 9.1). */
+/** Segments of a file at most (SPEC 9.1). */
 const MAX_SEGMENTS = 1_048_576;
-/** Opacities of a chunk that no later level changes. */
+/** Segments of later opacities of a chunk that no later level changes. */
 const NO_OPACITIES: readonly number[] = [];
-/** Segment of a chunk that has none of that kind. */
+/** Segment number of a kind that a chunk does not have. */
 const NONE = -1;
 
-/** A run of bytes of the file. */
+/** A byte range of a file or of an address space. */
 export interface ByteRange {
   readonly offset: number;
   readonly length: number;
 }
 
-/** Where the segments of a scene and the pages of its index are, in whatever they are read from. */
+/** Byte ranges of a scene's segments and index pages, in a file or in the objects of a folder. */
 export interface ScenePlaces {
-  /** Where a segment is. */
+  /** Return the byte range of a segment. */
   range(segment: number): ByteRange;
-  /** Where the next page that was not read is, or undefined where all were. */
+  /** Return the byte range of the next unread page; undefined where all are read. */
   nextPage(): ByteRange | undefined;
-  /** Read the page that `nextPage` tells of. */
+  /** Read the page of `nextPage`. */
   addPage(bytes: Uint8Array): void;
 }
 
-/** The segments of one chunk; −1 where it has none that is known. */
+/** Segment numbers of one chunk; −1 for a kind that it does not have, or whose page was not read. */
 export interface ChunkSegments {
   readonly head: number;
   readonly refinement: number;
   readonly tail: number;
   readonly attributes: number;
-  /** Segments of its splats' opacities at later levels, in the order of the levels. */
+  /** Segments of opacities at later levels, in the order of the levels. */
   readonly opacities: readonly number[];
 }
 
 /**
- * The index of a file: the root and as many pages as were read (SPEC 3 to 5).
+ * The index of a file: the root and the pages read so far (SPEC 3 to 5).
  *
- * Files are refused in the order of SPEC 8.1: `open` and `addPage` check each index by itself, `settle` what the
- * segments of all of them say together. Chunks are known once they are settled.
+ * Files are refused in the order of SPEC 8.1: `open` and `addPage` check each table by itself, and `settle` checks them
+ * together. `settle` makes the chunks of new pages available.
  */
 export class SceneIndex {
   readonly scene: SceneInfo;
@@ -60,11 +60,11 @@ export class SceneIndex {
   readonly pages: readonly PageEntry[];
   segments: SegmentTable;
   chunks: ChunkTable;
-  /** First byte of each segment in the file. */
+  /** Byte offset of each segment in the file. */
   offsets = new Float64Array(0);
-  /** Pages that were read. */
+  /** Number of pages read. */
   pagesRead = 0;
-  /** Segments of compensation, of cameras and of the view table, in file order. */
+  /** Segments of compensation, cameras and view tables, in file order. */
   readonly compensation: number[] = [];
   readonly cameras: number[] = [];
   readonly viewTables: number[] = [];
@@ -75,11 +75,11 @@ export class SceneIndex {
   private readonly refinements: Int32Array;
   private readonly attributes: Int32Array;
   private readonly opacities = new Map<number, number[]>();
-  /** For each codebook the segments of its kinds. */
+  /** Segment of each kind, for each codebook. */
   private readonly codebookSegments: Map<number, number>[];
-  /** Where what was read last ends. */
+  /** End of the segments read so far, bytes. */
   private end: number;
-  /** Segments whose owners were noted. */
+  /** Number of segments that `settle` has entered. */
   private settled = 0;
 
   private constructor(bytes: Uint8Array) {
@@ -108,7 +108,7 @@ export class SceneIndex {
     if (levelled !== undefined && levelled !== this.totalChunks) {
       throw new CogsplatError("level-chunks", `${levelled} chunks of ${this.totalChunks}`);
     }
-    // Chunks have a head each: a page that states more of them than it has segments is refused when it is read.
+    // Each chunk has a head, so a page with more chunks than segments is refused when it is read.
     const mostChunks = Math.min(this.totalChunks, segments);
     this.tails = new Int32Array(mostChunks).fill(NONE);
     this.refinements = new Int32Array(mostChunks).fill(NONE);
@@ -119,8 +119,8 @@ export class SceneIndex {
   /**
    * Read preamble and root.
    *
-   * @param bytes - The beginning of the file, at least to the end of the root.
-   * @param sourceLength - Length of the source, where it is known: compared with what the file states.
+   * @param bytes - First bytes of the file, at least to the end of the root.
+   * @param sourceLength - Length of the source, compared with the length that the file states; undefined where unknown.
    * @param partial - Whether a source shorter than the file is accepted (SPEC 8.3).
    */
   static open(bytes: Uint8Array, sourceLength?: number, partial = false): SceneIndex {
@@ -130,7 +130,7 @@ export class SceneIndex {
     return index;
   }
 
-  /** Where the next page that was not read is, or undefined where all were. */
+  /** Return the byte range of the next unread page; undefined where all are read. */
   nextPage(): ByteRange | undefined {
     const page = this.pages[this.pagesRead];
     if (page === undefined) return undefined;
@@ -140,7 +140,7 @@ export class SceneIndex {
     return { offset: this.end, length: page.length };
   }
 
-  /** Read the page that `nextPage` tells of. */
+  /** Read the page of `nextPage`. */
   addPage(bytes: Uint8Array): void {
     const number = this.pagesRead;
     const entry = this.pages[number]!;
@@ -163,7 +163,7 @@ export class SceneIndex {
     this.enterSegments(firstSegment, chunks.splats.length);
   }
 
-  /** Number of chunks that are known. */
+  /** Number of chunks available so far. */
   get chunkCount(): number {
     return this.heads.length;
   }
@@ -173,12 +173,12 @@ export class SceneIndex {
     return this.totalChunks;
   }
 
-  /** Whether root and all pages were read. */
+  /** Whether the root and all pages are read. */
   get complete(): boolean {
     return this.pagesRead === this.pages.length;
   }
 
-  /** The segments of a chunk whose index is known. */
+  /** Return the segments of an available chunk. */
   chunkSegments(chunk: number): ChunkSegments {
     return {
       head: this.heads[chunk]!,
@@ -189,34 +189,34 @@ export class SceneIndex {
     };
   }
 
-  /** Whether a prefix of so many chunks draws one of them: whether it has not ended (SPEC 5.10). */
+  /** Return whether a prefix of `prefix` chunks draws a chunk, or the chunk has ended (SPEC 5.10). */
   isDrawn(chunk: number, prefix: number): boolean {
     const until = this.chunks.until[chunk]!;
     return until === 0 || until > prefix;
   }
 
-  /** The segment that has a chunk's opacities at a level; undefined where the head has them (SPEC 5.11). */
+  /** Return the segment of a chunk's opacities at a level; undefined where the head holds them (SPEC 5.11). */
   opacitiesAt(chunk: number, level: number): number | undefined {
     const found = this.opacities.get(chunk) ?? NO_OPACITIES;
     return found[Math.min(level - this.levelsOf(chunk)[0]!, found.length) - 1];
   }
 
-  /** The levels that draw a chunk. */
+  /** Return the levels that draw a chunk. */
   levelsOf(chunk: number): number[] {
     const until = this.chunks.until[chunk]!;
     const { levels } = this.scene;
     return [...levels.keys()].filter((k) => levels[k]!.chunks > chunk && (until === 0 || levels[k]!.chunks < until));
   }
 
-  /** Where a segment is in the file. */
+  /** Return the byte range of a segment in the file. */
   range(segment: number): ByteRange {
     return { offset: this.offsets[segment]!, length: this.segments.length[segment]! };
   }
 
   /**
-   * The segments of the codebooks that a segment needs, up to the band of a degree.
+   * Return the segments of the codebooks that a segment needs, up to the SH band of a degree.
    *
-   * @returns Segment numbers; undefined where one stands in a page that was not read.
+   * @returns Segment numbers; undefined where one is on an unread page.
    */
   codebookSegmentsOf(segment: number, degree: number): number[] | undefined {
     const found: number[] = [];
@@ -232,21 +232,21 @@ export class SceneIndex {
     return found;
   }
 
-  /** The segments of all codebooks, those that no chunk needs too, codebook by codebook. */
+  /** Return the segments of all codebooks, used or not, codebook by codebook. */
   allCodebookSegments(): number[] {
     return this.codebookSegments.flatMap((segments) =>
       [...segments].sort(([a], [b]) => a - b).map(([, segment]) => segment),
     );
   }
 
-  /** Refuse a payload whose CRC is not the table's. */
+  /** Refuse a payload whose CRC differs from that of the segment table. */
   checkCrc(segment: number, payload: Uint8Array): void {
     if (payload.length !== this.segments.length[segment]! || crc32(payload) !== this.segments.crc[segment]!) {
       throw new CogsplatError("segment-crc", `the CRC of segment ${segment} does not match`, this.offsets[segment]!);
     }
   }
 
-  /** Compare the length of the source with what the file states (SPEC 8.3). */
+  /** Compare the length of the source with the length that the file states (SPEC 8.3). */
   private checkSource(length: number, partial: boolean): void {
     if (length > this.fileLength) {
       throw new CogsplatError("file-trailing", `${length} bytes, the file ends at ${this.fileLength}`, this.fileLength);
@@ -257,9 +257,9 @@ export class SceneIndex {
   }
 
   /**
-   * Check what the segments that were read since the last call say together, and note whose they are.
+   * Check the segments read since the last call against each other, and enter them by chunk and codebook.
    *
-   * What depends on the whole file is checked once all pages were read.
+   * Checks of the whole file run once all pages are read.
    */
   settle(): void {
     const first = this.settled;
@@ -284,7 +284,7 @@ export class SceneIndex {
     this.enterViewTable(first);
   }
 
-  /** Give the segments of one index their places, and compare the number of its heads with that of its chunks. */
+  /** Enter the byte offsets of the segments of one table, and compare its numbers of heads and chunks. */
   private enterSegments(first: number, chunks: number): void {
     const { kind, length } = this.segments;
     const offsets = new Float64Array(kind.length);
@@ -308,7 +308,7 @@ export class SceneIndex {
     }
   }
 
-  /** Note the segments that a chunk has at most once, behind its head. */
+  /** Enter the segments of a kind that a chunk has at most once, always after its head. */
   private enterOnce(
     first: number,
     kind: number,
@@ -332,7 +332,7 @@ export class SceneIndex {
     }
   }
 
-  /** Note the opacities of later levels, behind their chunks' heads and no more than there are levels. */
+  /** Enter the opacities of later levels, after their chunks' heads and at most one per level. */
   private enterOpacities(first: number): void {
     for (const [segment, chunk] of this.ofKind(SegmentKind.opacities, first)) {
       const head = this.heads[chunk];
@@ -427,13 +427,13 @@ export class SceneIndex {
     }
   }
 
-  /** Segments of a kind from a row on, each with its owner. */
+  /** Iterate over the segments of a kind from a row on, each with its owner. */
   private *ofKind(wanted: number, first: number): Generator<readonly [number, number]> {
     const { kind, owner } = this.segments;
     for (let i = first; i < kind.length; i++) if (kind[i] === wanted) yield [i, owner[i]!];
   }
 
-  /** Kinds of the segments that a codebook has up to a degree. */
+  /** Return the kinds of segments that a codebook has up to a degree. */
   private kindsOf(codebook: number, degree: number): readonly number[] {
     if (this.codebooks[codebook]!.attribute === "shape") return [SegmentKind.shapeCodebook];
     return [SegmentKind.colourBand1, SegmentKind.colourBand2, SegmentKind.colourBand3].slice(0, degree);

@@ -17,37 +17,40 @@ export const SegmentKind = {
   viewTable: 131,
 } as const;
 
-/** Segment kinds from here on may be skipped by readers that do not know them. */
+/** First kind of segments that a reader may skip when it does not know them. */
 const FIRST_SKIPPABLE_KIND = 128;
-/** Most splats of a chunk (SPEC 5.4). */
+/** Splats of a chunk at most (SPEC 5.4). */
 const MAX_CHUNK_SPLATS = 262_144;
 
-/** The rows of one or several segment tables (SPEC 5.3). */
+/** Rows of one or more segment tables (SPEC 5.3). */
 export interface SegmentTable {
   readonly kind: Uint8Array;
   readonly owner: Uint32Array;
   readonly length: Uint32Array;
   readonly crc: Uint32Array;
-  /** 16 bytes a row. */
+  /** Hashes, 16 bytes per row. */
   readonly hash: Uint8Array;
   readonly needs: Uint32Array;
 }
 
-/** The rows of one or several chunk tables (SPEC 5.4). */
+/** Rows of one or more chunk tables (SPEC 5.4). */
 export interface ChunkTable {
   readonly splats: Uint32Array;
-  /** Six numbers a row: minimum then maximum corner. */
+  /** Bounding boxes, six numbers per row: minimum corner, then maximum corner. */
   readonly box: Float32Array;
   readonly contribution: Float64Array;
   readonly layer: Uint32Array;
   readonly cell: Uint32Array;
   readonly object: Uint32Array;
   readonly quality: Float32Array;
-  /** The chunk is drawn in prefixes of fewer chunks than this; 0 in all (SPEC 5.10). */
+  /**
+   * Number of chunks of the first prefix that no longer draws the chunk; 0 for a chunk that all prefixes draw (SPEC
+   * 5.10).
+   */
   readonly until: Uint32Array;
 }
 
-/** Read `segments` of a root or a page. */
+/** Read the field `segments` of a root or a page. */
 export function readSegmentTable(fields: Fields): SegmentTable {
   const kind = Uint8Array.from(bytesOf(fields.column("kind", 1)));
   const rows = kind.length;
@@ -70,7 +73,7 @@ export function readSegmentTable(fields: Fields): SegmentTable {
   return table;
 }
 
-/** Read `chunks` of a root or a page. */
+/** Read the field `chunks` of a root or a page. */
 export function readChunkTable(fields: Fields): ChunkTable {
   const splats = uint32Column(fields.column("splats", 4));
   const rows = splats.length;
@@ -95,7 +98,7 @@ export function readChunkTable(fields: Fields): ChunkTable {
     for (let axis = 0; axis < 3; axis++) {
       const least = box[6 * i + axis]!;
       const most = box[6 * i + 3 + axis]!;
-      // Finite ends whose minimum is not above the maximum; NaN fails the comparison.
+      // Both ends must be finite, with the minimum at most the maximum; NaN fails the comparison.
       if (!(least <= most && least > -Infinity && most < Infinity)) {
         throw fields.outOfRange("box", `chunk ${i} from ${least} to ${most}`);
       }
@@ -110,7 +113,7 @@ export function readChunkTable(fields: Fields): ChunkTable {
   return table;
 }
 
-/** The rows of one table and then of another. */
+/** Append the rows of the second table to those of the first. */
 export function joinTables<T extends SegmentTable | ChunkTable>(first: T, second: T): T {
   const columns = Object.entries(first) as [keyof T, Column][];
   return Object.fromEntries(columns.map(([key, column]) => [key, join(column, second[key] as Column)])) as unknown as T;
@@ -129,7 +132,7 @@ function bytesOf(view: DataView): Uint8Array {
   return new Uint8Array(view.buffer, view.byteOffset, view.byteLength);
 }
 
-/** A column of u32; bins are not aligned, so each number is read by itself. */
+/** Read a column of u32; bins are not aligned, so each number is read separately. */
 export function uint32Column(view: DataView): Uint32Array {
   return Uint32Array.from({ length: view.byteLength / 4 }, (_, i) => view.getUint32(4 * i, true));
 }
@@ -138,7 +141,7 @@ function float32Column(view: DataView): Float32Array {
   return Float32Array.from({ length: view.byteLength / 4 }, (_, i) => view.getFloat32(4 * i, true));
 }
 
-/** A column of f64. */
+/** Read a column of f64. */
 export function float64Column(view: DataView): Float64Array {
   return Float64Array.from({ length: view.byteLength / 8 }, (_, i) => view.getFloat64(8 * i, true));
 }

@@ -4,24 +4,24 @@ import { readPlane, storedBytes } from "../streams/planes.js";
 import { Fields } from "./fields.js";
 import { parseMap } from "./msgpack.js";
 
-/** Most viewpoints of a table (SPEC 5.12). */
+/** Viewpoints of a table at most (SPEC 5.12). */
 const MAX_VIEWS = 64;
-/** Bytes of the word in front of the plane of codes. */
+/** Bytes of the plane word before the codes. */
 const WORD_BYTES = 4;
 
-/** What each chunk of a scene adds to the pictures of some viewpoints (SPEC 5.12). */
+/** Shares of chunks in the pictures of some viewpoints (SPEC 5.12). */
 export interface ViewTable {
   readonly views: number;
   readonly chunks: number;
-  /** Where each viewpoint is, three numbers, in the space of the means. */
+  /** Position of each viewpoint, three numbers, in the space of the means. */
   readonly positions: Float32Array;
-  /** Where each viewpoint looks, three numbers, about 127 long. */
+  /** Viewing direction of each viewpoint, three numbers, with a length of about 127. */
   readonly directions: Int8Array;
-  /** Of each viewpoint the share of the picture that each chunk makes up, viewpoint by viewpoint. */
+  /** Share of each chunk in the picture of each viewpoint, viewpoint by viewpoint. */
   readonly shares: Float64Array;
 }
 
-/** Shares that codes stand for: exact binary fractions. */
+/** Lookup table from codes to shares, which are exact binary fractions. */
 const SHARES = Float64Array.from({ length: 256 }, (_, code) =>
   code === 0 ? 0 : (2 + (code & 1)) * 2 ** ((code >> 1) - 128),
 );
@@ -29,10 +29,10 @@ const SHARES = Float64Array.from({ length: 256 }, (_, code) =>
 /**
  * Read a view table.
  *
- * @param k - Decompresses the codes.
- * @param payload - The segment's bytes; their CRC was checked.
+ * @param k - Kernels, which decompress the codes.
+ * @param payload - Bytes of the segment, whose CRC was checked.
  * @param chunks - Chunks of the whole file.
- * @param allowedBytes - Most bytes of codes.
+ * @param allowedBytes - Bytes of codes at most.
  */
 export function readViewTable(k: Kernels, payload: Uint8Array, chunks: number, allowedBytes = Infinity): ViewTable {
   const fields = new Fields(parseMap(payload), "view table");
@@ -69,7 +69,7 @@ function readShares(k: Kernels, packed: Uint8Array, word: number, views: number,
     const codes = new Uint8Array(chunks);
     const shares = new Float64Array(views * chunks);
     for (let i = 0; i < shares.length; i++) {
-      // Of each chunk what its code has more than at the viewpoint before, modulo 256.
+      // Codes are stored as differences from the previous viewpoint, modulo 256.
       codes[i % chunks]! += k.u8[plane + i]!;
       shares[i] = SHARES[codes[i % chunks]!]!;
     }

@@ -6,48 +6,50 @@
  * valid data and a negative number otherwise; the caller raises the reason code.
  */
 export interface Kernels {
-  /** Views of the whole memory. They change when memory grows: read them again after each `alloc`. */
+  /** Views of the whole memory, replaced when it grows: read them again after each `alloc`. */
   readonly u8: Uint8Array;
   readonly u32: Uint32Array;
   readonly f32: Float32Array;
 
-  /** Reserve bytes; nothing is said of what they hold. */
+  /** Reserve bytes with arbitrary contents. */
   alloc(bytes: number): number;
-  /** Where the next reservation would begin. */
+  /** Return the address of the next reservation. */
   mark(): number;
-  /** Give back everything reserved since `mark`. */
+  /** Release all reservations since `mark`. */
   release(mark: number): void;
 
-  /** Decompress one zstd frame whose header and blocks were checked; less or more than `length` bytes give −1. */
+  /** Decompress one zstd frame whose header and blocks were checked; −1 unless it gives exactly `length` bytes. */
   zstd(source: number, sourceLength: number, target: number, length: number): number;
-  /** Unpack a plane of symbols below `radix` (SPEC 6.9); −1 for a byte or symbol that cannot be. */
+  /** Unpack a plane of symbols below `radix` (SPEC 6.9); −1 for an invalid byte or symbol. */
   unpackDigits(source: number, length: number, radix: number, target: number): number;
 
-  /** Codes of 0 to 3 byte planes (SPEC 6.4); −1 for one of `limit` or more. */
+  /** Join 0 to 3 byte planes to codes (SPEC 6.4); −1 for a code of `limit` or more. */
   codes(p0: number, p1: number, p2: number, rows: number, limit: number, target: number): number;
-  /** Values of codes on a grid (SPEC 6.4), every `stride` floats. */
+  /** Convert codes to values on a grid (SPEC 6.4), every `stride` floats. */
   gridValues(codes: number, rows: number, step: number, minimum: number, target: number, stride: number): void;
-  /** Put ±∞ where codes are `levels` and `levels + 1` (SPEC 6.4). */
+  /** Write ±∞ where codes are `levels` and `levels + 1` (SPEC 6.4). */
   infinities(codes: number, rows: number, levels: number, target: number): void;
-  /** Values of four byte planes (SPEC 6.8), every `stride` floats; −1 for NaN, too large, or ∞ where not allowed. */
+  /**
+   * Join four byte planes to floats (SPEC 6.8), every `stride` floats; −1 for NaN, a value too large, or a forbidden ∞.
+   */
   floats(planes: number, rows: number, infinite: boolean, target: number, stride: number): number;
 
-  /** Bits that Morton classes stand for (SPEC 6.5); −1 for a class above 51. */
+  /** Return the number of bits of Morton classes (SPEC 6.5); −1 for a class above 51. */
   mortonBits(classes: number, rows: number): number;
-  /** Axis codes of Morton differences; −1 for a code of 2^51 or more. */
+  /** Decode Morton differences to axis codes; −1 for a code of 2^51 or more. */
   morton(classes: number, rows: number, bits: number, x: number, y: number, z: number): number;
-  /** −1 where a code is `limit` or more. */
+  /** Check that all codes are below `limit`; −1 otherwise. */
   below(codes: number, rows: number, limit: number): number;
 
-  /** Extra bits of each row, one byte each, from its scales and six coefficients (SPEC 6.10). */
+  /** Compute the extra bits of each row, one byte each, from its scales and six coefficients (SPEC 6.10). */
   extraBits(s0: number, s1: number, s2: number, rows: number, coefficients: number, target: number): void;
-  /** How many rows have 0, 1, … 15 extra bits: 16 u32. */
+  /** Count the rows with 0, 1, … 15 extra bits into 16 u32. */
   countBits(extra: number, rows: number, target: number): void;
   /**
-   * Means of coarse axis codes, extra bits and perhaps refinement bits (SPEC 6.15, 6.17).
+   * Compute means from coarse axis codes, extra bits and refinement bits (SPEC 6.15, 6.17).
    *
-   * @param axes - For each axis: step of the grid, minimum; six f32.
-   * @param refinement - Bits of a refinement, 0 where there is none; `refinementBits` an axis.
+   * @param axes - Step and minimum of the grid of each axis; six f32.
+   * @param refinement - Bits of a refinement, `refinementBits` per axis; 0 for none.
    * @returns −1 for a fine code below 0.
    */
   sortedMeans(
@@ -62,22 +64,27 @@ export interface Kernels {
     axes: number,
     targets: number,
   ): number;
-  /** One component of swing and twist (SPEC 6.11); `planes` is the address of six u32 addresses; −1 for a bad code. */
+  /**
+   * Decode one component of swing and twist (SPEC 6.11); `planes` is the address of six u32 addresses; −1 for a bad
+   * code.
+   */
   swingTwist(extra: number, rows: number, planes: number, low: number, target: number): number;
-  /** Unit quaternions of swing and twist; targets are four u32 addresses. */
+  /** Convert swing and twist to unit quaternions; `targets` is the address of four u32 addresses. */
   swingTwistQuats(a: number, b: number, c: number, rows: number, targets: number): void;
-  /** Unit quaternions of three components (SPEC 6.6); `plane` says which is left out, or `largest` where it is 0. */
+  /**
+   * Complete unit quaternions from three components (SPEC 6.6); `plane` names the omitted one, or `largest` if it is 0.
+   */
   quats(a: number, b: number, c: number, rows: number, largest: number, plane: number, targets: number): void;
-  /** Scales of differences (SPEC 6.12): the first two columns; the third is `l` itself. */
+  /** Convert differences to scales (SPEC 6.12): the first two columns; the third is `l` itself. */
   differences(l: number, u: number, v: number, rows: number, s0: number, s1: number): void;
-  /** Sh0 of coordinates on three axes (SPEC 6.13): in place; `axes` are nine f32, row by row. */
+  /** Convert coordinates on three axes to sh0 (SPEC 6.13), in place; `axes` are nine f32, row by row. */
   sh0Axes(x: number, y: number, z: number, rows: number, axes: number): void;
-  /** Fine codes in place of coarse ones (SPEC 6.16); −1 for a bad digit or code. */
+  /** Replace coarse codes by fine ones (SPEC 6.16); −1 for a bad digit or code. */
   refineDigits(codes: number, plane: number, rows: number, radix: number, limit: number): number;
 
-  /** Rows in the order of falling ends (SPEC 6.14), and how many rows have each end from 0 to `width`. */
+  /** Order rows by falling end (SPEC 6.14), and count the rows of each end from 0 to `width`. */
   shnOrder(ends: number, rows: number, width: number, order: number, counts: number): number;
-  /** Coordinates of `rows` codes; `plus` is 1 for last codes, which are stored less one. */
+  /** Convert codes to coordinates; `plus` is 1 for last codes, which are stored reduced by one. */
   shnValues(
     p0: number,
     p1: number,
@@ -89,12 +96,12 @@ export interface Kernels {
     target: number,
   ): void;
   /**
-   * Sum a row's coordinates times the basis (SPEC 6.14).
+   * Multiply each row's coordinates by the basis (SPEC 6.14).
    *
-   * @param order - Rows in the order of falling ends; `counts` as `shnOrder` gives them.
-   * @param columns - For each coordinate the address of its values in that order.
-   * @param basis - 48 f32 for each coordinate, of which the first `floats` count.
-   * @param target - Rows of `floats` f32; what coordinates of no row touch is +0.
+   * @param order - Rows by falling end, with `counts`, from `shnOrder`.
+   * @param columns - Address of each coordinate's values, in that order.
+   * @param basis - 48 f32 per coordinate, of which the first `floats` are used.
+   * @param target - Rows of `floats` f32, +0 for rows without coordinates.
    */
   shnSum(
     order: number,
@@ -106,7 +113,7 @@ export interface Kernels {
     target: number,
   ): void;
 
-  /** Rows of a codebook, and behind its `size` rows of the escape rows (SPEC 6.7), every `stride` floats. */
+  /** Gather rows of a codebook, whose `size` rows the escape rows follow (SPEC 6.7), every `stride` floats. */
   gather(
     codebook: number,
     escapeRows: number,
@@ -117,16 +124,19 @@ export interface Kernels {
     target: number,
     stride: number,
   ): void;
-  /** f32(a + b), row by row, into a. */
+  /** Add columns: a becomes f32(a + b). */
   add(a: number, b: number, rows: number): void;
-  /** Rows of `count` components from columns, whose addresses are u32 at `columns`. */
+  /** Interleave columns, whose addresses are u32 at `columns`, into rows of `count` components. */
   interleave(columns: number, count: number, rows: number, target: number): void;
 
   /**
-   * Pack splats for renderers: `columns` are 14 addresses, of means, scales, quats, opacities and sh0; colours from
-   * `rgbMin` to `rgbMax` become bytes.
+   * Pack splats for renderers.
+   *
+   * @param columns - Address of 14 addresses: columns of means, scales, quats, opacities and sh0.
+   * @param rgbMin - DC colour of byte 0.
+   * @param rgbMax - DC colour of byte 255.
    */
   packSplats(columns: number, rows: number, rgbMin: number, rgbMax: number, target: number): void;
-  /** Pack SH bands of rows of 9, 24 or 45 floats; the largest codes stand for `range`. */
+  /** Pack SH bands from rows of 9, 24 or 45 floats; the largest codes stand for `range`. */
   packShn(source: number, rows: number, degree: number, range: number, sh1: number, sh2: number, sh3: number): void;
 }

@@ -1,14 +1,14 @@
 import type { RetryingReader } from "./retrying_reader.js";
 
-/** The first bytes of a file, held for all streams of a scene; the first of them are used before the last have come. */
+/** The first bytes of a file, shared by all fetches of a scene and readable as they arrive. */
 export class Beginning {
   private readonly bytes: Uint8Array;
   private received = 0;
-  /** Nothing more will come: all is there, or the file is shorter. */
+  /** Whether the request is complete: all bytes have arrived, or the file is shorter. */
   private ended = false;
-  /** Length of the whole file, where the source says so. */
+  /** Length of the whole file, if the source states it. */
   total: number | undefined;
-  /** Whether the source gives the whole file whatever it is asked for. */
+  /** Whether the source sends the whole file for every range. */
   sequential = false;
   private filling: Promise<void> | undefined;
   private abort = new AbortController();
@@ -17,23 +17,23 @@ export class Beginning {
 
   constructor(
     private readonly reader: RetryingReader,
-    /** Bytes to ask for; fewer come where the file is shorter. */
+    /** Length of the beginning, bytes; a shorter file gives fewer. */
     readonly length: number,
   ) {
     this.bytes = new Uint8Array(length);
   }
 
-  /** The bytes that are there. */
+  /** Bytes received so far. */
   get here(): Uint8Array {
     return this.bytes.subarray(0, this.received);
   }
 
-  /** Whether a range will be here when the request has ended. */
+  /** Return whether a range up to `end` is part of the beginning. */
   holds(end: number): boolean {
     return end <= (this.ended ? this.received : Math.min(this.length, this.total ?? this.length));
   }
 
-  /** Wait until so many bytes are here, or the file has ended before; they are asked for where nobody has yet. */
+  /** Wait until `length` bytes are received or the file has ended; start the request if none is running. */
   async upTo(length: number, signal: AbortSignal | undefined): Promise<void> {
     const stop = (): void => this.stop();
     signal?.addEventListener("abort", stop, { once: true });
@@ -48,7 +48,7 @@ export class Beginning {
     }
   }
 
-  /** End the request; whoever still waits for bytes asks for the rest again. */
+  /** Stop the request; a waiting caller starts it again from the next byte. */
   stop(): void {
     this.abort.abort();
   }
@@ -82,7 +82,7 @@ export class Beginning {
         if (!signal.aborted) throw error;
       },
     );
-    // It goes on when nobody waits; who waits next asks again and is told.
+    // Without a waiting caller the error is dropped; the next caller starts the request again.
     done.catch(() => undefined);
     return done;
   }

@@ -1,35 +1,35 @@
 import type { ByteRange } from "../container/scene_index.js";
 import { SourceError } from "../errors.js";
 
-/** What a source is asked for. */
+/** Options of one read. */
 export interface ReadOptions {
   readonly signal?: AbortSignal | undefined;
-  /** Go around caches, because what they gave was damaged. */
+  /** Bypass caches, because they returned damaged bytes. */
   readonly fresh?: boolean;
-  /** How soon it is wanted beside other requests, where the source can tell others. */
+  /** Priority among other requests, for sources that support it. */
   readonly priority?: RequestPriority | undefined;
 }
 
 /** An answer: bytes from `offset` on, in parts, as they arrive. */
 export interface Answer {
-  /** First byte of the parts; 0 where the source gives the whole file instead of the range. */
+  /** Offset of the first part; 0 where the source sends the whole file instead of the range. */
   readonly offset: number;
-  /** Length of the whole file, where the source says so. */
+  /** Length of the whole file, if the source states it. */
   readonly total: number | undefined;
-  /** Whether the source gives the whole file whatever range it is asked for. */
+  /** Whether the source sends the whole file for every range. */
   readonly whole: boolean;
   readonly parts: AsyncIterable<Uint8Array>;
 }
 
-/** Where bytes come from. */
+/** A source of bytes: a server, a file, or any other. */
 export interface ByteSource {
-  /** Ask for a range; fewer bytes come where the file ends in it. */
+  /** Read a range; the answer is shorter where the file ends within it. */
   read(range: ByteRange, options?: ReadOptions): Promise<Answer>;
-  /** What is named relative to this source, as the objects of a folder are to its manifest; without it no folder is read. */
+  /** Return the source of a name relative to this one, for the objects of a folder; required for folders alone. */
   beside?(name: string): ByteSource;
 }
 
-/** A File or Blob. */
+/** A File or Blob as a source. */
 export class BlobSource implements ByteSource {
   constructor(private readonly blob: Blob) {}
 
@@ -41,7 +41,7 @@ export class BlobSource implements ByteSource {
 }
 
 /**
- * The parts of a stream; the stream is cancelled where nobody reads on.
+ * Iterate over the parts of a stream; leaving the loop cancels the stream.
  *
  * @param longestPause - Longest time without a byte, ms.
  */
@@ -57,7 +57,7 @@ export async function* readParts(
       signal?.throwIfAborted();
       const part = await withinPause(
         reader.read().catch((error: unknown) => {
-          open = false; // A stream that fails while it is read has ended.
+          open = false; // A failed stream needs no cancelling.
           throw error;
         }),
         longestPause,
@@ -71,7 +71,7 @@ export async function* readParts(
   }
 }
 
-/** Wait for something, but no longer than a pause, ms; a source that says nothing may answer when it is asked again. */
+/** Wait for a promise, at most for a pause, ms; a source that stays silent may answer a retry. */
 export async function withinPause<T>(work: Promise<T>, longestPause: number): Promise<T> {
   if (longestPause === Infinity) return work;
   let timer: ReturnType<typeof setTimeout> | undefined;
@@ -85,7 +85,7 @@ export async function withinPause<T>(work: Promise<T>, longestPause: number): Pr
   }
 }
 
-/** All bytes of a range. */
+/** Read all bytes of a range. */
 export async function readAll(source: ByteSource, range: ByteRange, options?: ReadOptions): Promise<Uint8Array> {
   const answer = await source.read(range, options);
   const bytes = new Uint8Array(range.length);

@@ -4,38 +4,39 @@ import type { ChunkFormat, ChunkService } from "../workers/decode_task.js";
 import { KeptHeads, withBands } from "./kept_heads.js";
 import type { ChunkUpdate } from "./stream_options.js";
 
-/** What is decoded and how. */
+/** What chunks are decoded to. */
 export interface DecodeOptions {
   readonly degree: number;
   readonly format: ChunkFormat;
   readonly ranges: PackRanges;
   readonly refine: boolean;
-  /** Level whose opacities are wanted (SPEC 5.11); undefined for those of one level after the other, as they come. */
+  /** Level of the opacities (SPEC 5.11); undefined for the opacities of each level as they arrive. */
   readonly level?: number | undefined;
 }
 
-/** Which payloads of a chunk were in its last update. */
+/** Payloads that were part of a chunk's last update. */
 interface Given {
   readonly tail: boolean;
   readonly refined: boolean;
-  /** Of how many later levels opacities were there. */
+  /** Number of later levels with opacities. */
   readonly opacities: number;
 }
 
 /**
- * Collects the payloads of chunks and decodes each chunk when its head and the codebooks that it needs are there, and
- * again when its refinement has come; of a tail that comes later the coefficients alone are decoded, where what the head
- * was decoded to could be kept.
+ * Collects the payloads of chunks, and decodes each chunk as they become complete.
+ *
+ * A chunk is decoded when its head and codebooks are present, and again with its refinement. A later tail is decoded
+ * alone if the decoded head was kept.
  */
 export class ChunkQueue {
   private readonly heads = new KeptHeads();
   private readonly payloads = new Map<number, Uint8Array>();
   private readonly codebooks = new Set<number>();
-  /** Segments that cannot be had. */
+  /** Segments that cannot be fetched. */
   private readonly lost = new Set<number>();
   private readonly given = new Map<number, Given>();
   private readonly decoding = new Set<number>();
-  /** Chunks that were not yet given with all that they have. */
+  /** Expected chunks whose last update is still to come. */
   private readonly open = new Set<number>();
 
   constructor(
@@ -46,27 +47,27 @@ export class ChunkQueue {
     private readonly fail: (error: unknown, chunk: number) => void,
   ) {}
 
-  /** Keep no more than so many bytes of decoded heads whose tails are still to come. */
+  /** Limit the bytes of decoded heads that are kept until their tails arrive. */
   keepAtMost(bytes: number): void {
     this.heads.keepAtMost(bytes);
   }
 
-  /** Bytes of decoded heads whose tails are still to come. */
+  /** Bytes of decoded heads kept until their tails arrive. */
   get keptBytes(): number {
     return this.heads.bytes;
   }
 
-  /** Chunks from here on are decoded as their payloads come. */
+  /** Decode a chunk as its payloads arrive from now on. */
   expect(chunk: number): void {
     this.open.add(chunk);
   }
 
-  /** The segments that the expected chunks still need, by chunk. */
+  /** Return the missing segments of the expected chunks, chunk by chunk. */
   allMissing(): number[] {
     return [...this.open].flatMap((chunk) => this.missing(chunk));
   }
 
-  /** The segments that a chunk still needs, in the order in which they help most. */
+  /** Return the missing segments of a chunk, the most useful first. */
   private missing(chunk: number): number[] {
     const { head, refinement, tail } = this.index.chunkSegments(chunk);
     const { degree, refine } = this.options;
@@ -78,7 +79,7 @@ export class ChunkQueue {
     return wanted.filter((segment) => !this.has(segment) && !this.lost.has(segment));
   }
 
-  /** The segments of opacities that are wanted of a chunk. */
+  /** Return the segments of a chunk's opacities at the levels to decode. */
   private opacities(chunk: number): readonly number[] {
     const { level } = this.options;
     if (level === undefined) return this.index.chunkSegments(chunk).opacities;
@@ -86,7 +87,7 @@ export class ChunkQueue {
     return segment === undefined ? [] : [segment];
   }
 
-  /** The opacities of a chunk that have come: of packed chunks those of all levels, else the last. */
+  /** Return the received opacities of a chunk: those of all levels for packed chunks, otherwise the last. */
   private opacitiesHere(chunk: number): {
     readonly count: number;
     readonly payloads: readonly (Uint8Array | undefined)[] | undefined;
@@ -98,12 +99,12 @@ export class ChunkQueue {
     return { count: here.length, payloads: ofLevels ? all : here.length > 0 ? here.slice(-1) : undefined };
   }
 
-  /** Whether a segment has come. */
+  /** Return whether a segment has been received. */
   has(segment: number): boolean {
     return this.payloads.has(segment) || this.codebooks.has(segment);
   }
 
-  /** Take a segment whose CRC was checked. */
+  /** Add a segment whose CRC was checked. */
   add(segment: number, payload: Uint8Array): void {
     const kind = this.index.segments.kind[segment]!;
     const owner = this.index.segments.owner[segment]!;
@@ -117,7 +118,7 @@ export class ChunkQueue {
     }
   }
 
-  /** Go on without a segment; gives the chunks that cannot be drawn for it, or that lack something. */
+  /** Continue without a segment; return the chunks that lack it. */
   lose(segment: number): number[] {
     this.lost.add(segment);
     const touched = [...this.open].filter((chunk) => {
@@ -129,7 +130,7 @@ export class ChunkQueue {
     return touched;
   }
 
-  /** Whether every chunk that was expected has been given, or cannot be. */
+  /** Whether no chunk is being decoded. */
   get idle(): boolean {
     return this.decoding.size === 0;
   }
@@ -147,7 +148,7 @@ export class ChunkQueue {
     const refined = refinement >= 0 && this.payloads.has(refinement);
     const opacities = this.opacitiesHere(chunk);
     const before = this.given.get(chunk);
-    // A page that is not known yet may bring a tail or a refinement.
+    // An unread page may announce a tail or a refinement.
     const final = this.index.complete && this.missing(chunk).length === 0;
     if (
       before !== undefined &&
@@ -204,14 +205,14 @@ export class ChunkQueue {
       );
   }
 
-  /** Whether a chunk's tail may still come. */
+  /** Return whether a chunk's tail may still arrive. */
   private expectsTail(chunk: number): boolean {
     const { tail } = this.index.chunkSegments(chunk);
     if (!this.open.has(chunk) || this.options.degree === 0) return false;
     return tail >= 0 ? !this.isLost(tail, this.options.degree) : !this.index.complete;
   }
 
-  /** Whether a segment and the codebooks that it needs are there. */
+  /** Return whether a segment and its codebooks are received. */
   private ready(segment: number, degree: number): boolean {
     const books = this.index.codebookSegmentsOf(segment, degree);
     return this.payloads.has(segment) && (books?.every((book) => this.codebooks.has(book)) ?? false);
@@ -222,7 +223,7 @@ export class ChunkQueue {
     return [segment, ...books].some((part) => this.lost.has(part));
   }
 
-  /** Forget a chunk's payloads: nothing more comes of it, unless it is expected again. */
+  /** Drop the payloads of a chunk, until it is expected again. */
   close(chunk: number): void {
     this.open.delete(chunk);
     this.heads.take(chunk);

@@ -3,18 +3,18 @@ import type { ByteRange } from "../container/scene_index.js";
 import { CogsplatError, SourceError } from "../errors.js";
 import { type Answer, type ByteSource, type ReadOptions, readAll, readParts } from "./byte_source.js";
 
-/** Bytes that are kept of objects that a server without ranges has sent whole. */
+/** Bytes of whole objects that are kept from a server without ranges, at most. */
 const KEPT_BYTES = 32 * 2 ** 20;
 
-/** The manifest and the objects of a folder as one source, by the addresses of `FolderIndex`. */
+/** The manifest and the objects of a folder as one source, with the addresses of `FolderIndex`. */
 export class FolderSource implements ByteSource {
-  /** What a server without ranges sends or has sent whole, once for all ranges of an object. */
+  /** Whole objects from a server without ranges, requested once for all their ranges. */
   private readonly kept = new Map<FolderObject, Promise<Uint8Array>>();
 
   constructor(
     private readonly manifest: ByteSource,
     private readonly index: FolderIndex,
-    /** Whether the server answers ranges, as far as it is known. */
+    /** Whether the server answers range requests, as far as known. */
     private hasRanges: boolean,
   ) {
     if (manifest.beside === undefined)
@@ -49,11 +49,11 @@ export class FolderSource implements ByteSource {
     throw new CogsplatError("segment-object", `${name} has ${answer.total} bytes, expected ${size}`);
   }
 
-  /** All bytes of an object, from a server without ranges. */
+  /** Read a whole object from a server without ranges. */
   private whole(object: FolderObject): Promise<Uint8Array> {
     const known = this.kept.get(object);
     if (known !== undefined) return known;
-    // Without a signal: it may be for several requests.
+    // Several callers may share the request, so no signal of one caller stops it.
     const bytes = readAll({ read: (range) => this.ask(object, range) }, { offset: 0, length: object.size });
     this.kept.set(object, bytes);
     bytes.catch(() => this.kept.delete(object));

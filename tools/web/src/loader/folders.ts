@@ -3,7 +3,7 @@ import { FolderSource } from "./folder_source.js";
 import type { FolderReader } from "./streamed_scene.js";
 
 /**
- * Reads scenes that are kept as folders of a manifest and objects (SPEC 3.4).
+ * Reader of scenes stored as a folder of a manifest and objects (SPEC 3.4).
  *
  * @example
  * ```ts

@@ -2,25 +2,25 @@ import type { ByteRange } from "../container/scene_index.js";
 import { CogsplatError, SourceError } from "../errors.js";
 import { type Answer, type ByteSource, type ReadOptions, readParts, withinPause } from "./byte_source.js";
 
-/** How requests are made. */
+/** Options of HTTP requests. */
 export interface HttpOptions {
-  /** Headers of every request, such as an authorisation. */
+  /** Headers of every request, for example for authorisation. */
   readonly headers?: Readonly<Record<string, string>>;
   readonly credentials?: RequestCredentials;
-  /** Longest time without a byte, ms, after which a request is made again; 15,000 by default. */
+  /** Longest time without a byte before a retry, ms; 15,000 by default. */
   readonly longestPause?: number;
-  /** Go around caches with every request, as for a file that has changed. */
+  /** Bypass caches with every request, for example after a file has changed. */
   readonly fresh?: boolean;
-  /** In the place of the global `fetch`. */
+  /** Replacement for the global `fetch`. */
   readonly fetch?: typeof fetch;
 }
 
 const LONGEST_PAUSE = 15_000;
 
-/** Statuses after which the same request may succeed. */
+/** Statuses after which a retry may succeed. */
 const RETRYABLE = new Set([408, 425, 429, 500, 502, 503, 504]);
 
-/** A file on a server that answers ranges; one that does not is read from the front. */
+/** A file on an HTTP server; one that ignores ranges is read from the front. */
 export class HttpSource implements ByteSource {
   private etag: string | undefined;
   private total: number | undefined;
@@ -28,7 +28,7 @@ export class HttpSource implements ByteSource {
   constructor(
     private readonly url: string | URL,
     private readonly options: HttpOptions = {},
-    /** Whether all of a scene has this address. */
+    /** Whether all segments of the scene are at this address. */
     private readonly isWhole = true,
   ) {}
 
@@ -43,7 +43,7 @@ export class HttpSource implements ByteSource {
     }
   }
 
-  /** A file that is named relative to this one; the query of the address is kept, which may hold a signature for all. */
+  /** Return a file relative to this one; it keeps the query of the address, which may hold a signature. */
   beside(name: string): HttpSource {
     const own = new URL(this.url, globalThis.document?.baseURI ?? globalThis.location?.href);
     const url = new URL(name, own);
@@ -53,7 +53,7 @@ export class HttpSource implements ByteSource {
 
   private async request(range: string, { signal, fresh, priority }: ReadOptions): Promise<Response> {
     const { headers, credentials } = this.options;
-    // Its own abort ends a request that stays without an answer, and the caller's ends it as well.
+    // Both a missing answer and the caller's signal end the request.
     const stop = new AbortController();
     const onAbort = (): void => stop.abort(signal!.reason);
     if (signal?.aborted) onAbort();
@@ -63,7 +63,7 @@ export class HttpSource implements ByteSource {
         headers: { ...headers, Range: range },
         cache: fresh || this.options.fresh ? "reload" : "default",
         ...(credentials && { credentials }),
-        // Chromium's cache lets one request of an address begin at a time: those beside each other go around it.
+        // Chromium's cache serialises the requests of one address, so parallel ones bypass it.
         ...(priority && { priority, ...(this.isWhole && { cache: "no-store" }) }),
         signal: stop.signal,
       });
@@ -72,7 +72,7 @@ export class HttpSource implements ByteSource {
       if (signal?.aborted) throw error;
       stop.abort();
       if (error instanceof SourceError) throw error;
-      // `fetch` says no more than that it failed: no connection, no name, or no permission across origins.
+      // `fetch` does not tell a failed connection, an unknown name and a CORS refusal apart.
       throw new SourceError(`${String(this.url)} cannot be reached: ${String(error)}`, undefined, true);
     }
   }
@@ -81,7 +81,7 @@ export class HttpSource implements ByteSource {
     return this.options.longestPause ?? LONGEST_PAUSE;
   }
 
-  /** Accept an answer, or say what is wrong with it; its body was not read yet. */
+  /** Check the headers of an answer; throw an error that states what is wrong. */
   private check(response: Response, range: ByteRange, signal: AbortSignal | undefined): Answer {
     const { status, headers } = response;
     const what = `bytes ${range.offset} to ${range.offset + range.length - 1} of ${String(this.url)}`;
@@ -102,11 +102,11 @@ export class HttpSource implements ByteSource {
     }
     const contentRange = headers.get("Content-Range");
     const stated = /^bytes (\d+)-(\d+)\/(\d+|\*)$/.exec(contentRange ?? "");
-    // Across origins the header is hidden unless the server exposes it: then the length alone is compared.
+    // Across origins the header is hidden unless the server exposes it; then the length alone is checked.
     const total = status === 200 ? lengthOf(headers) : stated && stated[3] !== "*" ? Number(stated[3]) : undefined;
     if (status === 206 && contentRange !== null) {
       const end = Math.min(range.offset + range.length, total ?? Infinity) - 1;
-      // A server may give fewer bytes than it was asked for; the rest is asked for again.
+      // A server may send fewer bytes than requested; the rest is requested again.
       if (
         stated === null ||
         Number(stated[1]) !== range.offset ||
@@ -131,7 +131,7 @@ export class HttpSource implements ByteSource {
     };
   }
 
-  /** Refuse an answer of another file than that of the first answer; weak ETags say nothing of bytes. */
+  /** Refuse an answer of another file than the first answer; weak ETags do not identify bytes. */
   private compare(etag: string | null, total: number | undefined): void {
     const strong = etag !== null && !etag.startsWith("W/") ? etag : undefined;
     if (
@@ -151,9 +151,9 @@ function lengthOf(headers: Headers): number | undefined {
 }
 
 /**
- * The wait that a server asks for, ms: a number of seconds, or a date by the server's own clock (RFC 9110, 10.2.3).
+ * Return the wait of a `Retry-After` header, ms: seconds, or a date on the server's clock (RFC 9110, 10.2.3).
  *
- * @returns undefined where the header is not there or says nothing that can be read.
+ * @returns undefined for a missing or malformed header.
  */
 export function retryAfter(header: string | null, date: string | null): number | undefined {
   if (header === null) return undefined;

@@ -2,17 +2,17 @@ import { headTextures } from "../scene/texels.js";
 import type { BandArray, DecodedChunk } from "../workers/decode_task.js";
 
 /**
- * What the heads of chunks were decoded to, until their tails come, which are then decoded alone.
+ * Decoded heads, kept until their tails arrive and can be decoded alone.
  *
- * Heads are kept as they come until the limit is reached; those beyond it are decoded again with their tails.
+ * Heads are kept in the order of arrival up to a limit; the others are decoded again with their tails.
  */
 export class KeptHeads {
   private readonly heads = new Map<number, DecodedChunk>();
   private limit = 0;
-  /** Bytes of all that is kept. */
+  /** Bytes of all kept heads. */
   bytes = 0;
 
-  /** Keep no more than so many bytes; the heads that came last, whose tails come last as well, are dropped first. */
+  /** Set the limit, bytes; the latest heads, whose tails arrive last, are dropped first. */
   keepAtMost(bytes: number): void {
     this.limit = bytes;
     for (const chunk of [...this.heads.keys()].reverse()) {
@@ -21,7 +21,7 @@ export class KeptHeads {
     }
   }
 
-  /** Keep a copy of a chunk without its coefficients above DC, where there is room; the chunk itself is the caller's. */
+  /** Keep a copy of a chunk without its coefficients above DC, if there is room. */
   keep(chunk: number, decoded: DecodedChunk): void {
     this.take(chunk);
     if (this.bytes + headBytes(decoded) > this.limit) return;
@@ -29,7 +29,7 @@ export class KeptHeads {
     this.bytes += headBytes(decoded);
   }
 
-  /** What was kept of a chunk, which is kept no longer. */
+  /** Remove and return the head of a chunk. */
   take(chunk: number): DecodedChunk | undefined {
     const head = this.heads.get(chunk);
     if (head === undefined) return undefined;
@@ -39,7 +39,7 @@ export class KeptHeads {
   }
 }
 
-/** A chunk of what was kept of it and of its bands. */
+/** Combine a kept head and its decoded bands. */
 export function withBands({ splats, packed, texels }: DecodedChunk, bands: readonly BandArray[]): DecodedChunk {
   return {
     ...(splats && { splats: { ...splats, shN: bands[0] as Float32Array } }),

@@ -1,42 +1,45 @@
-/** What a connection is taken to bring before anything was measured, bytes a second: 2 Mbit/s. */
+/** Assumed throughput before the first measurement, bytes per second: 2 Mbit/s. */
 const FIRST_RATE = 250_000;
-/** What the latency is taken to be before an answer has come, seconds. */
+/** Assumed latency before the first answer, seconds. */
 const FIRST_LATENCY = 0.1;
-/** How much of the past is looked at, seconds. */
+/** Length of the measured window, seconds. */
 const REMEMBERED = 1;
-/** Bytes and seconds below which a rate says nothing. */
+/** Fewest bytes and seconds that give a throughput. */
 const LEAST_BYTES = 16_384;
 const LEAST_SECONDS = 0.01;
 
-/** What a connection brings, by what has come lately (docs/streaming.md, 11). */
+/** Estimate of a connection's throughput and latency from recent answers (docs/streaming.md, 11). */
 export class LinkEstimate {
   bytesPerSecond = FIRST_RATE;
   private readonly parts: { readonly seconds: number; readonly bytes: number }[] = [];
   private shortest = Infinity;
 
-  /** Seconds from a request to its first byte: the shortest time so far, for longer ones waited behind other answers. */
+  /**
+   * Time from a request to its first byte, seconds: the minimum so far, because longer ones queued behind other
+   * answers.
+   */
   get latency(): number {
     return Math.min(this.shortest, FIRST_LATENCY);
   }
 
-  /** Note how long a request had waited when its first byte came. */
+  /** Record the latency of an answer, seconds. */
   answered(seconds: number): void {
     this.shortest = Math.min(this.shortest, seconds);
   }
 
-  /** Note bytes that have come at a time. */
+  /** Record received bytes and their time, seconds. */
   came(bytes: number, seconds: number): void {
     const { parts } = this;
     parts.push({ seconds, bytes });
     while (parts[0]!.seconds < seconds - REMEMBERED) parts.shift();
-    // The bytes of the first part came before its time.
+    // The bytes of the first part arrived before its time.
     const [first] = parts;
     const sum = parts.reduce((all, part) => all + part.bytes, -first!.bytes);
     const passed = seconds - first!.seconds;
     if (sum >= LEAST_BYTES && passed >= LEAST_SECONDS) this.bytesPerSecond = sum / passed;
   }
 
-  /** Note that nothing is under way, so that the pause does not count. */
+  /** Record that no request is in flight, so that the pause does not count. */
   rest(): void {
     this.parts.length = 0;
   }

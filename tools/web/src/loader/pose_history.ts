@@ -1,6 +1,6 @@
 import { type Pose, path, type WeightedPose } from "../schedule/poses.js";
 
-/** How long ago the pose was that shows where a visitor goes, seconds (docs/streaming.md, 11). */
+/** Age of the pose with which the latest one is compared, seconds (docs/streaming.md, 11). */
 const OBSERVED_SECONDS = 0.25;
 
 interface Seen {
@@ -8,13 +8,13 @@ interface Seen {
   readonly seconds: number;
 }
 
-/** Where a visitor was lately. */
+/** Recent poses of a camera. */
 export class PoseHistory {
-  /** Ascending; none but the first is older than what is looked at. */
+  /** Poses in ascending order of time; all but the first are within the observed time. */
   private readonly seen: Seen[] = [];
-  /** Whether a pose has come since this was set to false. */
+  /** Whether a pose was added since the caller reset this. */
   hasChanged = false;
-  /** Whether the path that was asked for last leads somewhere. */
+  /** Whether the last predicted path moves. */
   isMoving = false;
 
   add(pose: Pose, seconds: number): void {
@@ -22,12 +22,12 @@ export class PoseHistory {
     this.hasChanged = true;
   }
 
-  /** The pose of now; undefined where nobody has looked yet. */
+  /** Latest pose; undefined before the first. */
   get latest(): Pose | undefined {
     return this.seen.at(-1)?.pose;
   }
 
-  /** The poses of now and those soon to come; undefined where nobody has looked yet. */
+  /** Return the latest pose and the predicted ones; undefined before the first pose. */
   path(seconds: number): WeightedPose[] | undefined {
     const { seen } = this;
     while (seen.length > 1 && seen[1]!.seconds <= seconds - OBSERVED_SECONDS) seen.shift();

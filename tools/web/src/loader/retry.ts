@@ -1,33 +1,34 @@
 import { SourceError } from "../errors.js";
 
-/** How often and after which pauses a request is made again. */
+/** Number and timing of retries. */
 export interface RetryOptions {
-  /** Attempts after the first. */
+  /** Number of retries after the first attempt. */
   readonly retries: number;
   /** First pause, ms; each next one is twice as long, up to `longest`. */
   readonly pause: number;
   readonly longest: number;
-  /** Longest wait that a server may ask for, ms; where it asks for more, the request has failed. */
+  /** Longest wait that a server may ask for, ms; a longer one fails the request. */
   readonly longestWait: number;
 }
 
 export const DEFAULT_RETRY: RetryOptions = { retries: 4, pause: 250, longest: 8_000, longestWait: 60_000 };
 
-/** Whether asking again may help: not after a refusal of the file, nor after an abort. */
+/** Return whether a retry may help: not after a refusal of the file, nor after an abort. */
 export function isRetryable(error: unknown): boolean {
-  // What bodies throw when a connection breaks is a TypeError in browsers and in Node.
+  // Bodies throw a TypeError when a connection breaks, in browsers and in Node.
   return error instanceof SourceError ? error.retryable : error instanceof TypeError;
 }
 
-/** The wait that a server asked for with an error, ms; 0 where it asked for none. */
+/** Return the wait that a server asked for with an error, ms; 0 for none. */
 export function askedWait(error: unknown): number {
   return error instanceof SourceError ? (error.retryAfter ?? 0) : 0;
 }
 
 /**
- * Wait before attempt `attempt`, counted from 1: half of the pause fixed, half by chance, and no less than was asked for.
+ * Wait before a retry: half of the pause fixed, half random, after the wait that the server asked for.
  *
- * @param asked - What the server asked for, ms.
+ * @param attempt - Number of the retry, from 1.
+ * @param asked - Wait that the server asked for, ms.
  */
 export async function backOff(
   attempt: number,

@@ -3,7 +3,7 @@ import { SourceError } from "../errors.js";
 import { type Answer, type ByteSource, readAll } from "./byte_source.js";
 import { askedWait, backOff, isRetryable, type RetryOptions } from "./retry.js";
 
-/** Reads ranges and asks again, after a pause, for what did not come. */
+/** Reader of ranges that retries failed requests after a pause, from the first missing byte. */
 export class RetryingReader {
   constructor(
     private readonly source: ByteSource,
@@ -11,9 +11,9 @@ export class RetryingReader {
   ) {}
 
   /**
-   * The bytes of a range that may reach beyond the end of the file, in parts, as they come.
+   * Read a range that may extend beyond the end of the file.
    *
-   * @param receiver - `begin` is told of each answer, `take` receives the parts in order, without gaps.
+   * @param receiver - `begin` receives each answer, `take` the parts in order, without gaps.
    */
   async beginning(
     range: ByteRange,
@@ -49,16 +49,16 @@ export class RetryingReader {
     );
   }
 
-  /** All bytes of a range. */
+  /** Read all bytes of a range. */
   async all(range: ByteRange, signal: AbortSignal | undefined, fresh = false): Promise<Uint8Array> {
     return this.attempt(signal, () => readAll(this.source, range, { signal, fresh }));
   }
 
   /**
-   * The bytes of a range in parts, as they come; after a failure the rest is asked for.
+   * Read a range part by part.
    *
    * @param take - Receives the parts in order, without gaps.
-   * @param priority - How soon they are wanted beside other requests.
+   * @param priority - Priority among other requests.
    */
   async parts(
     range: ByteRange,
@@ -93,7 +93,7 @@ export class RetryingReader {
     );
   }
 
-  /** @param received - Bytes so far: an attempt that brought some is none that failed. */
+  /** @param received - Number of bytes so far; an attempt that brought some resets the count of retries. */
   private async attempt<T>(
     signal: AbortSignal | undefined,
     work: () => Promise<T>,

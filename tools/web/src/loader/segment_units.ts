@@ -3,10 +3,10 @@ import type { SceneIndex } from "../container/scene_index.js";
 import { SegmentKind } from "../container/tables.js";
 import type { Unit } from "../schedule/scheduler.js";
 
-/** What is taken from an index. */
+/** Part of an index that units are made from. */
 export type UnitIndex = Pick<SceneIndex, "segments" | "chunks" | "range" | "codebookSegmentsOf">;
 
-/** A unit, and the segment that it is. */
+/** A unit of the scheduler and its segment. */
 export interface SegmentUnit extends Unit {
   readonly segment: number;
 }
@@ -15,13 +15,13 @@ const OF_CHUNKS: readonly number[] = [SegmentKind.head, SegmentKind.refinement, 
 const BANDS: readonly number[] = [SegmentKind.colourBand1, SegmentKind.colourBand2, SegmentKind.colourBand3];
 
 /**
- * The segments that a visitor's pictures need as units of the scheduler (docs/streaming.md, 7), in the order of the file.
+ * Return the segments that pictures need as units of the scheduler (docs/streaming.md, 7), in file order.
  *
- * Chunks that end (SPEC 5.10) are left out, as where chunks are not drawn in the order of the file (SPEC 8.6).
+ * Chunks that end (SPEC 5.10) are excluded, as in every order but that of the file (SPEC 8.6).
  *
- * @param index - As far as it was read; units that are known stay what they are when more is read.
- * @param degree - Highest SH degree that is wanted.
- * @param compensates - Whether the layers of compensation are wanted.
+ * @param index - Index; reading more of its pages appends units.
+ * @param degree - SH degree to fetch.
+ * @param compensates - Whether to fetch the layers of compensation.
  */
 export function segmentUnits(index: UnitIndex, degree: number, compensates: boolean): SegmentUnit[] {
   const { kind, owner } = index.segments;
@@ -45,13 +45,13 @@ export function segmentUnits(index: UnitIndex, degree: number, compensates: bool
     const books = chunk < 0 ? [] : (index.codebookSegmentsOf(segment, degree) ?? []);
     const before = chunk < 0 ? undefined : heads.get(isHead ? parents[chunk]! : chunk);
     const after = [...books.map((book) => unitOf.get(book)), before].filter((unit) => unit !== undefined);
-    // The view table says what to choose: it comes first, wherever it is.
+    // The view table decides the order, so it counts as the beginning of the file.
     const end = kind[segment] === SegmentKind.viewTable ? length : offset + length;
     return { segment, chunk, isHead, end, size: length, after };
   });
 }
 
-/** The units of each chunk. */
+/** Return the units of each chunk. */
 export function unitsByChunk(units: readonly SegmentUnit[], chunks: number): number[][] {
   const found: number[][] = Array.from({ length: chunks }, () => []);
   units.forEach(({ chunk }, unit) => {

@@ -5,74 +5,88 @@ import type { Texels } from "../scene/texel_layouts.js";
 import { texelWidths } from "../scene/texels.js";
 import type { ChunkFormat } from "../workers/decode_task.js";
 
-/** What is known of a chunk before its bytes come: enough to decide what to fetch first. */
+/** A chunk's entry in the index, from which priorities are computed. */
 export interface ChunkInfo {
   readonly chunk: number;
   readonly splats: number;
-  /** Minimum then maximum corner of what its splats reach, scene units, relative to the scene's origin. */
+  /**
+   * Bounding box of its splats' extents, scene units, relative to the scene's origin: minimum corner, then maximum
+   * corner.
+   */
   readonly box: Float32Array;
-  /** Sum of its splats' contributions; 0 where the scene was not scored. */
+  /** Sum of its splats' contributions; 0 for a scene without contributions. */
   readonly contribution: number;
   readonly layer: number;
   readonly cell: number;
   readonly object: number;
-  /** The chunk is drawn in prefixes of fewer chunks than this; 0 in all (SPEC 5.10). */
+  /**
+   * Number of chunks of the first prefix that no longer draws the chunk; 0 for a chunk that all prefixes draw (SPEC
+   * 5.10).
+   */
   readonly until: number;
 }
 
-/** What a stream gives, and in which order. */
+/** Contents, order and limits of a stream. */
 export interface StreamOptions {
-  /** Ends the stream: requests are aborted and memory is given back. */
+  /** Stops the stream: requests are aborted and memory is released. */
   readonly signal?: AbortSignal;
-  /** Chunks with larger numbers come first; a number below 0 leaves a chunk out. File order by default. */
+  /** Return the priority of a chunk: higher ones come first, negative ones are excluded. File order by default. */
   readonly priority?: (chunk: ChunkInfo) => number;
-  /** SH degree wanted; by default the scene's. */
+  /** SH degree to decode; by default that of the scene. */
   readonly degree?: number;
-  /** `splats`: arrays to the bit. `packed`: 16 bytes a splat and packed bands. `spark`, `playcanvas`: their textures. */
+  /**
+   * `splats`: arrays exact to the bit. `packed`: 16 bytes per splat and packed bands. `spark`, `playcanvas`: their
+   * textures.
+   */
   readonly format?: ChunkFormat;
-  /** What the codes of packed chunks stand for. */
+  /** Value ranges of the codes of packed chunks. */
   readonly ranges?: Partial<PackRanges>;
   /**
-   * Most bytes of rows that are given out; chunks beyond are not fetched. What they leave may hold decoded heads until
-   * their tails come.
+   * Bytes of rows at most; chunks beyond are not fetched. The rest of the budget may hold decoded heads until their
+   * tails
+   * arrive.
    */
   readonly memoryBudget?: number;
-  /** Most splats that are given out; chunks beyond are not fetched. */
+  /** Splats at most; chunks beyond are not fetched. */
   readonly splatBudget?: number;
-  /** Fetch the layers of compensation too, for `StreamedScene.compensation`. */
+  /** Whether to fetch the layers of compensation, for `StreamedScene.compensation`. */
   readonly compensate?: boolean;
-  /** Level wanted, 0 the coarsest (SPEC 5.11): what it does not draw is not fetched. By default the finest. */
+  /**
+   * Level to decode, 0 the coarsest (SPEC 5.11): chunks that it does not draw are not fetched. By default the finest.
+   */
   readonly level?: number;
   /**
-   * Give chunks that end too (SPEC 5.10); the caller then stops drawing each when `ChunkUpdate.prefix` has come to its
-   * `until`. By default they are left out.
+   * Whether to stream chunks that end (SPEC 5.10); the caller stops drawing each when `ChunkUpdate.prefix` reaches its
+   * `until`. By default they are excluded.
    */
   readonly ending?: boolean;
-  /** Told of what cannot be had, and of which chunk it is; what is there is drawn without it. */
+  /**
+   * Called with each segment that cannot be fetched and the chunk that lacks it; without it the error ends the stream.
+   */
   readonly onDamage?: (error: CogsplatError | SourceError, chunk: number | undefined) => void;
 }
 
 /** Rows of one chunk. A later update of the same chunk replaces the rows of the earlier one. */
 export interface ChunkUpdate {
   readonly chunk: number;
-  /** Row of the whole scene that the chunk's first row is. */
+  /** Row of the whole scene of the chunk's first row. */
   readonly firstRow: number;
   readonly count: number;
-  /** Chunks that have been given from the first of the file on, without gaps, this one counted. */
+  /** Number of chunks of the longest prefix of the file streamed so far, including this chunk. */
   readonly prefix: number;
-  /** Whether the coefficients above DC are in it. */
+  /** Whether the coefficients above DC are included. */
   readonly tail: boolean;
-  /** Whether the refinement is in it. */
+  /** Whether the refinement is included. */
   readonly refined: boolean;
-  /** There where the stream's format is `splats`. */
+  /** Present in the format `splats`. */
   readonly splats?: Splats;
-  /** There where the stream's format is `packed`. */
+  /** Present in the format `packed`. */
   readonly packed?: PackedSplats;
-  /** There where the stream's format is that of a renderer's textures. */
+  /** Present in the formats of a renderer's textures. */
   readonly texels?: Texels;
 }
 
-/** Bytes that a splat takes in memory as it is given out. */
+/** Return the bytes of a decoded splat in memory. */
 export function bytesPerSplat(format: ChunkFormat, degree: number): number {
   if (format === "packed") return 16 + [0, 8, 24, 40][degree]!;
   if (format !== "splats") return texelWidths(format, degree).reduce((sum, { width, bytes }) => sum + width * bytes, 0);

@@ -17,33 +17,36 @@ import type { FetchSource } from "./scene_fetch.js";
 import { SceneStream } from "./scene_stream.js";
 import { bytesPerSplat, type ChunkUpdate, type StreamOptions } from "./stream_options.js";
 
-/** Bytes of the first request; they always hold the root (SPEC 8.1). */
+/** Bytes of the first request, which always contain the root (SPEC 8.1). */
 const FIRST_BYTES = 65_536;
 
-/** Reason codes of a beginning whose bytes are not those that were written. */
+/** Reason codes of a root whose bytes were damaged on the way. */
 const DAMAGED_ROOT: ReadonlySet<string> = new Set(["preamble-crc", "root-crc", "places-crc"]);
 
-/** How a scene is opened. */
+/** Options of `StreamedScene.open`. */
 export interface OpenOptions {
   readonly signal?: AbortSignal;
   readonly http?: HttpOptions;
   readonly retry?: Partial<RetryOptions>;
-  /** Most decoded bytes of a stream (SPEC 9.2); by default 64 MiB and 256 for each byte of the file. */
+  /** Decoded bytes of a stream at most (SPEC 9.2); by default 64 MiB and 256 for each byte of the file. */
   readonly maxDecodedBytes?: number;
-  /** Makes what decodes the chunks, such as a pool of workers; by default they are decoded where the caller runs. */
+  /**
+   * Makes the decoder of the chunks, for example a pool of workers; by default chunks are decoded on the caller's
+   * thread.
+   */
   readonly service?: (index: DecoderIndex) => ChunkService | Promise<ChunkService>;
-  /** Reads scenes that are kept as folders: `folders` of `cogsplat/folders`. */
+  /** Reader of scenes stored as folders: `folders` of `cogsplat/folders`. */
   readonly folders?: FolderReader;
 }
 
-/** Finds the segments of a scene that is kept as a folder of a manifest and objects (SPEC 3.4). */
+/** Locates the segments of a scene stored as a folder of a manifest and objects (SPEC 3.4). */
 export interface FolderReader {
   /**
-   * Read where the segments are.
+   * Read the addresses of the segments.
    *
-   * @param manifest - From which the objects are reached.
-   * @param beginning - First bytes of the manifest, its length where it is known, and whether its server answers ranges.
-   * @param index - The root.
+   * @param manifest - Source of the manifest; objects are relative to it.
+   * @param beginning - First bytes of the manifest, its length if known, and whether its server answers ranges.
+   * @param index - Index with the root alone.
    */
   open(
     manifest: ByteSource,
@@ -52,35 +55,35 @@ export interface FolderReader {
   ): { readonly places: ScenePlaces; readonly source: ByteSource };
 }
 
-/** A scene that is read from the URL of a file or a folder, a file or another source of bytes while it is drawn. */
+/** A scene streamed from the URL of a file or folder, from a File, or from another source of bytes. */
 export class StreamedScene implements FetchSource {
-  /** The last page that is being read; pages are read one after the other, once for all streams. */
+  /** The last page being read; pages are read one after the other, once for all streams. */
   private pages: Promise<unknown> = Promise.resolve();
-  /** Layers of compensation, as far as a stream with `compensate` has brought them. */
+  /** Layers of compensation received by streams with `compensate`. */
   readonly compensation: PrefixCompensation;
-  /** For what reads segments that are no part of chunks. */
+  /** Load the kernels, for segments that belong to no chunk. */
   readonly loadKernels = loadKernels;
 
   private constructor(
     readonly index: SceneIndex,
-    /** Where segments and pages are in what `reader` reads. */
+    /** Byte ranges of segments and pages in the source of `reader`. */
     readonly places: ScenePlaces,
     readonly reader: RetryingReader,
-    /** What the first request brings. */
+    /** First bytes of the file. */
     readonly beginning: Beginning,
     private readonly source: string | URL | Blob | ByteSource,
     private readonly options: OpenOptions,
-    /** Whether this scene took the place of one that had changed. */
+    /** Whether this scene replaced one that had changed. */
     private readonly isReopened = false,
   ) {
     this.compensation = new PrefixCompensation(index);
   }
 
   /**
-   * Ask for the beginning of a file and read its root.
+   * Request the first bytes of a scene and read its root.
    *
-   * @param source - A URL, of a file or, with `options.folders`, of a manifest, or of a folder where it ends in a slash (SPEC 3.4); a File
-   * or Blob, or any source of bytes.
+   * @param source - URL of a file; with `options.folders` URL of a manifest, or of its folder with a slash at the end
+   * (SPEC 3.4); a File, a Blob, or another source of bytes.
    *
    * @example
    * ```ts
@@ -94,17 +97,17 @@ export class StreamedScene implements FetchSource {
     } catch (error) {
       const isDamaged = error instanceof CogsplatError && DAMAGED_ROOT.has(error.code);
       if (!isDamaged || (typeof source !== "string" && !(source instanceof URL))) throw error;
-      // A cache may hold damaged bytes; those of the server are asked for, once.
+      // A cache may hold damaged bytes, so the server is asked once more.
       return StreamedScene.begin(source, { ...options, http: { ...options.http, fresh: true } }, false);
     }
   }
 
   /**
-   * Open the same source again, around caches, because it changed while it was read (SPEC 8.8).
+   * Open the same source again, bypassing caches, after it changed while it was read (SPEC 8.8).
    *
-   * @param signal - Ends the request.
-   * @throws CogsplatError `source-changed` where this scene was itself opened again: a file that changes all the time is
-   * not read for ever.
+   * @param signal - Aborts the request.
+   * @throws CogsplatError `source-changed` where this scene was itself reopened, so that a file that keeps changing
+   *   ends.
    *
    * @example
    * ```ts
@@ -133,9 +136,9 @@ export class StreamedScene implements FetchSource {
     const beginning = new Beginning(reader, FIRST_BYTES);
     await beginning.upTo(PREAMBLE_BYTES, options.signal);
     if (isManifest(beginning.here)) return StreamedScene.beginFolder(given, beginning, source, options, isReopened);
-    // What is no COGS file is refused by its first bytes.
+    // Other files are refused by their first bytes.
     const { rootLength } = readPreamble(beginning.here);
-    // A source that does not say how long the file is does so by ending.
+    // Where the source does not state the file's length, its end does.
     await beginning.upTo(beginning.total === undefined ? FIRST_BYTES : PREAMBLE_BYTES + rootLength, options.signal);
     const { here, total } = beginning;
     const index = SceneIndex.open(here.slice(), total ?? (here.length < FIRST_BYTES ? here.length : undefined));
@@ -143,7 +146,7 @@ export class StreamedScene implements FetchSource {
     return new StreamedScene(index, index, reader, beginning, source, options, isReopened);
   }
 
-  /** Read the root of a folder from the beginning of its manifest (SPEC 3.4). */
+  /** Read the root of a folder from the first bytes of its manifest (SPEC 3.4). */
   private static async beginFolder(
     manifest: ByteSource,
     beginning: Beginning,
@@ -153,7 +156,7 @@ export class StreamedScene implements FetchSource {
   ): Promise<StreamedScene> {
     if (options.folders === undefined)
       throw new SourceError("a scene that is kept as a folder, expected the option `folders`", undefined, false);
-    // The root and its places lie in it (SPEC 8.8).
+    // The first 64 KiB contain the root and its places (SPEC 8.8).
     await beginning.upTo(FIRST_BYTES, options.signal);
     const { here, total, sequential } = beginning;
     const index = SceneIndex.open(fileBeginning(here));
@@ -164,39 +167,40 @@ export class StreamedScene implements FetchSource {
     return new StreamedScene(index, places, reader, beginning, source, options, isReopened);
   }
 
-  /** Whether the scene is kept as a folder of a manifest and objects (SPEC 3.4). */
+  /** Whether the scene is stored as a folder of a manifest and objects (SPEC 3.4). */
   get isFolder(): boolean {
     return this.places !== this.index;
   }
 
-  /** Whether parts of the scene can be asked for; from a server that ignores ranges they come as they stand in the file. */
+  /** Whether range requests are answered; a server that ignores ranges sends the whole file in order. */
   get answersRanges(): boolean {
     return this.isFolder || !this.beginning.sequential;
   }
 
-  /** What the root says of the scene. */
+  /** Contents of the root about the scene. */
   get info(): SceneInfo {
     return this.index.scene;
   }
 
   /**
-   * Fetch, decode and hand over chunks until all are there.
+   * Fetch and decode chunks until the scene is complete.
    *
-   * The order is that of the file, which shows most for its bytes, or that of `priority`. A chunk is given as soon as
-   * its head is there, and given again when its refinement or its tail has come.
+   * The order is that of the file, which shows most for its bytes, or that of `priority`. A chunk is yielded when its
+   * head
+   * has arrived, and again with its refinement or its tail.
    */
   async *stream(options: StreamOptions = {}): AsyncGenerator<ChunkUpdate, void, undefined> {
     this.checkSize(options);
     yield* new SceneStream(this, await this.makeService(), options).changes();
   }
 
-  /** What decodes the chunks of one run through the scene; who asks for it closes it. */
+  /** Make the decoder of one stream; the caller closes it. */
   async makeService(): Promise<ChunkService> {
     const { index, options } = this;
     return (options.service ?? inlineService)({ scene: index.scene, codebooks: index.codebooks });
   }
 
-  /** Refuse a scene whose rows and codebooks take more memory than the caller allows, before anything is fetched. */
+  /** Refuse a scene whose rows and codebooks exceed the caller's memory limit, before anything is fetched. */
   checkSize({
     degree = 3,
     memoryBudget = Infinity,
@@ -213,7 +217,7 @@ export class StreamedScene implements FetchSource {
     if (rows + books > most) throw new CogsplatError("decoded-size", `${rows + books} decoded bytes, at most ${most}`);
   }
 
-  /** Take a page; one whose CRC does not match is asked for once more, around caches. */
+  /** Enter a page; one with a wrong CRC is fetched once more, bypassing caches. */
   private async addPage(page: ByteRange, bytes: Uint8Array): Promise<void> {
     try {
       this.places.addPage(bytes);
@@ -223,7 +227,7 @@ export class StreamedScene implements FetchSource {
     }
   }
 
-  /** Read index pages until so many are known. */
+  /** Read index pages until `count` are known. */
   async readPages(count: number): Promise<void> {
     const read = async (): Promise<void> => {
       for (let page = this.places.nextPage(); page && this.index.pagesRead < count; page = this.places.nextPage()) {
@@ -237,13 +241,13 @@ export class StreamedScene implements FetchSource {
         this.index.settle();
       }
     };
-    // A page that failed for one caller is tried again for the next.
+    // A page that failed for one caller is read again for the next.
     this.pages = this.pages.then(read, read);
     await this.pages;
   }
 }
 
-/** A page or its places came damaged; nothing of it was taken. */
+/** Return whether a page or its places were damaged; nothing of such a page is entered. */
 function isDamagedPage(error: unknown): boolean {
   return error instanceof CogsplatError && (error.code === "page-crc" || error.code === "places-crc");
 }
@@ -253,7 +257,7 @@ async function inlineService(index: DecoderIndex): Promise<ChunkService> {
 }
 
 /**
- * The address of a folder's manifest where a URL ends in a slash (SPEC 3.4); else the URL.
+ * Return the address of the manifest for a folder's URL, which ends in a slash (SPEC 3.4); other URLs unchanged.
  *
  * @example
  * ```ts
@@ -265,7 +269,7 @@ export function manifestAddress(url: string): string {
   return path!.endsWith("/") ? `${path}manifest.cogsm${rest}` : url;
 }
 
-/** What a scene is read from. */
+/** Return the source of bytes for an argument of `StreamedScene.open`. */
 export function sourceOf(source: string | URL | Blob | ByteSource, http?: HttpOptions): ByteSource {
   if (typeof source === "string" || source instanceof URL) return new HttpSource(manifestAddress(String(source)), http);
   return source instanceof Blob ? new BlobSource(source) : source;

@@ -9,34 +9,34 @@ import { Codebooks } from "./codebooks.js";
 import { type PackedSplats, type PackRanges, packedOpacities, SH_WORDS } from "./packed_splats.js";
 import type { Splats } from "./splats.js";
 
-/** The payloads of one chunk. */
+/** Payloads of one chunk. */
 export interface ChunkPayloads {
   readonly chunk: number;
   readonly head: Uint8Array;
   readonly refinement?: Uint8Array | undefined;
-  /** Opacities of later levels, in the order of the levels; the splats have the last ones that are there. */
+  /** Opacities of later levels, in the order of the levels; the last one present applies. */
   readonly opacities?: readonly (Uint8Array | undefined)[] | undefined;
   readonly tail?: Uint8Array | undefined;
 }
 
-/** The tail of a chunk whose head was decoded before. */
+/** Tail of a chunk whose head was decoded before. */
 export interface TailPayload {
   readonly chunk: number;
   readonly head?: undefined;
   readonly tail: Uint8Array;
 }
 
-/** What the decoder has to know of the file: a part of its index that can be sent to a worker. */
+/** Part of an index that decoding needs; it can be sent to a worker. */
 export type DecoderIndex = Pick<SceneIndex, "scene" | "codebooks">;
 
-/** Decodes the chunks of one scene; codebooks stay in its memory from chunk to chunk. */
+/** Decoder of the chunks of one scene; decoded codebooks stay in its memory. */
 export class ChunkDecoder {
   private readonly codebooks: Codebooks;
   private readonly added = new Set<string>();
 
   /**
-   * @param k - Memory and arithmetic, for this scene alone.
-   * @param index - What the root says.
+   * @param k - Kernels of this decoder alone.
+   * @param index - Scene and codebooks of the root.
    */
   constructor(
     readonly k: Kernels,
@@ -45,7 +45,7 @@ export class ChunkDecoder {
     this.codebooks = new Codebooks(k, index.codebooks);
   }
 
-  /** Decode a codebook's segment, once; its CRC was checked. */
+  /** Decode the segment of a codebook, whose CRC was checked, unless it was decoded before. */
   addCodebook(codebook: number, kind: number, payload: Uint8Array): void {
     const key = `${codebook}.${kind}`;
     if (this.added.has(key)) return;
@@ -53,19 +53,19 @@ export class ChunkDecoder {
     this.added.add(key);
   }
 
-  /** Whether a codebook's segment was decoded. */
+  /** Return whether the segment of a codebook was decoded. */
   hasCodebook(codebook: number, kind: number): boolean {
     return this.added.has(`${codebook}.${kind}`);
   }
 
   /**
-   * Decode a chunk and hand its columns to a function; its memory is given back afterwards.
+   * Decode a chunk, pass its columns to a function, and release their memory afterwards.
    *
-   * @param payloads - The chunk's payloads, whose CRCs were checked.
+   * @param payloads - Payloads of the chunk, whose CRCs were checked.
    * @param rows - Splats of the chunk.
-   * @param needs - Codebooks that head and tail need.
-   * @param degree - SH degree wanted, at most the scene's.
-   * @param use - Is given addresses: of the head's columns, and of opacities level by level, the head's first.
+   * @param needs - Codebooks that head and tail need, as bit sets.
+   * @param degree - SH degree to decode, at most that of the scene.
+   * @param use - Receives addresses: of the head's columns, of the tail, and of opacities per level, the head's first.
    */
   withChunk<T>(
     payloads: ChunkPayloads,
@@ -92,7 +92,7 @@ export class ChunkDecoder {
     }
   }
 
-  /** Decode the opacities of a later level; those of the head stay as they are. Returns their address. */
+  /** Decode the opacities of a later level into a new column; return its address. */
   private laterOpacities(payload: Uint8Array, head: HeadColumns, rows: number): number {
     const { k } = this;
     const before = k.alloc(4 * rows);
@@ -100,7 +100,7 @@ export class ChunkDecoder {
     return readOpacities(k, new Payload(k, payload, rows, "opacities"), before, rows);
   }
 
-  /** Decode a tail and hand it to a function; its memory is given back afterwards. */
+  /** Decode a tail, pass it to a function, and release its memory afterwards. */
   private withTail<T>(
     { tail }: TailPayload,
     rows: number,
@@ -121,7 +121,7 @@ export class ChunkDecoder {
     return readTail(k, new Payload(k, payload, rows, "tail"), needs, codebooks, index.scene.shDegree, degree);
   }
 
-  /** Decode a chunk to the bit (SPEC 2.3). */
+  /** Decode a chunk, exact to the bit (SPEC 2.3). */
   decode(
     payloads: ChunkPayloads,
     rows: number,
@@ -143,22 +143,22 @@ export class ChunkDecoder {
   }
 
   /**
-   * Decode the coefficients above DC of a chunk alone, to the bit.
+   * Decode the coefficients above DC of a chunk, exact to the bit.
    *
-   * @param payload - The tail, whose CRC was checked.
+   * @param payload - Tail, whose CRC was checked.
    * @param rows - Splats of the chunk.
-   * @param needs - Codebooks that the tail needs.
-   * @param degree - SH degree wanted, above 0 and at most the scene's.
-   * @returns For each row 3·((degree + 1)² − 1) values.
+   * @param needs - Codebooks that the tail needs, as a bit set.
+   * @param degree - SH degree to decode, above 0 and at most that of the scene.
+   * @returns 3·((degree + 1)² − 1) values per row.
    */
   decodeShN(payload: TailPayload, rows: number, needs: number, degree: number): Float32Array {
     return this.withTail(payload, rows, needs, degree, (tail) => this.shN(tail, rows, degree));
   }
 
   /**
-   * Decode a chunk into what a renderer uploads (SPEC 8.6).
+   * Decode a chunk to packed splats for a renderer (SPEC 8.6).
    *
-   * @param ranges - What the codes stand for.
+   * @param ranges - Value ranges of the packed codes.
    */
   decodePacked(
     payloads: ChunkPayloads,
@@ -189,9 +189,7 @@ export class ChunkDecoder {
     });
   }
 
-  /**
-   * Decode the packed bands of a chunk alone (SPEC 8.6); the parameters are those of `decodeShN` and `decodePacked`.
-   */
+  /** Decode the packed SH bands of a chunk (SPEC 8.6), with the parameters of `decodeShN` and `decodePacked`. */
   decodePackedBands(
     payload: TailPayload,
     rows: number,

@@ -7,12 +7,12 @@ import { Attribute, Kind, type Payload, type StreamRecord } from "../streams/rec
 import { readSortedMeans } from "../streams/sorted_means.js";
 import { type Codebooks, readPlainColumns, readShapeRows } from "./codebooks.js";
 
-/** A head's rows: addresses of columns of f32. */
+/** Addresses of the columns of a decoded head, f32 each. */
 export interface HeadColumns {
   readonly means: readonly number[];
-  /** Natural logarithms. */
+  /** Natural logarithms of scales. */
   readonly scales: readonly number[];
-  /** w x y z, unit length, w ≥ 0. */
+  /** Quaternions w x y z of unit length, w ≥ 0. */
   readonly quats: readonly number[];
   /** Logits. */
   readonly opacities: number;
@@ -20,12 +20,12 @@ export interface HeadColumns {
 }
 
 /**
- * Decode a head, refined where its refinement is there (SPEC 7.2, 7.4).
+ * Decode a head and, if present, its refinement (SPEC 7.2, 7.4).
  *
- * @param head - The head's streams.
- * @param refinement - The refinement's, where it is there.
+ * @param head - Streams of the head.
+ * @param refinement - Streams of the refinement, if present.
  * @param rows - Splats of the chunk.
- * @param needs - Codebooks that the head's segment needs.
+ * @param needs - Codebooks that the head's segment needs, as a bit set.
  */
 export function readHead(
   k: Kernels,
@@ -49,8 +49,8 @@ export function readHead(
 /**
  * Decode the opacities of a later level (SPEC 7.5).
  *
- * @param payload - The segment's streams.
- * @param before - Address of the opacities that head and refinement give; differences are added to them there.
+ * @param payload - Streams of the segment.
+ * @param before - Address of the opacities of head and refinement, to which differences are added.
  * @param rows - Splats of the chunk.
  * @returns Address of the level's opacities.
  */
@@ -64,7 +64,7 @@ export function readOpacities(k: Kernels, payload: Payload, before: number, rows
 }
 
 interface Shape {
-  /** Scales as the head alone gives them; step models depend on these. */
+  /** Scales of the head without refinement, on which step models depend. */
   readonly coarse: readonly number[];
   readonly scales: readonly number[];
   readonly quats: readonly number[];
@@ -97,7 +97,7 @@ function readIndexedShape(k: Kernels, head: Payload, rows: number, needs: number
   return { coarse: scales, scales, quats: columns.slice(3) };
 }
 
-/** Read an attribute with what refines it. */
+/** Read an attribute and its refinement. */
 function readRefined(
   k: Kernels,
   head: Payload,

@@ -11,7 +11,7 @@ import {
 } from "../streams/shn_basis.js";
 import { BAND_FLOATS, bandAttributes, type Codebooks, type ColourCodebook, readBand } from "./codebooks.js";
 
-/** SH coefficients above DC of a chunk, in the form in which its tail has them. */
+/** SH coefficients above DC of a chunk, in the form of its tail. */
 export type TailSource =
   | {
       readonly form: "bands" /** For each band the address of its rows, where it is there. */;
@@ -28,9 +28,9 @@ export type TailSource =
 /**
  * Read a tail up to a degree (SPEC 7.3).
  *
- * @param needs - Codebooks that the tail's segment needs.
- * @param shDegree - Degree of the scene.
- * @param degree - Degree wanted; bands above it are not read.
+ * @param needs - Codebooks that the tail's segment needs, as a bit set.
+ * @param shDegree - SH degree of the scene.
+ * @param degree - SH degree to read; higher bands are skipped.
  */
 export function readTail(
   k: Kernels,
@@ -65,7 +65,7 @@ function readOnCodebook(
 }
 
 /**
- * Addresses of the bands that are there, up to the degree wanted; those above it are taken and not read.
+ * Return the addresses of the bands present, up to the degree to read; higher bands are skipped.
  *
  * @param escapes - Number of escape rows; undefined for the rows of the chunk.
  */
@@ -106,7 +106,7 @@ function readBasis(k: Kernels, stream: StreamRecord, needs: number, codebooks: C
 }
 
 /**
- * The coefficients of every row, one after the other.
+ * Write the coefficients of every row, row by row.
  *
  * @param target - Address of `rows` rows of 3·((degree + 1)² − 1) f32.
  */
@@ -146,7 +146,7 @@ function zeros(k: Kernels, floats: number): number {
   return address;
 }
 
-/** Values of a row's coefficients above DC. */
+/** Return the number of values of a row's coefficients above DC. */
 export function shnFloats(degree: number): number {
   return 3 * ((degree + 1) ** 2 - 1);
 }

@@ -7,7 +7,7 @@ import { readGridStream, readScalarRows } from "../streams/grid_streams.js";
 import { readQuats } from "../streams/quat_streams.js";
 import { Attribute, Kind, Payload, type StreamRecord } from "../streams/records.js";
 
-/** Values of a row in each SH band, coefficients times channels. */
+/** Values per row of each SH band: coefficients times channels. */
 export const BAND_FLOATS = [9, 15, 21] as const;
 const BAND_ATTRIBUTES = [Attribute.sh1, Attribute.sh2, Attribute.sh3] as const;
 
@@ -18,13 +18,13 @@ export interface ShapeCodebook {
   readonly quats: readonly number[];
 }
 
-/** Rows of a colour codebook: for each band there is, the address of its rows. */
+/** Rows of a colour codebook: the address of each band present. */
 export interface ColourCodebook {
   readonly rows: number;
   readonly bands: (number | undefined)[];
 }
 
-/** The codebooks of a scene, as far as they have come (SPEC 5.5, 7.1). They stay in the kernels' memory. */
+/** Codebooks of a scene received so far, in the kernels' memory (SPEC 5.5, 7.1). */
 export class Codebooks {
   private readonly shapes = new Map<number, ShapeCodebook>();
   private readonly colours = new Map<number, ColourCodebook>();
@@ -35,9 +35,9 @@ export class Codebooks {
   ) {}
 
   /**
-   * Decode a codebook's segment and keep its rows. Nothing else may be reserved while it runs.
+   * Decode the segment of a codebook and keep its rows. No other memory may be reserved meanwhile.
    *
-   * @param kind - Kind of the segment: 3, or 4 to 6 for the bands.
+   * @param kind - Segment kind: 3 for shapes, 4 to 6 for colour bands.
    */
   add(codebook: number, kind: number, payload: Uint8Array): void {
     const { k } = this;
@@ -77,13 +77,13 @@ export class Codebooks {
     this.colours.set(codebook, book);
   }
 
-  /** The shape codebook that a stream names; it must be one that its segment needs. */
+  /** Return the shape codebook of a stream, which must be among the needs of its segment. */
   shape(codebook: number, needs: number): ShapeCodebook {
     this.check(codebook, needs, "shape");
     return this.there(this.shapes.get(codebook), codebook);
   }
 
-  /** The colour codebook that a stream names; it must be one that its segment needs. */
+  /** Return the colour codebook of a stream, which must be among the needs of its segment. */
   colour(codebook: number, needs: number, degree: number): ColourCodebook {
     this.check(codebook, needs, "colour");
     const book = this.there(this.colours.get(codebook), codebook);
@@ -107,7 +107,7 @@ export class Codebooks {
 }
 
 /**
- * Scales and quaternions of a codebook or of escape rows: seven columns.
+ * Read scales and quaternions of a codebook or of escape rows, as seven columns.
  *
  * @param escapes - Number of escape rows; undefined for the rows of a codebook.
  */
@@ -118,18 +118,18 @@ export function readShapeRows(k: Kernels, payload: Payload, escapes?: number): n
   return [...scales, ...readQuats(k, take(Attribute.quats))];
 }
 
-/** Columns of a scalar or float stream. */
+/** Read the columns of a scalar or float stream. */
 export function readPlainColumns(k: Kernels, stream: StreamRecord): number[] {
   return stream.kind === Kind.float ? readFloatStream(k, stream) : readGridStream(k, stream);
 }
 
-/** Rows of one SH band. */
+/** Read the rows of one SH band. */
 export function readBand(k: Kernels, stream: StreamRecord, target: number): void {
   if (stream.kind === Kind.float) readFloatRows(k, stream, target);
   else readScalarRows(k, stream, target);
 }
 
-/** The attribute of each SH band from 1. */
+/** Return the attribute of each SH band, from 1 to a degree. */
 export function bandAttributes(degree: number): readonly number[] {
   return BAND_ATTRIBUTES.slice(0, degree);
 }

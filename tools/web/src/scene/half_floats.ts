@@ -1,7 +1,7 @@
 const bits = new Uint32Array(1);
 const float = new Float32Array(bits.buffer);
 
-/** The bits of the nearest half float; above the range those of the largest. */
+/** Return the bits of the nearest half float, at most the largest finite one. */
 export function toHalf(value: number): number {
   float[0] = value;
   const sign = (bits[0]! >>> 16) & 0x8000;
@@ -12,7 +12,7 @@ export function toHalf(value: number): number {
   return sign | ((word + 0xfff + ((word >>> 13) & 1) - 0x38000000) >>> 13);
 }
 
-/** The value of a half float's bits. */
+/** Return the value of a half float. */
 export function fromHalf(half: number): number {
   const sign = half & 0x8000 ? -1 : 1;
   const exponent = (half >>> 10) & 31;

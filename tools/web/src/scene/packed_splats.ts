@@ -3,16 +3,17 @@ import { fromHalf } from "./half_floats.js";
 import { opacityOf } from "./opacities.js";
 import type { Splats } from "./splats.js";
 
-/** Words of a splat in each packed SH band. */
+/** Words per splat of each packed SH band. */
 export const SH_WORDS = [2, 4, 4] as const;
 
 /**
- * Splats as a renderer uploads them: one texel of four u32 each, but for rotations within the tolerances of SPEC 8.6.
+ * Splats packed for upload, four u32 each, within the tolerances of SPEC 8.6 except for rotations.
  *
- * This is the layout of Spark's `PackedSplats`, half the size of its other one; any shader can read it. Its rotations are
- * up to 0.034 radians off, coarser than SPEC 8.6 allows; `texels.ts` has layouts that keep all of it.
+ * The layout is that of Spark's `PackedSplats`, half the size of its `ExtSplats`. Rotations are up to 0.034 radians
+ * off;
+ * the layouts of `texels.ts` keep all tolerances.
  *
- * | word | bits | what |
+ * | word | bits | contents |
  * |---|---|---|
  * | 0 | 0–7, 8–15, 16–23 | DC colour ½ + 0.282·sh0, R G B, from `rgbMin` to `rgbMax` |
  * | 0 | 24–31 | opacity in 1/255 |
@@ -23,56 +24,57 @@ export const SH_WORDS = [2, 4, 4] as const;
  * | 3 | 24–31 | angle of the rotation in π/255 |
  *
  * SH bands hold coefficient by coefficient, channels innermost, in two's complement without gaps from bit 0: 9 values
- * of 7 bits in two words, 15 of 8 bits in four, 21 of 6 bits in four.
+ * of
+ * 7 bits in two words, 15 of 8 bits in four, 21 of 6 bits in four.
  */
 export interface PackedSplats {
   /** Number of splats. */
   readonly count: number;
-  /** Four words a splat. */
+  /** Four words per splat. */
   readonly words: Uint32Array;
-  /** Packed bands from 1 up to the degree that was asked for; zeros where the coefficients are not there. */
+  /** Packed bands from 1 to the requested degree; zeros where the tail is missing. */
   readonly sh: readonly Uint32Array[];
   readonly ranges: PackRanges;
   /**
-   * Of a chunk of a scene with levels that was decoded with the opacities of more than one: these in 1/255 for each splat,
-   * level by level from the first that has the chunk on (SPEC 5.11); undefined where a level's have not come.
+   * Opacities per level in 1/255, from the first level that has the chunk on (SPEC 5.11); present only in scenes with
+   * levels. A level whose opacities have not arrived is undefined.
    */
   readonly opacities?: readonly (Uint8Array | undefined)[];
 }
 
-/** What the codes of packed splats stand for. Values outside are clamped. */
+/** Value ranges of the codes of packed splats; values outside are clamped. */
 export interface PackRanges {
-  /** DC colour of byte 0. Trained scenes have colours beyond 0 and 1, which higher bands make up for. */
+  /** DC colour of byte 0; trained scenes have DC colours outside 0 to 1, which higher bands correct. */
   readonly rgbMin: number;
   /** DC colour of byte 255. */
   readonly rgbMax: number;
-  /** Magnitude of a coefficient above DC that the largest code of a band stands for. */
+  /** Magnitude of the largest code of a coefficient above DC. */
   readonly shRange: number;
 }
 
-/** Ranges that hold nearly all values of trained scenes, in steps within the tolerances of SPEC 8.6. */
+/** Ranges that hold nearly all values of trained scenes, with steps within the tolerances of SPEC 8.6. */
 export const DEFAULT_RANGES: PackRanges = { rgbMin: -0.5, rgbMax: 1.5, shRange: 1 };
 
 const SH_C0 = 0.28209479177387814;
-/** Bits of a value and values of a splat in each packed band. */
+/** Bits per value and values per splat of each packed band. */
 const SH_BITS = [
   [7, 9],
   [8, 15],
   [6, 21],
 ] as const;
 
-/** Opacities in 1/255, of their logits. */
+/** Return the opacities of logits, in 1/255. */
 export function packedOpacities(logits: Float32Array): Uint8Array {
   return Uint8Array.from(logits, (logit) => Math.round(255 * opacityOf(logit)));
 }
 
-/** The same splats with opacities that are less by a factor, 0 to 1. */
+/** Return the splats with opacities multiplied by a factor from 0 to 1. */
 export function faded(packed: PackedSplats, factor: number): PackedSplats {
   const fade = (word: number): number => (word & 0xffffff) | (Math.round((word >>> 24) * factor) << 24);
   return { ...packed, words: packed.words.map((word, i) => (i % 4 === 0 ? fade(word) : word)) };
 }
 
-/** The arrays that packed splats stand for, as a shader reads them. */
+/** Return the values that a shader reads from packed splats. */
 export function unpackSplats(packed: PackedSplats): Splats {
   const { count, words, sh } = packed;
   const { rgbMin, rgbMax, shRange } = packed.ranges;
@@ -109,7 +111,7 @@ export function unpackSplats(packed: PackedSplats): Splats {
   return splats;
 }
 
-/** A number in two's complement from bits of a row of words. */
+/** Read a number in two's complement from the bits of a row of words. */
 function signed(row: Uint32Array, at: number, bits: number): number {
   const word = at >>> 5;
   const shift = at & 31;
@@ -117,7 +119,7 @@ function signed(row: Uint32Array, at: number, bits: number): number {
   return (((row[word]! >>> shift) | high) << (32 - bits)) >> (32 - bits);
 }
 
-/** The rotation w x y z of an axis on an octahedron and an angle. */
+/** Return the rotation w x y z of an axis on an octahedron and an angle. */
 function fromOctahedron(u: number, v: number, angle: number): [number, number, number, number] {
   let [x, y] = [(u / 255) * 2 - 1, (v / 255) * 2 - 1];
   const z = 1 - Math.abs(x) - Math.abs(y);
@@ -132,9 +134,9 @@ function fromOctahedron(u: number, v: number, angle: number): [number, number, n
 /**
  * Add shifts of compensation (SPEC 8.5) to packed splats.
  *
- * @param words - Packed splats of one chunk, as they were decoded.
+ * @param words - Packed splats of one chunk, without shifts.
  * @param target - Receives the shifted words; may be `words`.
- * @param first - Word of `target` where the chunk begins.
+ * @param first - First word of the chunk in `target`.
  */
 export function shiftPacked(words: Uint32Array, shifts: Shifts, target: Uint32Array, first: number): void {
   for (let i = 0; i < words.length / 4; i++) {
@@ -151,7 +153,7 @@ export function shiftPacked(words: Uint32Array, shifts: Shifts, target: Uint32Ar
   }
 }
 
-/** Means of packed splats as float32, for sorting: three a splat. */
+/** Return the means of packed splats as float32, three per splat, for sorting. */
 export function packedMeans(packed: Pick<PackedSplats, "count" | "words">): Float32Array {
   const means = new Float32Array(3 * packed.count);
   for (let i = 0; i < packed.count; i++) {

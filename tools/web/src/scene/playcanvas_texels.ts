@@ -4,19 +4,21 @@ import { opacityOf, shiftedOpacity } from "./opacities.js";
 import type { ShRows, Splats } from "./splats.js";
 import type { TexelArray, Texels, TexelWidth } from "./texel_layouts.js";
 
-// Textures as those of PlayCanvas' uncompressed splats, but for the rotation: theirs loses turns of nearly 180°.
+// The textures of PlayCanvas' uncompressed splats except for the rotation, whose angles near 180° its own code loses.
 //
-// | texture | elements | what |
+// | texture | elements | contents |
 // |---|---|---|
 // | dcColor | 4 half floats | DC colour ½ + 0.282·sh0, R G B, and opacity |
-// | transformA | 4 u32 | mean x, y, z, f32; the three smaller components of w x y z in 10 bits each, and which is the largest |
+// | transformA | 4 u32 | mean x, y, z, f32; the three smaller components of w x y z in 10 bits each, and the index of
+// the largest |
 // | transformB | 4 half floats | scales x, y, z, and 0 |
-// | splatSH_1to3 … 12to15 | u32 | the largest magnitude of the row, f32; each coefficient's R G B of it in 11, 10, 11 bits |
+// | splatSH_1to3 … 12to15 | u32 | the largest magnitude of the row, f32; R G B of each coefficient relative to it in
+// 11, 10, 11 bits |
 
 const half = (name: string): TexelWidth => ({ name, width: 4, bytes: 2 });
 const words = (name: string, width = 4): TexelWidth => ({ name, width, bytes: 4 });
 const PLAIN = [half("dcColor"), words("transformA"), half("transformB")];
-/** By SH degree. */
+/** Textures for each SH degree. */
 export const PLAYCANVAS_WIDTHS: readonly (readonly TexelWidth[])[] = [
   PLAIN,
   [...PLAIN, words("splatSH_1to3")],
@@ -24,10 +26,10 @@ export const PLAYCANVAS_WIDTHS: readonly (readonly TexelWidth[])[] = [
   [...PLAIN, words("splatSH_1to3"), words("splatSH_4to7"), words("splatSH_8to11"), words("splatSH_12to15")],
 ];
 const SH_C0 = 0.28209479177387814;
-/** Log scale above which a scale is no half float any more. */
+/** Largest log scale whose scale is a finite half float. */
 const LARGEST_LOG_SCALE = Math.log(65504);
 
-/** Pack rows; `arrays` are as long as `PLAYCANVAS_WIDTHS` says. */
+/** Pack rows into arrays of the sizes of `PLAYCANVAS_WIDTHS`. */
 export function packPlayCanvas(splats: Splats, arrays: readonly TexelArray[]): void {
   const [color, transformA, transformB, ...bands] = arrays as [
     Uint16Array,
@@ -48,7 +50,9 @@ export function packPlayCanvas(splats: Splats, arrays: readonly TexelArray[]): v
   if (splats.shDegree > 0) packPlayCanvasBands(splats, bands);
 }
 
-/** The three smaller components of a unit quaternion in 10 bits each, and two bits that name the largest. */
+/**
+ * Return the three smaller components of a unit quaternion in 10 bits each, and the index of the largest in two bits.
+ */
 function smallestThree(quat: Float32Array): number {
   let largest = 0;
   for (let k = 1; k < 4; k++) if (Math.abs(quat[k]!) > Math.abs(quat[largest]!)) largest = k;
@@ -64,8 +68,8 @@ function smallestThree(quat: Float32Array): number {
 }
 
 /**
- * Pack the coefficients above DC of rows, into the textures behind the first three: each row's coefficients of its
- * largest magnitude, which stands in the first word.
+ * Pack the coefficients above DC of rows into the textures after the first three, relative to the row's largest
+ * magnitude in the first word.
  */
 export function packPlayCanvasBands({ count, shN, shDegree }: ShRows, bands: readonly Uint32Array[]): void {
   const coefficients = (shDegree + 1) ** 2 - 1;
@@ -79,14 +83,14 @@ export function packPlayCanvasBands({ count, shN, shDegree }: ShRows, bands: rea
     bands[0]![4 * i] = bits[0]!;
     for (let k = 0; k < coefficients; k++) {
       const word = (part(row[3 * k]!, 2047) << 21) | (part(row[3 * k + 1]!, 1023) << 11) | part(row[3 * k + 2]!, 2047);
-      // The word in front is that of the magnitude.
+      // The word of the magnitude comes first.
       const band = bands[(k + 1) >> 2]!;
       band[(band.length / count) * i + ((k + 1) & 3)] = word;
     }
   }
 }
 
-/** Add shifts of compensation to rows that are in `targets` already. */
+/** Add shifts of compensation to rows already in `targets`. */
 export function shiftPlayCanvas(
   { arrays, count }: Texels,
   shifts: Shifts,

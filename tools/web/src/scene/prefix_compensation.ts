@@ -1,34 +1,35 @@
 import { type CompensationLayer, readLayer, type Shifts, shiftsOf } from "../container/compensation.js";
 import type { SceneIndex } from "../container/scene_index.js";
 
-/** How splats make up for chunks that are not there (SPEC 5.9, 8.5): the layers that have come, applied to any prefix. */
+/** Compensation for missing chunks (SPEC 5.9, 8.5): the layers received so far, for any prefix. */
 export class PrefixCompensation {
   private readonly layers: CompensationLayer[] = [];
-  /** Payloads that wait for the layers before them, or for the index of their chunks. */
+  /** Payloads whose previous layer, or the index page of whose chunks, is still missing. */
   private readonly waiting = new Map<number, Uint8Array>();
 
   constructor(private readonly index: SceneIndex) {}
 
-  /** Layers that count for now. */
+  /** Number of layers in use. */
   get knownLayers(): number {
     return this.layers.length;
   }
 
-  /** Take a layer's segment; its CRC was checked. */
+  /** Add the segment of a layer, whose CRC was checked. */
   add(layer: number, payload: Uint8Array): void {
     if (layer >= this.layers.length) this.waiting.set(layer, payload);
     this.read();
   }
 
   /**
-   * What is added to a chunk's log scales and logits while only the first chunks of the file are there.
+   * Return the shifts of a chunk's log scales and logits while a prefix of the file is present.
    *
-   * With every chunk more the numbers come closer to those of the next layer, and with the last chunk nothing is
-   * added, so that a viewer that asks again as chunks arrive takes the compensation back smoothly.
+   * The shifts change gradually with every chunk that arrives and are zero for the whole file, so a viewer that
+   * evaluates
+   * them again after each chunk shows no jump.
    *
-   * @param prefix - Number of chunks that are there, from the first on.
-   * @param chunk - One of them.
-   * @returns A number for each splat; undefined where nothing is added.
+   * @param prefix - Number of chunks of the prefix.
+   * @param chunk - Chunk of the prefix.
+   * @returns undefined where nothing is added.
    */
   shifts(prefix: number, chunk: number): Shifts | undefined {
     this.read();
@@ -36,7 +37,7 @@ export class PrefixCompensation {
     return shiftsOf(this.layers, this.index.chunks, scene, prefix, chunk);
   }
 
-  /** Read the layers whose turn it is. */
+  /** Read the layers whose predecessors are known. */
   private read(): void {
     for (;;) {
       const payload = this.waiting.get(this.layers.length);

@@ -11,20 +11,20 @@ import { DEFAULT_RANGES, type PackedSplats } from "./packed_splats.js";
 import { PrefixCompensation } from "./prefix_compensation.js";
 import { concatenate, type Splats } from "./splats.js";
 
-/** How a file is opened. */
+/** Options of `SceneFile`. */
 export interface FileOptions {
-  /** Accept a beginning of the file and decode what is there (SPEC 8.3). */
+  /** Accept a truncated file and decode the part present (SPEC 8.3). */
   readonly partial?: boolean;
-  /** Most decoded bytes (SPEC 9.2); by default 64 MiB and 256 for each byte of the source. */
+  /** Decoded bytes at most (SPEC 9.2); by default 64 MiB and 256 for each byte of the source. */
   readonly maxDecodedBytes?: number;
 }
 
 /** Bytes of a decoded splat without shN: means, scales, quats, opacities, sh0. */
 const HEAD_BYTES = 4 * (3 + 3 + 4 + 1 + 3);
-/** Working memory for each row of the largest chunk or codebook (SPEC 9.2). */
+/** Working memory per row of the largest chunk or codebook, bytes (SPEC 9.2). */
 const WORKING_BYTES = 128;
 
-/** A COGS file, or a beginning of one, that is in memory. */
+/** A COGS file in memory, whole or truncated. */
 export class SceneFile {
   readonly index: SceneIndex;
   private readonly decoder: ChunkDecoder;
@@ -32,10 +32,10 @@ export class SceneFile {
   private layers: PrefixCompensation | undefined;
 
   /**
-   * Open a file and check all of its index.
+   * Open a file and check its whole index.
    *
-   * @param bytes - The file, or with `partial` a beginning of it.
-   * @param kernels - Memory and arithmetic for this file alone.
+   * @param bytes - The file, or with `partial` its first bytes.
+   * @param kernels - Kernels of this file alone.
    */
   constructor(
     private readonly bytes: Uint8Array,
@@ -52,25 +52,25 @@ export class SceneFile {
     this.maxDecodedBytes = options.maxDecodedBytes ?? defaultLimit(bytes.length);
   }
 
-  /** What the root says of the scene. */
+  /** Contents of the root about the scene. */
   get scene(): SceneInfo {
     return this.index.scene;
   }
 
-  /** Chunks of the prefix that is there (SPEC 8.2). */
+  /** Number of chunks of the prefix present (SPEC 8.2). */
   get prefixChunks(): number {
     let chunk = 0;
     while (chunk < this.index.chunkCount && this.headIsThere(chunk)) chunk++;
     return chunk;
   }
 
-  /** Whether a chunk's coefficients above DC are there up to a degree. */
+  /** Return whether a chunk's coefficients above DC are present up to a degree. */
   tailIsThere(chunk: number, degree = this.scene.shDegree): boolean {
     const { tail } = this.index.chunkSegments(chunk);
     return tail >= 0 && this.isThere(tail) && this.booksAreThere(tail, degree);
   }
 
-  /** Whether a chunk's refinement is there. */
+  /** Return whether a chunk's refinement is present. */
   refinementIsThere(chunk: number): boolean {
     const { refinement } = this.index.chunkSegments(chunk);
     return refinement >= 0 && this.isThere(refinement);
@@ -79,9 +79,9 @@ export class SceneFile {
   /**
    * Decode one chunk.
    *
-   * @param degree - SH degree wanted; by default the scene's.
-   * @param refine - Whether the chunk's refinement is used where it is there.
-   * @param level - Level whose opacities are wanted (SPEC 5.11); by default the last that is there.
+   * @param degree - SH degree to decode; by default that of the scene.
+   * @param refine - Whether to apply the chunk's refinement if present.
+   * @param level - Level of the opacities (SPEC 5.11); by default the finest one present.
    */
   decodeChunk(chunk: number, degree = this.scene.shDegree, refine = true, level?: number): Splats {
     const { payloads, rows, needs } = this.prepare(chunk, degree, refine, level);
@@ -89,16 +89,16 @@ export class SceneFile {
   }
 
   /**
-   * Decode one chunk into what a renderer uploads.
+   * Decode one chunk to packed splats.
    *
-   * @param ranges - What the codes stand for.
+   * @param ranges - Value ranges of the packed codes.
    */
   decodePacked(chunk: number, degree = this.scene.shDegree, ranges = DEFAULT_RANGES): PackedSplats {
     const { payloads, rows, needs } = this.prepare(chunk, degree, true);
     return this.decoder.decodePacked(payloads, rows, needs, degree, ranges);
   }
 
-  /** Check that a chunk is there and small enough, decode its codebooks, and get its payloads. */
+  /** Check that a chunk is present and small enough, decode its codebooks, and return its payloads. */
   private prepare(chunk: number, degree: number, refine: boolean, level?: number) {
     if (chunk >= this.prefixChunks) {
       throw new CogsplatError(
@@ -123,7 +123,7 @@ export class SceneFile {
     return { payloads, rows, needs: { head: needs[head]!, tail: withTail ? needs[tail]! : 0 } };
   }
 
-  /** The segment that has a chunk's opacities at a level, or of those that are there the last; undefined for the head. */
+  /** Return the segment of a chunk's opacities at a level, or at the finest level present; undefined for the head's. */
   private opacitiesSegment(chunk: number, level: number | undefined): number | undefined {
     if (level !== undefined) return this.index.opacitiesAt(chunk, level);
     return this.index
@@ -132,12 +132,12 @@ export class SceneFile {
       .at(-1);
   }
 
-  /** Decode the codebooks that a chunk needs and that were not decoded before. */
+  /** Decode the codebooks that a chunk needs, unless they were decoded before. */
   private addCodebooks(chunk: number, degree: number): void {
     const { head, tail } = this.index.chunkSegments(chunk);
     const parts = this.tailIsThere(chunk, degree) && degree > 0 ? [head, tail] : [head];
     for (const part of parts) {
-      // Heads use shape codebooks alone, whatever they state.
+      // Heads use shape codebooks alone, whatever their needs state.
       for (const segment of this.index.codebookSegmentsOf(part, part === head ? 0 : degree)!) this.addCodebook(segment);
     }
   }
@@ -149,9 +149,9 @@ export class SceneFile {
   }
 
   /**
-   * Decode all chunks that the prefix draws, or a level, one after the other.
+   * Decode all chunks that the prefix or a level draws, in file order.
    *
-   * @param level - Level wanted, 0 the coarsest (SPEC 5.11); by default all that is there.
+   * @param level - Level to decode, 0 the coarsest (SPEC 5.11); by default the finest one present.
    */
   decode(degree = this.scene.shDegree, refine = true, level?: number): Splats {
     const count = level === undefined ? this.prefixChunks : this.scene.levels[level]!.chunks;
@@ -169,7 +169,7 @@ export class SceneFile {
     );
   }
 
-  /** A chunk's extra attributes; undefined where the chunk has none that are there. */
+  /** Return a chunk's extra attributes; undefined where it has none, or they are missing. */
   attributes(chunk: number): Map<string, AttributeArray> | undefined {
     const segment = this.index.chunkSegments(chunk).attributes;
     if (segment < 0 || !this.isThere(segment)) return undefined;
@@ -178,13 +178,13 @@ export class SceneFile {
     return this.decoder.attributes(this.payload(segment), rows);
   }
 
-  /** The cameras that the file brings; undefined where there are none. */
+  /** Return the cameras of the file; undefined where it has none. */
   cameras(): Camera[] | undefined {
     const [segment] = this.index.cameras;
     return segment === undefined || !this.isThere(segment) ? undefined : readCameras(this.payload(segment));
   }
 
-  /** What each chunk adds to the pictures of some viewpoints; undefined where the file does not say, or it is not there. */
+  /** Return the view table of the file; undefined where it has none, or it is missing. */
   viewTable(): ViewTable | undefined {
     const [segment] = this.index.viewTables;
     if (segment === undefined || !this.isThere(segment)) return undefined;
@@ -192,11 +192,11 @@ export class SceneFile {
   }
 
   /**
-   * Add what the file says of missing chunks (SPEC 8.5) to rows of one chunk, in place.
+   * Add compensation for missing chunks (SPEC 8.5) to the rows of one chunk, in place.
    *
-   * @param splats - The chunk's rows, decoded.
-   * @param prefix - Number of chunks that are there, from the first on; where other chunks than these are there, what
-   *   {@link equivalentPrefixes} says of the chunk.
+   * @param splats - Decoded rows of the chunk.
+   * @param prefix - Number of chunks of the prefix present; for another set of chunks, the result of
+   * {@link equivalentPrefixes} for this chunk.
    */
   compensate(splats: Splats, chunk: number, prefix: number): void {
     this.layers ??= this.readLayers();
@@ -211,8 +211,8 @@ export class SceneFile {
   }
 
   /**
-   * Check everything of a whole file: hashes, codebooks, cameras, compensation, the view table, and of each chunk all that it has, in
-   * the order of SPEC 8.10.
+   * Check a whole file: hashes, codebooks, cameras, compensation, view table, and all payloads of each chunk, in the
+   * order of SPEC 8.10.
    *
    * @throws CogsplatError for the first fault.
    */
@@ -235,7 +235,7 @@ export class SceneFile {
         );
       }
     }
-    // Codebooks that no chunk needs are part of the file too.
+    // Codebooks that no chunk uses are checked too.
     for (const segment of this.index.allCodebookSegments()) this.addCodebook(segment);
     this.cameras();
     this.readLayers();
@@ -275,7 +275,7 @@ export class SceneFile {
     return this.isThere(head) && this.booksAreThere(head, 0);
   }
 
-  /** Whether the codebooks that a segment needs are there: shapes, and colours up to a degree. */
+  /** Return whether the codebooks that a segment needs are present, colours up to a degree. */
   private booksAreThere(segment: number, degree: number): boolean {
     const books = this.index.codebookSegmentsOf(segment, degree);
     return books?.every((book) => this.isThere(book)) ?? false;
@@ -299,7 +299,7 @@ export class SceneFile {
     return payload;
   }
 
-  /** Refuse what takes more memory than the caller allows (SPEC 9.2). */
+  /** Refuse a decode that takes more memory than the caller allows (SPEC 9.2). */
   private checkSize(rows: number, degree: number, extraBytes = 0): void {
     const books = this.index.codebooks;
     const codebooks = books.reduce((sum, { rows: count, attribute }) => {
@@ -319,12 +319,12 @@ export class SceneFile {
   }
 }
 
-/** The limit of SPEC 9.2: 64 MiB and 256 bytes for each byte of the source. */
+/** Return the limit of decoded bytes of SPEC 9.2: 64 MiB and 256 bytes for each byte of the source. */
 export function defaultLimit(sourceBytes: number): number {
   return 64 * 2 ** 20 + 256 * sourceBytes;
 }
 
-/** Bytes of a splat's extra attributes. */
+/** Return the bytes of a splat's extra attributes. */
 function attributeBytes(scene: SceneInfo): number {
   return scene.attributes.reduce((sum, entry) => sum + Math.max(entry.components, 1) * ATTRIBUTE_TYPES[entry.type], 0);
 }

@@ -4,9 +4,9 @@ import { opacityOf, shiftedOpacity } from "./opacities.js";
 import type { ShRows, Splats } from "./splats.js";
 import type { TexelArray, Texels, TexelWidth } from "./texel_layouts.js";
 
-// Two textures of four u32 a splat, as Spark's `ExtSplats` has them:
+// Two textures of four u32 per splat, the layout of Spark's `ExtSplats`:
 //
-// | texture | word | what |
+// | texture | word | contents |
 // |---|---|---|
 // | centers | 0, 1, 2 | mean x, y, z, f32 |
 // | centers | 3 | opacity, half float |
@@ -14,11 +14,11 @@ import type { TexelArray, Texels, TexelWidth } from "./texel_layouts.js";
 // | shapes | 2 | log scales y, z, half floats |
 // | shapes | 3 | axis of the rotation on an octahedron, 10 bits each, and its angle in π/4095, 12 bits |
 //
-// and for the bands above DC four textures more, a word for a coefficient's R G B: three bytes of magnitudes, three
-// signs, and five bits of an exponent that they share.
+// Four more textures hold the bands above DC, one word for R G B of a coefficient: three bytes of magnitudes, three
+// signs, and a shared exponent of five bits.
 
 const words = (...names: string[]): TexelWidth[] => names.map((name) => ({ name, width: 4, bytes: 4 }));
-/** By SH degree. */
+/** Textures for each SH degree. */
 export const SPARK_WIDTHS: readonly (readonly TexelWidth[])[] = [
   words("centers", "shapes"),
   words("centers", "shapes", "sh1"),
@@ -27,7 +27,7 @@ export const SPARK_WIDTHS: readonly (readonly TexelWidth[])[] = [
 ];
 const SH_C0 = 0.28209479177387814;
 
-/** Pack rows; `arrays` are as long as `SPARK_WIDTHS` says. */
+/** Pack rows into arrays of the sizes of `SPARK_WIDTHS`. */
 export function packSpark(splats: Splats, arrays: readonly Uint32Array<ArrayBuffer>[]): void {
   const [centers, shapes, ...bands] = arrays as [Uint32Array<ArrayBuffer>, Uint32Array<ArrayBuffer>, ...Uint32Array[]];
   const { count, means, scales, quats, opacities, sh0 } = splats;
@@ -45,7 +45,7 @@ export function packSpark(splats: Splats, arrays: readonly Uint32Array<ArrayBuff
   packSparkBands(splats, bands);
 }
 
-/** Pack the coefficients above DC of rows, into the textures behind the first two. */
+/** Pack the coefficients above DC of rows into the textures after the first two. */
 export function packSparkBands({ count, shDegree, shN }: ShRows, bands: readonly Uint32Array[]): void {
   const coefficients = (shDegree + 1) ** 2 - 1;
   for (let i = 0; i < count; i++) {
@@ -56,7 +56,7 @@ export function packSparkBands({ count, shDegree, shN }: ShRows, bands: readonly
   }
 }
 
-/** Add shifts of compensation to rows that are in `targets` already. */
+/** Add shifts of compensation to rows already in `targets`. */
 export function shiftSpark(
   { arrays, count }: Texels,
   shifts: Shifts,
@@ -74,12 +74,12 @@ export function shiftSpark(
   }
 }
 
-/** A rotation as its axis on an octahedron, 10 bits each, and its angle, 12 bits. */
+/** Return a rotation as its axis on an octahedron, 10 bits each, and its angle, 12 bits. */
 function rotation(w: number, x: number, y: number, z: number): number {
   const sum = Math.abs(x) + Math.abs(y) + Math.abs(z);
   let [u, v] = sum < 1e-9 ? [1, 0] : [x / sum, y / sum];
   if (z < 0) [u, v] = [(1 - Math.abs(v)) * (u < 0 ? -1 : 1), (1 - Math.abs(u)) * (v < 0 ? -1 : 1)];
-  // Near the whole turn acos of w loses what asin of the rest keeps.
+  // atan2 keeps the precision that acos of w loses near the identity.
   const angle = 2 * Math.atan2(Math.hypot(x, y, z), w);
   const [codeU, codeV] = [Math.round((u / 2 + 0.5) * 1023), Math.round((v / 2 + 0.5) * 1023)];
   return codeU | (codeV << 10) | (Math.min(Math.round((angle / Math.PI) * 4095), 4095) << 20);
@@ -88,11 +88,11 @@ function rotation(w: number, x: number, y: number, z: number): number {
 const magnitude = new Float32Array(1);
 const magnitudeBits = new Uint32Array(magnitude.buffer);
 
-/** Three numbers as bytes of magnitude, signs, and the power of two that 255 stands for. */
+/** Return three numbers as bytes of magnitude, their signs, and the power of two that 255 stands for. */
 function sharedExponent(r: number, g: number, b: number): number {
   const largest = Math.max(Math.abs(r), Math.abs(g), Math.abs(b));
   magnitude[0] = largest;
-  // The least power that is no smaller than the largest magnitude; those beyond the range are clamped.
+  // The smallest power of two at least as large as the largest magnitude; values beyond the range are clamped.
   const above = (magnitudeBits[0]! & 0x7fffff) === 0 ? 0 : 1;
   const exponent = Math.min(Math.max((magnitudeBits[0]! >>> 23) - 127 + above, -15), 16);
   const factor = 255 / 2 ** exponent;

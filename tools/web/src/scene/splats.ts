@@ -1,17 +1,17 @@
-/** Rows of decoded splats, as SPEC 2.3 has them. */
+/** Rows of decoded splats (SPEC 2.3). */
 export interface Splats {
   /** Number of rows. */
   readonly count: number;
   readonly shDegree: number;
-  /** Centres, scene units, relative to the scene's origin: 3 a row. */
+  /** Centres, scene units, relative to the scene's origin: 3 per row. */
   readonly means: Float32Array;
-  /** Natural logarithms of standard deviations, scene units: 3 a row. */
+  /** Natural logarithms of standard deviations, scene units: 3 per row. */
   readonly scales: Float32Array;
-  /** Unit rotations w x y z, w ≥ 0: 4 a row. */
+  /** Unit quaternions w x y z, w ≥ 0: 4 per row. */
   readonly quats: Float32Array;
-  /** Logits; ±∞ mean opacity 1 and 0. */
+  /** Logits; ±∞ for opacities of 1 and 0. */
   readonly opacities: Float32Array;
-  /** Coefficients of the DC basis, R G B: 3 a row. */
+  /** Coefficients of the DC basis, R G B: 3 per row. */
   readonly sh0: Float32Array;
   /** Coefficients above DC, coefficient by coefficient, channels innermost. */
   readonly shN: Float32Array;
@@ -20,7 +20,7 @@ export interface Splats {
 /** Coefficients above DC alone. */
 export type ShRows = Pick<Splats, "count" | "shDegree" | "shN">;
 
-/** The rows of several scenes of one SH degree, one after the other. */
+/** Concatenate the rows of several parts of one SH degree. */
 export function concatenate(parts: readonly Splats[], shDegree: number): Splats {
   const join = (arrays: Float32Array[]) => {
     const joined = new Float32Array(arrays.reduce((sum, array) => sum + array.length, 0));

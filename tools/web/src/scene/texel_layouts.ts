@@ -1,21 +1,21 @@
-/** Whose textures chunks are decoded to: those of Spark's `ExtSplats`, or of PlayCanvas' uncompressed splats. */
+/** Renderer whose textures chunks are decoded to: Spark's `ExtSplats`, or PlayCanvas' uncompressed splats. */
 export type TexelLayout = "spark" | "playcanvas";
 
-/** An array for one texture of a renderer, some elements a splat. */
+/** Array for one texture of a renderer, with a fixed number of elements per splat. */
 export type TexelArray = Uint32Array<ArrayBuffer> | Uint16Array<ArrayBuffer>;
 
-/** Rows of splats as the textures of a renderer hold them. */
+/** Rows of splats in the texture layout of a renderer. */
 export interface Texels {
   readonly count: number;
   readonly layout: TexelLayout;
   readonly arrays: readonly TexelArray[];
 }
 
-/** A texture of a layout: what an array of it has for each splat. */
+/** A texture of a layout: the elements that each splat takes. */
 export interface TexelWidth {
   readonly name: string;
-  /** Elements of a splat. */
+  /** Elements per splat. */
   readonly width: number;
-  /** Bytes of an element: 4 for u32, 2 for half floats. */
+  /** Bytes per element: 4 for u32, 2 for half floats. */
   readonly bytes: 2 | 4;
 }

@@ -4,13 +4,13 @@ import { packSpark, packSparkBands, SPARK_WIDTHS, shiftSpark } from "./spark_tex
 import type { ShRows, Splats } from "./splats.js";
 import type { TexelArray, TexelLayout, Texels, TexelWidth } from "./texel_layouts.js";
 
-/** The textures of a layout that an SH degree needs, in the order of the arrays. */
+/** Return the textures of a layout that an SH degree needs, in the order of the arrays. */
 export function texelWidths(layout: TexelLayout, degree: number): readonly TexelWidth[] {
   const all = layout === "spark" ? SPARK_WIDTHS : PLAYCANVAS_WIDTHS;
   return all[degree]!;
 }
 
-/** Arrays of a layout for so many splats, all zeros: splats that are not drawn. */
+/** Make zeroed arrays of a layout; rows of zeros are not drawn. */
 export function makeTexelArrays(layout: TexelLayout, degree: number, splats: number): TexelArray[] {
   return makeArrays(texelWidths(layout, degree), splats);
 }
@@ -29,12 +29,16 @@ export function packTexels(layout: TexelLayout, splats: Splats): Texels {
   return { count: splats.count, layout, arrays };
 }
 
-/** The textures of a layout that hold no coefficients above DC; they stand first. */
+/** Return the number of textures without coefficients above DC, which are the first ones of a layout. */
 export function headTextures(layout: TexelLayout): number {
   return texelWidths(layout, 0).length;
 }
 
-/** Pack coefficients above DC alone, into the textures behind those that hold none; the degree is above 0. */
+/**
+ * Pack coefficients above DC into the textures after the first ones.
+ *
+ * @param rows - Coefficients of a degree above 0.
+ */
 export function packBandTexels(layout: TexelLayout, rows: ShRows): TexelArray[] {
   const bands = makeArrays(texelWidths(layout, rows.shDegree).slice(headTextures(layout)), rows.count);
   const pack = layout === "spark" ? packSparkBands : packPlayCanvasBands;
@@ -43,10 +47,10 @@ export function packBandTexels(layout: TexelLayout, rows: ShRows): TexelArray[] 
 }
 
 /**
- * Write rows into arrays of a whole scene, with what compensation adds to them (SPEC 8.5).
+ * Write rows into the arrays of a whole scene, with their shifts of compensation (SPEC 8.5).
  *
- * @param shifts - What is added; undefined where nothing is.
- * @param first - Row of the whole scene that the first row is.
+ * @param shifts - Shifts to add, if any.
+ * @param first - Row of the scene of the first row.
  */
 export function writeTexels(
   texels: Texels,

@@ -1,12 +1,12 @@
 import type { Pose } from "./poses.js";
 
-/** Boxes of chunks: six numbers each, minimum then maximum corner. */
+/** Bounding boxes of chunks, six numbers each: minimum corner, then maximum corner. */
 export type Boxes = ArrayLike<number>;
 
-/** Means nearer than this are not drawn (SPEC 8.7). */
+/** Near plane: splats whose mean is nearer are not drawn (SPEC 8.7). */
 const NEAR = 0.2;
 
-/** A point in a pose's space: right, down, forward. */
+/** Return a point in the space of a pose: right, down, forward. */
 function local({ position, rotation }: Pose, x: number, y: number, z: number): [number, number, number] {
   const dx = x - position[0]!;
   const dy = y - position[1]!;
@@ -15,7 +15,7 @@ function local({ position, rotation }: Pose, x: number, y: number, z: number): [
   return [row(0), row(3), row(6)];
 }
 
-/** The eight corners of a box in a pose's space. */
+/** Return the eight corners of a box in the space of a pose. */
 function corners(boxes: Boxes, box: number, pose: Pose): [number, number, number][] {
   const at = 6 * box;
   return Array.from({ length: 8 }, (_, i) =>
@@ -23,7 +23,7 @@ function corners(boxes: Boxes, box: number, pose: Pose): [number, number, number
   );
 }
 
-/** The share of the picture that the rectangle around a box takes; 0 behind the eye or beside the picture. */
+/** Return the share of the picture that a box's bounding rectangle covers; 0 for a box behind or outside the view. */
 export function pictureShare(boxes: Boxes, box: number, pose: Pose): number {
   const points = corners(boxes, box, pose);
   if (!(Math.max(...points.map((point) => point[2])) > NEAR)) return 0;
@@ -40,7 +40,7 @@ export function pictureShare(boxes: Boxes, box: number, pose: Pose): number {
   return share;
 }
 
-/** How deep the middle of a box lies, scene units. */
+/** Return the depth of a box's centre, scene units. */
 export function middleDepth(boxes: Boxes, box: number, pose: Pose): number {
   const middle = (axis: number): number => 0.5 * (boxes[6 * box + axis]! + boxes[6 * box + 3 + axis]!);
   return local(pose, middle(0), middle(1), middle(2))[2];
@@ -48,7 +48,7 @@ export function middleDepth(boxes: Boxes, box: number, pose: Pose): number {
 
 type Point = readonly [number, number];
 
-/** Whether SGSS' test finds a box visible: it meets the pyramid of view in the planes of the pose's axes. */
+/** Return whether SGSS finds a box visible: it meets the view frustum in the planes of the pose's axes. */
 export function inPyramid(boxes: Boxes, box: number, pose: Pose): boolean {
   const points = corners(boxes, box, pose);
   const far = Math.max(Math.max(...points.map((point) => point[2])), NEAR);
@@ -75,7 +75,7 @@ export function inPyramid(boxes: Boxes, box: number, pose: Pose): boolean {
   );
 }
 
-/** Whether a projected box and a convex polygon meet: no edge of either separates them. */
+/** Return whether a projected box and a convex polygon overlap: no edge of either separates them. */
 function meet(box: readonly Point[], polygon: readonly Point[]): boolean {
   const from = (a: Point, b: Point): Point => [b[0] - a[0], b[1] - a[1]];
   const edges = [

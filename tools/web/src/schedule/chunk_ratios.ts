@@ -2,32 +2,36 @@ import type { ViewTable } from "../container/view_table.js";
 import { type Boxes, inPyramid, middleDepth, pictureShare } from "./boxes.js";
 import { cross, dot, type Pose, type WeightedPose } from "./poses.js";
 
-/** Ratio of a chunk that a pose shows nothing of: it comes when all that is seen is there. */
+/** Smallest ratio of a chunk; a chunk that the pose does not show follows the chunks that it shows. */
 const LEAST_RATIO = 1 / 512;
-/** Tangent of half the angle that viewpoints are taken to see in both directions. */
+/** Tangent of half the angle of view assumed for viewpoints, in both directions. */
 const TABLE_TANGENT = 1;
-/** Half a turn counts as much as 0.6 times the spread of the viewpoints. */
+/** Weight of the viewing direction: half a turn counts as much as 0.6 times the spread of the viewpoints. */
 const TURN = 0.3;
-/** What keeps the weight of a viewpoint finite. */
+/** Smallest distance of a viewpoint, which keeps its weight finite. */
 const NEAREST = 0.01;
-/** Shares of contribution below this count as this. */
+/** Smallest share of contribution, which keeps ratios finite. */
 const LEAST_USUAL = 1e-12;
 const NEAREST_DEPTH = 0.2;
-/** SGSS: sparser boxes have low priority, whatever they show. */
+/** SGSS: density below which a box has low priority, splats per cubic scene unit. */
 const SPARSE = 10;
 const EPSILON = 1e-6;
 
-/** How much more than usual a pose shows of each chunk (docs/streaming.md, 3 to 6). */
+/**
+ * Return for each chunk the ratio of its share in the picture of a pose to its share of contribution
+ * (docs/streaming.md,
+ * 3 to 6).
+ */
 export type PoseRatios = (pose: Pose) => Float64Array;
 
-/** A sum from the first value on. */
+/** Sum in array order, which the other implementation follows to the bit. */
 function total(values: Float64Array): number {
   let sum = 0;
   for (const value of values) sum += value;
   return sum;
 }
 
-/** The sum of a path's ratios, each times its weight, from the first pose on. */
+/** Return the weighted sum of the ratios along a path. */
 export function along(ratios: PoseRatios, path: readonly WeightedPose[]): Float64Array {
   const [[first, weight], ...rest] = path as [WeightedPose, ...WeightedPose[]];
   const sum = ratios(first).map((ratio) => ratio * weight);
@@ -38,7 +42,7 @@ export function along(ratios: PoseRatios, path: readonly WeightedPose[]): Float6
   return sum;
 }
 
-/** Ratios by boxes alone: contribution over the square of the depth, where they show. */
+/** Estimate ratios from bounding boxes: contribution over squared depth for each visible box. */
 export function byBoxes(boxes: Boxes, contribution: Float64Array): PoseRatios {
   return (pose) => {
     const shown = contribution.map((value, chunk) => {
@@ -49,11 +53,11 @@ export function byBoxes(boxes: Boxes, contribution: Float64Array): PoseRatios {
   };
 }
 
-/** Ratios by what the viewpoints near a pose show (docs/streaming.md, 4). */
+/** Estimate ratios from the viewpoints of a view table near the pose (docs/streaming.md, 4). */
 export function byViewTable(table: ViewTable, boxes: Boxes, contribution: Float64Array): PoseRatios {
   const { chunks, shares } = table;
   const viewpoints = viewpointsOf(table);
-  // What a viewpoint shows of a chunk is no more than its box takes, whatever angle was seen.
+  // A box covers at least the share that a viewpoint shows of its chunk, whatever its angle of view was.
   const taken = Float64Array.from(shares, (share, i) =>
     Math.max(pictureShare(boxes, i % chunks, viewpoints[Math.floor(i / chunks)]!), share),
   );
@@ -68,14 +72,14 @@ export function byViewTable(table: ViewTable, boxes: Boxes, contribution: Float6
         sum += shares[view * chunks + chunk]! * weight;
         most += taken[view * chunks + chunk]! * weight;
       });
-      // Of chunks that no viewpoint looks at, what they contribute on average.
+      // Chunks outside the view of all viewpoints count by their average contribution.
       return pictureShare(boxes, chunk, pose) * (most > 0 ? sum / most : value / whole);
     });
     return overUsual(shown, contribution);
   };
 }
 
-/** SGSS' priorities in the place of ratios; 0 for what its test finds not visible. */
+/** Return the priorities of SGSS in place of ratios; 0 for boxes that it finds invisible. */
 export function bySgss(boxes: Boxes, splats: ArrayLike<number>): PoseRatios {
   const densities = Float64Array.from(splats, (count, chunk) => {
     const size = (axis: number): number => Math.max(boxes[6 * chunk + 3 + axis]! - boxes[6 * chunk + axis]!, 1e-9);
@@ -89,7 +93,7 @@ export function bySgss(boxes: Boxes, splats: ArrayLike<number>): PoseRatios {
     });
 }
 
-/** Shares of what is shown over shares of what chunks contribute. */
+/** Divide each chunk's share of the picture by its share of contribution. */
 function overUsual(shown: Float64Array, contribution: Float64Array): Float64Array {
   const everything = total(shown);
   const whole = total(contribution);
@@ -99,19 +103,19 @@ function overUsual(shown: Float64Array, contribution: Float64Array): Float64Arra
   );
 }
 
-/** As how many splats each chunk counts when a picture is compensated (docs/streaming.md, 10). */
+/** Return the effective number of splats of each chunk when the picture is compensated (docs/streaming.md, 10). */
 export function countedSplats(splats: ArrayLike<number>, ratios: Float64Array): number[] {
   return Array.from(ratios, (ratio, chunk) => Math.max(Math.floor(splats[chunk]! * Math.min(ratio, 1)), 1));
 }
 
-/** The viewpoints of a table as poses: upright or not does not matter. */
+/** Convert the viewpoints of a table to poses; their roll is arbitrary. */
 function viewpointsOf({ views, positions, directions }: ViewTable): Pose[] {
   return Array.from({ length: views }, (_, view) => {
     const stored = Array.from(directions.subarray(3 * view, 3 * view + 3));
     const length = Math.sqrt(dot(stored, stored));
     const forward = stored.map((x) => x / length);
     const sizes = forward.map(Math.abs);
-    // The axis that is most across, the first of several.
+    // The axis most perpendicular to the direction, the first of several.
     const across = sizes.indexOf(Math.min(...sizes));
     const sideways = cross(
       [0, 1, 2].map((axis) => (axis === across ? 1 : 0)),
@@ -128,7 +132,7 @@ function viewpointsOf({ views, positions, directions }: ViewTable): Pose[] {
   });
 }
 
-/** The root mean square distance of viewpoints from their mean. */
+/** Return the root mean square distance of viewpoints from their mean. */
 function spreadOf(viewpoints: readonly Pose[]): number {
   const count = viewpoints.length;
   const middle = [0, 1, 2].map(
@@ -141,7 +145,7 @@ function spreadOf(viewpoints: readonly Pose[]): number {
   return Math.max(Math.sqrt(total(squares) / count), 1e-9);
 }
 
-/** How much a viewpoint says about a pose. */
+/** Return the weight of a viewpoint for a pose. */
 function weightOf(pose: Pose, view: Pose, spread: number): number {
   const away = pose.position.map((x, axis) => x - view.position[axis]!);
   const turned = 1 - dot(pose.rotation.slice(6), view.rotation.slice(6));

@@ -1,6 +1,6 @@
-/** Where a visitor is and what part of space the picture shows (docs/streaming.md, 2). */
+/** Pose and field of view of a camera (docs/streaming.md, 2). */
 export interface Pose {
-  /** In the space of the means. */
+  /** Position in the space of the means. */
   readonly position: readonly number[];
   /** World to camera, row by row: right, down, forward. */
   readonly rotation: readonly number[];
@@ -9,21 +9,28 @@ export interface Pose {
   readonly tanY: number;
 }
 
-/** A pose that counts, and how much. */
+/** A pose and its weight. */
 export type WeightedPose = readonly [Pose, number];
 
-/** Seconds ahead that count, and how much. */
+/** Prediction times, seconds ahead, and their weights. */
 const AHEAD = [
   [0, 1],
   [0.5, 0.5],
   [1, 0.25],
 ] as const;
-/** Nobody goes on for longer than so many times the time that was observed. */
+/** Largest ratio of the prediction time to the time observed. */
 const MOST_EXTRAPOLATED = 4;
-/** A shorter vector has no direction. */
+/** Length below which a vector has no direction. */
 const SHORTEST = 1e-6;
 
-/** The pose of a visitor who goes on as before: `before` is the pose of `elapsed` seconds ago. */
+/**
+ * Extrapolate the motion of a camera.
+ *
+ * @param now - Latest pose.
+ * @param before - Pose `elapsed` seconds ago.
+ * @param elapsed - Time between the two poses, seconds.
+ * @param ahead - Prediction time, seconds.
+ */
 export function predicted(now: Pose, before: Pose, elapsed: number, ahead: number): Pose {
   if (!(elapsed > 0) || !(ahead > 0)) return now;
   const times = Math.min(ahead / elapsed, MOST_EXTRAPOLATED);
@@ -32,12 +39,12 @@ export function predicted(now: Pose, before: Pose, elapsed: number, ahead: numbe
   return { ...now, position: goOn(now.position, before.position), rotation };
 }
 
-/** The pose of now and those soon to come, each with how much it counts. */
+/** Return the latest pose and the predicted ones, each with its weight. */
 export function path(now: Pose, before: Pose, elapsed: number): WeightedPose[] {
   return AHEAD.map(([seconds, weight]) => [predicted(now, before, elapsed, seconds), weight]);
 }
 
-/** The rotation of two rows, forward as it is and right across it; undefined where it has none. */
+/** Orthonormalise a rotation, keeping its forward direction; undefined for a degenerate one. */
 function orthonormal(turned: readonly number[]): number[] | undefined {
   const forward = unit(turned.slice(6));
   if (forward === undefined) return undefined;

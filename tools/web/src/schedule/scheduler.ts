@@ -1,57 +1,59 @@
-/** What is asked for beyond a round trip, seconds: requests never run dry, and none is made long before. */
+/**
+ * Bytes in flight beyond one round trip, as seconds of the connection: requests never run dry, and few are made early.
+ */
 const AHEAD_SECONDS = 0.25;
-/** What is thrown away must be worth so many times less than what takes its place. */
+/** Least ratio between the worth of an incoming chunk and of a chunk evicted for it. */
 const EVICT_FACTOR = 2;
-/** What is stopped must be worth so many times less than the best that waits. */
+/** Least ratio between the urgency of the best missing unit and of a unit stopped for it. */
 const ABORT_FACTOR = 16;
 
-/** A segment that a client may fetch; units stand in the order of the file. */
+/** A segment that a client may fetch; units are in file order. */
 export interface Unit {
-  /** −1 for one that belongs to no chunk, such as a segment of a codebook. */
+  /** Chunk of the segment; −1 for segments of no chunk, for example of codebooks. */
   readonly chunk: number;
   readonly isHead: boolean;
-  /** Byte of the file behind the segment. */
+  /** End of the segment in the file, bytes. */
   readonly end: number;
   readonly size: number;
-  /** Units that it is of no use without; the head of a chunk names that of its parent. */
+  /** Units without which this one is useless: codebooks, and for a head that of the parent chunk. */
   readonly after: readonly number[];
 }
 
-/** What a client has, and its means. */
+/** State of a client: units, memory and connection. */
 export interface Holdings {
-  /** Units that have come. */
+  /** Units that have arrived. */
   readonly there: ReadonlySet<number>;
-  /** Units that are asked for. */
+  /** Units in flight. */
   readonly underWay: ReadonlySet<number>;
-  /** Bytes that have come of units that are not whole, under way or stopped. */
+  /** Bytes received of incomplete units, in flight or stopped. */
   readonly received: ReadonlyMap<number, number>;
-  /** Most splats of chunks whose heads are there or under way; 0 for any number. */
+  /** Splats of chunks whose heads have arrived or are in flight, at most; 0 for no limit. */
   readonly budgetSplats: number;
-  /** What the connection is thought to bring. */
+  /** Estimated throughput. */
   readonly bytesPerSecond: number;
-  /** Seconds from a request to its first byte. */
+  /** Time from a request to its first byte, seconds. */
   readonly latency: number;
 }
 
-/** What a client does now, in this order. */
+/** Actions of a client, in this order. */
 export interface Decision {
-  /** Units under way that are no longer wanted now; what has come of them stays. */
+  /** Units in flight to stop; their received bytes are kept. */
   readonly stop: readonly number[];
-  /** Chunks whose units are thrown away. */
+  /** Chunks to evict. */
   readonly evict: readonly number[];
-  /** Units to ask for, the first first. */
+  /** Units to request, the most urgent first. */
   readonly fetch: readonly number[];
 }
 
-/** How many bytes are kept under way, at least (docs/streaming.md, 7). */
+/** Return the number of bytes to keep in flight (docs/streaming.md, 7). */
 export function windowBytes(bytesPerSecond: number, latency: number): number {
   return bytesPerSecond * (latency + AHEAD_SECONDS);
 }
 
-/** Decides what to fetch next, what to stop and what to throw away (docs/streaming.md, 7 to 9). */
+/** Decides which units to fetch, stop and evict (docs/streaming.md, 7 to 9). */
 export class Scheduler {
   private readonly heads = new Map<number, number>();
-  /** Ratios of the last decision, and the order that follows from them. */
+  /** Urgencies and order for the ratios of the last decision. */
   private last:
     | { readonly ratios: Float64Array; readonly urgency: Float64Array; readonly order: readonly number[] }
     | undefined;
@@ -65,7 +67,7 @@ export class Scheduler {
     });
   }
 
-  /** What a byte of each unit is thought to gain: its chunk's ratio over the square of its place in the file. */
+  /** Return the estimated gain per byte of each unit: its chunk's ratio over the square of its end in the file. */
   urgency(ratios: Float64Array): Float64Array {
     return Float64Array.from(this.units, ({ chunk, end }) => (chunk >= 0 ? ratios[chunk]! : 1) / (end * end));
   }
@@ -83,7 +85,7 @@ export class Scheduler {
     return { stop: round.stopped, evict: round.evicted, fetch: round.chosen };
   }
 
-  /** Urgencies and units by them; ratios that are asked about again are not put in order again. */
+  /** Return urgencies and the order by them, cached for the ratios of the last call. */
   private ordered(ratios: Float64Array): { readonly urgency: Float64Array; readonly order: readonly number[] } {
     if (this.last?.ratios === ratios) return this.last;
     const urgency = this.urgency(ratios);
@@ -93,13 +95,13 @@ export class Scheduler {
   }
 }
 
-/** Units of which the first is asked for, to have the last: what a byte of them is thought to gain. */
+/** A missing unit after its missing dependencies, with its estimated gain per byte. */
 interface Chain {
   readonly units: readonly number[];
   readonly worth: number;
 }
 
-/** One decision while it is made. */
+/** A decision in progress. */
 class Round {
   readonly stopped: number[] = [];
   readonly evicted: number[] = [];
@@ -109,9 +111,9 @@ class Round {
   private readonly received: Map<number, number>;
   private readonly aside = new Set<number>();
   private readonly window: number;
-  /** Bytes that are still to come of what is under way. */
+  /** Bytes missing of the units in flight. */
   private bytesComing = 0;
-  /** Chunks whose heads are held, and their splats; undefined until there is something to make room for. */
+  /** Chunks whose heads are held; computed when a budget first applies. */
   private held: { readonly chunks: Set<number>; splats: number; leastWorth: number | undefined } | undefined;
 
   constructor(
@@ -128,12 +130,12 @@ class Round {
     for (const unit of this.coming) this.bytesComing += this.left(unit);
   }
 
-  /** Whether as much is under way as the window holds. */
+  /** Whether the bytes in flight fill the window. */
   get isFull(): boolean {
     return this.bytesComing >= this.window && this.coming.size > 0;
   }
 
-  /** The chain to go on with, of units that were not set aside. */
+  /** Return the most urgent chain, without the units set aside. */
   best(order: readonly number[]): Chain | undefined {
     let best: Chain | undefined;
     for (const unit of order) {
@@ -146,7 +148,7 @@ class Round {
     return best;
   }
 
-  /** The mean urgency of a byte of some units. */
+  /** Return the mean urgency per byte of some units. */
   private mean(units: readonly number[]): number {
     let gain = 0;
     let bytes = 0;
@@ -158,7 +160,7 @@ class Round {
     return gain / bytes;
   }
 
-  /** Stop units under way that are worth far less than the best that is not. */
+  /** Stop units in flight that are far less urgent than the best missing chain. */
   stopWhatWaits(order: readonly number[]): void {
     const best = this.best(order);
     if (best === undefined) return;
@@ -166,13 +168,13 @@ class Round {
     const worths = this.worths();
     for (const unit of [...underWay].sort((a, b) => worths.get(a)! - worths.get(b)! || b - a)) {
       if (worths.get(unit)! * ABORT_FACTOR >= best.worth) break;
-      // What would be here before another answer began is let come.
+      // A unit that would arrive before another answer could begin is kept.
       if (this.left(unit) / bytesPerSecond <= latency || this.isNeeded(unit)) continue;
       this.leave(unit);
     }
   }
 
-  /** What units under way are worth: as much as anything missing that needs them. */
+  /** Return the worth of each unit in flight: the urgency of the most urgent missing unit that depends on it. */
   private worths(): Map<number, number> {
     const worths = new Map([...this.coming].map((unit) => [unit, this.urgency[unit]!]));
     this.units.forEach((_, unit) => {
@@ -188,12 +190,12 @@ class Round {
     return worths;
   }
 
-  /** Choose the first unit of a chain, or set the last aside where there is no room for it. */
+  /** Request the first unit of a chain, or set the last aside if there is no room for it. */
   want({ units }: Chain): void {
     const first = units[0]!;
     const last = units[units.length - 1]!;
     const { chunk, isHead } = this.units[first]!;
-    // What was stopped or thrown away in this decision is not asked for by it again.
+    // A decision does not request again what it stops or evicts.
     const isGone = units.some((unit) => this.stopped.includes(unit) || this.evicted.includes(this.units[unit]!.chunk));
     if (isGone || (isHead && !this.makeRoom(this.keep(last), units))) {
       this.aside.add(last);
@@ -205,14 +207,14 @@ class Round {
     this.chosen.push(first);
   }
 
-  /** Stop a unit under way. */
+  /** Stop a unit in flight. */
   private leave(unit: number): void {
     this.coming.delete(unit);
     this.bytesComing -= this.left(unit);
     this.stopped.push(unit);
   }
 
-  /** What it is worth to keep a unit: room costs the same wherever it stands. */
+  /** Return the worth of holding a unit, without the cost of its position in the file. */
   private keep(unit: number): number {
     return this.urgency[unit]! * this.units[unit]!.end;
   }
@@ -225,7 +227,7 @@ class Round {
     return this.there.has(unit) || this.coming.has(unit);
   }
 
-  /** A unit behind those that are neither there nor coming and that it needs. */
+  /** Return the missing dependencies of a unit, then the unit. */
   private needed(unit: number): number[] {
     const out: number[] = [];
     for (const before of this.units[unit]!.after) {
@@ -234,18 +236,19 @@ class Round {
     return [...out, unit];
   }
 
-  /** Whether something that is there or coming is of no use without a unit. */
+  /** Return whether a unit that has arrived or is in flight depends on this one. */
   private isNeeded(unit: number): boolean {
     return this.units.some(({ after }, other) => after.includes(unit) && this.isHeld(other));
   }
 
   /**
-   * Evict chunks that are worth less until the first head of a chain fits.
+   * Evict chunks of less worth until the first head of a chain fits.
    *
-   * @param keep - What it is worth to have the chain.
-   * @param chain - The first is a head; none for what a budget that was lowered still has room for.
-   * @returns False, and nothing is evicted, where not all heads of the chain would fit: a parent that nothing can follow
-   * would make room for others again, and so on without end.
+   * @param keep - Worth of holding the chain.
+   * @param chain - Units of which the first is a head; empty to enforce a lowered budget.
+   * @returns false, without any eviction, unless all heads of the chain would fit: a parent without its children would
+   *   be
+   * evicted again for others, without end.
    */
   makeRoom(keep: number, chain: readonly number[]): boolean {
     const budget = this.holdings.budgetSplats;
@@ -272,7 +275,7 @@ class Round {
       used -= this.splats[chunk]!;
       going.push(chunk);
     }
-    // The other heads take their room when they are asked for.
+    // Room for the other heads is made when they are requested.
     for (
       let last = going.at(-1);
       last !== undefined && used + this.splats[last]! + first <= budget;
@@ -314,7 +317,7 @@ class Round {
     return this.keep(this.heads.get(chunk)!);
   }
 
-  /** The chunks of units and of all that these need. */
+  /** Return the chunks of some units and of all their dependencies. */
   private ancestors(chain: readonly number[]): Set<number> {
     const found = new Set<number>();
     const left = [...chain];
@@ -326,7 +329,7 @@ class Round {
     return found;
   }
 
-  /** The chunk to evict first: worth least, parent of none that is held. */
+  /** Return the chunk to evict first: the least worth, and parent of no chunk held. */
   private least(held: ReadonlySet<number>, kept: ReadonlySet<number>, urgency: number): number | undefined {
     const parents = new Set(
       [...held].flatMap((chunk) => this.units[this.heads.get(chunk)!]!.after.map((unit) => this.units[unit]!.chunk)),

@@ -3,10 +3,10 @@ import type { Kernels } from "../kernels/kernels.js";
 import { planesOf, readCodes } from "./grid.js";
 import { checkParams, checkPlanes, type StreamRecord } from "./records.js";
 
-/** What a vq stream states of itself (SPEC 6.7). */
+/** Parameters of a vq stream (SPEC 6.7). */
 export interface IndexParams {
   readonly codebook: number;
-  /** Rows that the chunk brings itself, behind those of the codebook. */
+  /** Number of escape rows, which the chunk holds itself; their indices follow those of the codebook. */
   readonly escapes: number;
 }
 
@@ -19,7 +19,7 @@ export function readIndexParams(stream: StreamRecord): IndexParams {
   return { codebook, escapes };
 }
 
-/** Indices below `size` + escapes: a column of u32. */
+/** Read indices below `size` + `escapes` into a column of u32. */
 export function readIndices(k: Kernels, stream: StreamRecord, size: number, escapes: number): number {
   const limit = size + escapes;
   checkPlanes(stream, planesOf(limit));

@@ -3,7 +3,7 @@ import type { Kernels } from "../kernels/kernels.js";
 import { readPlane } from "./planes.js";
 import { Attribute, checkParams, checkPlanes, type StreamRecord } from "./records.js";
 
-/** Columns of a float stream (SPEC 6.8). */
+/** Read the columns of a float stream (SPEC 6.8). */
 export function readFloatStream(k: Kernels, stream: StreamRecord): number[] {
   const columns = Array.from({ length: stream.components }, () => k.alloc(4 * stream.rows));
   readFloats(k, stream, columns, 1);
@@ -11,9 +11,9 @@ export function readFloatStream(k: Kernels, stream: StreamRecord): number[] {
 }
 
 /**
- * Rows of a float stream whose components stand together, as SH bands do.
+ * Read a float stream row by row, as SH bands are stored.
  *
- * @param target - Address of `rows` rows of as many f32 as the stream has components.
+ * @param target - Address of `rows` rows of one f32 per component.
  */
 export function readFloatRows(k: Kernels, stream: StreamRecord, target: number): void {
   const { components } = stream;

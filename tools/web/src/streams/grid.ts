@@ -2,7 +2,7 @@ import { CogsplatError } from "../errors.js";
 import type { Kernels } from "../kernels/kernels.js";
 import { readPlane, type StoredPlane } from "./planes.js";
 
-/** Bytes of a grid entry (SPEC 6.4). */
+/** Length of a grid entry, bytes (SPEC 6.4). */
 export const GRID_BYTES = 12;
 const MAX_LEVELS = 2 ** 24;
 const MAX_END = 2 ** 100;
@@ -11,7 +11,7 @@ const MAX_END = 2 ** 100;
 export interface Grid {
   readonly minimum: number;
   readonly levels: number;
-  /** Distance of two levels, float32; 0 where there is one level. */
+  /** Distance of two levels, float32; 0 for a single level. */
   readonly step: number;
 }
 
@@ -19,9 +19,9 @@ export interface Grid {
  * Read and check grid entries: all ranges, then all levels (SPEC 7.6).
  *
  * @param params - Parameters of a stream.
- * @param at - Byte where the first entry begins.
+ * @param at - Byte offset of the first entry.
  * @param count - Number of entries.
- * @param maxLevels - Most levels; 2^24, less where the kind says so.
+ * @param maxLevels - Levels at most; 2^24, or less for some kinds.
  * @param maxEnd - Largest magnitude of minimum and maximum.
  */
 export function readGrids(
@@ -50,18 +50,18 @@ export function readGrids(
   });
 }
 
-/** Byte planes that codes below `limit` take (SPEC 6.4). */
+/** Return the number of byte planes of codes below `limit` (SPEC 6.4). */
 export function planesOf(limit: number): number {
   return limit === 1 ? 0 : limit <= 2 ** 8 ? 1 : limit <= 2 ** 16 ? 2 : 3;
 }
 
 /**
- * Codes of consecutive byte planes, the lowest byte first.
+ * Read codes from consecutive byte planes, the lowest byte first.
  *
  * @param planes - Up to three planes.
- * @param rows - Codes to read.
- * @param limit - Codes MUST be below it.
- * @param reason - Code of the refusal where one is not.
+ * @param rows - Number of codes.
+ * @param limit - Exclusive upper bound of the codes.
+ * @param reason - Reason code for a code out of bounds.
  * @returns Address of a column of u32.
  */
 export function readCodes(

@@ -4,17 +4,17 @@ import { GRID_BYTES, type Grid, planesOf, readCodes, readGrids } from "./grid.js
 import { readPlane } from "./planes.js";
 import { Attribute, checkParams, checkPlanes, Kind, type StreamRecord } from "./records.js";
 
-/** Bytes of the axes of sh0 behind the grids (SPEC 6.13). */
+/** Length of the axes of sh0 after the grids, bytes (SPEC 6.13). */
 const AXES_BYTES = 36;
-/** Codes of ±∞ must stay within three byte planes (SPEC 6.4). */
+/** Levels at most where codes stand for ±∞ too, so that these fit three byte planes (SPEC 6.4). */
 const MAX_LEVELS_WITH_INFINITIES = 2 ** 24 - 2;
 
 /**
- * Values of a stream of codes on grids: scalar, differences, or basis of sh0 (SPEC 6.4, 6.12, 6.13).
+ * Read a stream of codes on grids: scalar, differences, or basis of sh0 (SPEC 6.4, 6.12, 6.13).
  *
  * @param stream - The stream.
- * @param refinement - The digits that a refinement adds (SPEC 6.16), where there are any.
- * @returns For each component the address of a column of f32.
+ * @param refinement - Digits of a refinement (SPEC 6.16), if any.
+ * @returns Address of a column of f32 for each component.
  */
 export function readGridStream(k: Kernels, stream: StreamRecord, refinement?: StreamRecord): number[] {
   const { rows } = stream;
@@ -38,9 +38,9 @@ export function readGridStream(k: Kernels, stream: StreamRecord, refinement?: St
 }
 
 /**
- * Rows of a scalar stream whose components stand together, as SH bands do.
+ * Read a scalar stream row by row, as SH bands are stored.
  *
- * @param target - Address of `rows` rows of as many f32 as the stream has components.
+ * @param target - Address of `rows` rows of one f32 per component.
  */
 export function readScalarRows(k: Kernels, stream: StreamRecord, target: number): void {
   const { addresses, grids } = readGridCodes(k, stream);
@@ -52,7 +52,7 @@ export function readScalarRows(k: Kernels, stream: StreamRecord, target: number)
 interface Codes {
   readonly addresses: number[];
   readonly grids: Grid[];
-  /** Address of the axes of sh0; 0 where the stream has none. */
+  /** Address of the axes of sh0; 0 for other streams. */
   readonly axes: number;
 }
 
@@ -76,7 +76,7 @@ function readGridCodes(k: Kernels, stream: StreamRecord): Codes {
   return { addresses, grids, axes };
 }
 
-/** Put fine codes in the place of the head's (SPEC 6.16) and return the fine grids. */
+/** Replace the coarse codes of the head by fine ones (SPEC 6.16); return the fine grids. */
 function refineCodes(k: Kernels, codes: Codes, stream: StreamRecord): Grid[] {
   const { components, rows, params } = stream;
   checkParams(stream, (GRID_BYTES + 1) * components);

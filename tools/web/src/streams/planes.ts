@@ -2,29 +2,29 @@ import { CogsplatError } from "../errors.js";
 import type { Kernels } from "../kernels/kernels.js";
 import { checkFrame } from "./zstd_frame.js";
 
-/** Most bytes of a decoded plane (SPEC 9.1). */
+/** Length of a decoded plane at most, bytes (SPEC 9.1). */
 const MAX_PLANE_BYTES = 8_388_608;
 const STORED_BYTES_MASK = 0x3fff_ffff;
 const PACKED = 0x4000_0000;
 const COMPRESSED = 0x8000_0000;
 
-/** A plane as it is stored: its word and the address of its bytes. */
+/** A stored plane: its word and the address of its bytes. */
 export interface StoredPlane {
   readonly word: number;
   readonly address: number;
 }
 
-/** Bytes that a plane's word says are stored. */
+/** Return the stored length of a plane from its word, bytes. */
 export function storedBytes(word: number): number {
   return word & STORED_BYTES_MASK;
 }
 
 /**
- * The bytes of a plane (SPEC 6.3, 6.9).
+ * Decode the bytes of a plane (SPEC 6.3, 6.9).
  *
- * @param k - Memory that holds the stored plane; planes that are stored as they are stay where they are.
+ * @param k - Kernels whose memory holds the stored plane; an uncompressed plane is not copied.
  * @param plane - The plane.
- * @param length - Bytes that the plane has.
+ * @param length - Decoded length, bytes.
  * @returns Address of `length` bytes.
  */
 export function readPlane(k: Kernels, plane: StoredPlane, length: number): number {
@@ -57,12 +57,12 @@ function readBytes(k: Kernels, address: number, stored: number, length: number, 
   return target;
 }
 
-/** Symbols that a packed byte holds, the most for which radix^count ≤ 256 (SPEC 6.9). */
+/** Return the number of symbols in a packed byte: the largest count with radix^count ≤ 256 (SPEC 6.9). */
 function symbolsPerByte(radix: number): number {
   return radix === 2 ? 8 : radix === 3 ? 5 : radix === 4 ? 4 : radix <= 6 ? 3 : 2;
 }
 
-/** Refuse bits behind the last that count (SPEC 6.5). */
+/** Refuse nonzero padding bits (SPEC 6.5). */
 export function checkPadding(k: Kernels, address: number, bits: number): void {
   if (bits % 8 !== 0 && k.u8[address + (bits >>> 3)]! >>> (bits & 7) !== 0) {
     throw new CogsplatError("bits-padding", `bits behind the last of ${bits} are set`);

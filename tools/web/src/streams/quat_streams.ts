@@ -5,14 +5,14 @@ import { checkPadding, readPlane } from "./planes.js";
 import { checkParams, checkPlanes, type StreamRecord } from "./records.js";
 import { addressTable, countExtraBits, readExtraBits, STEP_MODEL_BYTES } from "./step_model.js";
 
-/** `largest` of a stream whose first plane says for each row which component is left out (SPEC 6.6). */
+/** Value of `largest` for a stream whose first plane names the omitted component of each row (SPEC 6.6). */
 const PER_ROW = 255;
-/** Planes of one component of swing and twist: six of symbols, one of low bits (SPEC 6.11). */
+/** Planes per component of swing and twist: six of symbols, one of low bits (SPEC 6.11). */
 const SWING_TWIST_PLANES = 7;
-/** Bits of a code that stand in its symbol; the rest are low bits (SPEC 6.11). */
+/** Bits of a code in its symbol; the other bits are low bits (SPEC 6.11). */
 const SYMBOL_BITS = 6;
 
-/** Quaternions by three of their components (SPEC 6.6): four columns w x y z. */
+/** Read quaternions of three stored components (SPEC 6.6) into four columns w x y z. */
 export function readQuats(k: Kernels, stream: StreamRecord): number[] {
   const { rows, params, planes } = stream;
   checkParams(stream, 4 + 3 * GRID_BYTES);
@@ -46,9 +46,9 @@ export function readQuats(k: Kernels, stream: StreamRecord): number[] {
 }
 
 /**
- * Quaternions as swing and twist (SPEC 6.11): four columns w x y z.
+ * Read quaternions as swing and twist (SPEC 6.11) into four columns w x y z.
  *
- * @param scales - Columns of the same rows' scales, as the head alone gives them.
+ * @param scales - Columns of the rows' scales, from the head without refinement.
  */
 export function readSwingTwist(k: Kernels, stream: StreamRecord, scales: readonly number[]): number[] {
   const { rows, params } = stream;

@@ -33,7 +33,7 @@ export const Kind = {
 
 const FLAG_ESCAPE = 1;
 const FLAG_INFINITIES = 2;
-/** Most streams of a payload (SPEC 6.1). */
+/** Streams of a payload at most (SPEC 6.1). */
 const MAX_STREAMS = 64;
 const RECORD_BYTES = 12;
 
@@ -44,7 +44,7 @@ interface AttributeRule {
 }
 
 const PLAIN = [Kind.scalar, Kind.float];
-/** The table of attributes of SPEC 6.2; digits and bits, which stand in refinements, left out. */
+/** Rules for the attributes of SPEC 6.2, without those of refinements alone (digits and bits). */
 const RULES: ReadonlyMap<number, AttributeRule> = new Map<number, AttributeRule>([
   [Attribute.means, { name: "means", components: 3, kinds: [...PLAIN, Kind.sorted] }],
   [Attribute.opacities, { name: "opacities", components: 1, kinds: [...PLAIN, Kind.differences] }],
@@ -58,19 +58,19 @@ const RULES: ReadonlyMap<number, AttributeRule> = new Map<number, AttributeRule>
   [Attribute.sh2, { name: "sh2", components: 15, kinds: PLAIN }],
   [Attribute.sh3, { name: "sh3", components: 21, kinds: PLAIN }],
 ]);
-/** Kinds that stand neither for escape rows nor in codebooks; of opacities, in those of later levels alone (SPEC 6.2). */
+/** Kinds excluded from escape rows and codebooks; for opacities they are in later levels alone (SPEC 6.2). */
 const HEADS_ONLY: readonly number[] = [Kind.differences, Kind.swingTwist];
-/** Attributes whose codes on grids digits refine (SPEC 6.16). */
+/** Attributes whose grid codes a refinement may extend by digits (SPEC 6.16). */
 const WITH_DIGITS: readonly number[] = [Attribute.opacities, Attribute.sh0, Attribute.scales];
 const KNOWN_KINDS = new Set<number>(Object.values(Kind));
 
-/** One stream of a payload: its record, its parameters and its planes. */
+/** A stream of a payload: record, parameters and planes. */
 export interface StreamRecord {
   readonly attribute: number;
   readonly name: string;
   readonly kind: number;
   readonly components: number;
-  /** Whether the rows are escape rows, which a vq stream of the same payload refers to. */
+  /** Whether the rows are escape rows, to which a vq stream of the payload refers. */
   readonly isEscape: boolean;
   readonly infinities: boolean;
   readonly rows: number;
@@ -78,20 +78,20 @@ export interface StreamRecord {
   readonly planes: readonly StoredPlane[];
 }
 
-/** What a payload belongs to: refinements have kinds of their own. */
+/** Owner of a payload; the kinds allowed differ. */
 export type Place = "head" | "tail" | "codebook" | "refinement" | "opacities";
 
-/** The streams of one payload: those that a clause of SPEC 7 names are taken in its order, others are refused. */
+/** The streams of one payload, read in the order of a clause of SPEC 7; other streams are refused. */
 export class Payload {
   private readonly streams = new Map<string, StreamRecord>();
 
   /**
    * Copy a payload into the kernels' memory and read its records.
    *
-   * @param k - Memory that receives the payload.
-   * @param bytes - The payload; its CRC was checked.
-   * @param rows - Rows of the chunk or codebook, the most that a stream may have.
-   * @param place - What the payload belongs to.
+   * @param k - Kernels whose memory receives the payload.
+   * @param bytes - The payload, whose CRC was checked.
+   * @param rows - Rows of the chunk or codebook, the upper bound for its streams.
+   * @param place - Owner of the payload.
    */
   constructor(
     k: Kernels,
@@ -105,17 +105,17 @@ export class Payload {
       this.streams.set(keyOf(stream.attribute, stream.isEscape), stream);
   }
 
-  /** Whether a stream of an attribute is there and was not taken yet. */
+  /** Return whether a stream of an attribute is present and unread. */
   has(attribute: number, isEscape = false): boolean {
     return this.streams.has(keyOf(attribute, isEscape));
   }
 
-  /** The stream of an attribute that must be there, one row for each row of the payload. */
+  /** Return the stream of a required attribute, with one row per row of the payload. */
   take(attribute: number): StreamRecord {
     return this.takeRows(attribute, false, this.rows);
   }
 
-  /** The escape rows of an attribute, which must be there and be so many. */
+  /** Return the escape rows of a required attribute, exactly `rows`. */
   takeEscape(attribute: number, rows: number): StreamRecord {
     return this.takeRows(attribute, true, rows);
   }
@@ -136,7 +136,7 @@ export class Payload {
     return stream;
   }
 
-  /** Of a refinement the stream that refines one of the head's, where there is one (SPEC 7.4). */
+  /** Return the stream of a refinement that refines a stream of the head, if any (SPEC 7.4). */
   takeRefining(head: StreamRecord): StreamRecord | undefined {
     const stream = this.streams.get(keyOf(head.attribute, false));
     if (stream === undefined) return undefined;
@@ -148,7 +148,7 @@ export class Payload {
     return stream;
   }
 
-  /** Refuse streams that nothing took. */
+  /** Refuse unread streams. */
   finish(): void {
     for (const stream of this.streams.values()) {
       const rows = stream.isEscape ? "escape rows of " : "";
@@ -157,7 +157,7 @@ export class Payload {
   }
 }
 
-/** The kind that refines a stream of a head; undefined where none does (SPEC 7.4). */
+/** Return the kind that refines a stream of a head; undefined for a stream that cannot be refined (SPEC 7.4). */
 function refinedBy({ attribute, kind, infinities }: StreamRecord): number | undefined {
   if (kind === Kind.sorted) return Kind.bits;
   const isOnGrid = kind === Kind.scalar || kind === Kind.differences || kind === Kind.basis;
@@ -240,7 +240,7 @@ function readRecord(view: DataView, at: number, paramBytes: number, most: number
   };
 }
 
-/** Refuse parameters of another length than the kind implies. */
+/** Refuse parameters whose length differs from that of the kind. */
 export function checkParams(stream: StreamRecord, bytes: number): void {
   if (stream.params.byteLength !== bytes) {
     throw new CogsplatError(
@@ -250,7 +250,7 @@ export function checkParams(stream: StreamRecord, bytes: number): void {
   }
 }
 
-/** Refuse another number of planes than the parameters imply. */
+/** Refuse a number of planes that differs from that of the parameters. */
 export function checkPlanes(stream: StreamRecord, planes: number): void {
   if (stream.planes.length !== planes) {
     throw new CogsplatError("stream-planes", `${stream.name}: ${stream.planes.length} planes, not ${planes}`);

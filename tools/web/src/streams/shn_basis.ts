@@ -4,35 +4,35 @@ import { readPlane } from "./planes.js";
 import { checkPlanes, type StreamRecord } from "./records.js";
 import { addressTable } from "./step_model.js";
 
-/** Bytes of the parameters in front of the sizes (SPEC 6.14). */
+/** Length of the parameters before the sizes, bytes (SPEC 6.14). */
 const FIXED_PARAMS = 16;
-/** First coordinate of each group: 0 to 7 each alone, then 8–11, 12–17, 18–25 and 26–254 (SPEC 6.14). */
+/** First coordinate of each group: 0 to 7 alone, then 8–11, 12–17, 18–25 and 26–254 (SPEC 6.14). */
 const GROUP_STARTS = [0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 18, 26, 255] as const;
 const MAX_WIDTH = 255;
 const MAX_STEP = 2 ** 32;
 const MAX_ENTRY = 2 ** 32;
-/** Floats between two rows of the basis in the kernels' memory: 45, padded to whole vectors. */
+/** Stride of the basis rows in the kernels' memory, floats: 45, padded to whole vectors. */
 export const BASIS_STRIDE = 48;
 
-/** What a basis stream of shN states of itself. */
+/** Parameters of a basis stream of shN. */
 export interface ShnBasisParams {
   readonly step: number;
   readonly shrink: number;
   readonly width: number;
-  /** For each group the bytes of its inner codes, then of its last codes. */
+  /** Bytes of the inner codes and of the last codes of each group. */
   readonly sizes: readonly (readonly [number, number])[];
 }
 
-/** The coordinates of shN on its basis, as a kernel sums them. */
+/** Coordinates of shN on its basis, in the layout of the kernels. */
 export interface ShnCoordinates {
-  /** Addresses: rows in the order of falling ends, rows of each end, and a table of columns of coordinates. */
+  /** Address of the rows ordered by falling end; see `Kernels.shnOrder` for `counts`. */
   readonly order: number;
   readonly counts: number;
   readonly columns: number;
   readonly width: number;
 }
 
-/** Check how many bytes of parameters a basis stream of shN has, and read which codebook it names (SPEC 6.14). */
+/** Check the length of the parameters of a basis stream of shN, and return its codebook (SPEC 6.14). */
 export function readShnCodebook({ params }: StreamRecord): number {
   const groups = params.byteLength < FIXED_PARAMS ? 0 : groupsOf(params.getUint16(12, true));
   if (params.byteLength !== FIXED_PARAMS + 2 * groups) {
@@ -42,7 +42,7 @@ export function readShnCodebook({ params }: StreamRecord): number {
 }
 
 /**
- * Read what else the parameters of a basis stream of shN say (SPEC 6.14).
+ * Read the other parameters of a basis stream of shN (SPEC 6.14).
  *
  * @param bookRows - Rows of the codebook that the stream names.
  */
@@ -62,7 +62,7 @@ export function readShnParams({ params }: StreamRecord, bookRows: number): ShnBa
   return { step, shrink, width, sizes };
 }
 
-/** Groups of the coordinates below a width. */
+/** Return the number of groups of the coordinates below a width. */
 function groupsOf(width: number): number {
   return GROUP_STARTS.slice(0, -1).filter((start) => start < width).length;
 }
@@ -70,8 +70,9 @@ function groupsOf(width: number): number {
 /**
  * Read the coordinates of every row (SPEC 6.14).
  *
- * Coordinate j of the rows in the order of falling ends is one column: first the inner codes of the rows that end
- * behind j + 1, then the last codes of those that end there.
+ * Coordinate j of the rows, ordered by falling end, is one column: the inner codes of the rows that end after j + 1,
+ * then
+ * the last codes of the rows that end there.
  */
 export function readShnCoordinates(k: Kernels, stream: StreamRecord, params: ShnBasisParams): ShnCoordinates {
   const { rows } = stream;
@@ -87,7 +88,7 @@ export function readShnCoordinates(k: Kernels, stream: StreamRecord, params: Shn
     throw new CogsplatError("code-range", `a row of shN that ends behind coordinate ${width}`);
   }
   const endCounts = k.u32.slice(counts >>> 2, (counts >>> 2) + width + 1);
-  // Rows that end behind coordinate j, that is at j + 1 or later.
+  // Number of rows that end after coordinate j, at j + 1 or later.
   const beyond = new Uint32Array(width + 1);
   for (let j = width - 1; j >= 0; j--) beyond[j] = beyond[j + 1]! + endCounts[j + 1]!;
   const columns = Array.from({ length: width }, (_, j) => k.alloc(4 * beyond[j]!));
@@ -116,7 +117,7 @@ export function readShnCoordinates(k: Kernels, stream: StreamRecord, params: Shn
   return { order, counts, columns: addressTable(k, columns), width };
 }
 
-/** Refuse entries of a basis that are too large (SPEC 6.14). */
+/** Refuse a basis with entries that are too large (SPEC 6.14). */
 export function checkBasisEntries(entries: Float32Array): void {
   if (entries.some((entry) => !(Math.abs(entry) <= MAX_ENTRY))) {
     throw new CogsplatError("basis-value", "an entry of a basis above 2^32 in magnitude");

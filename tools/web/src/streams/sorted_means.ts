@@ -5,16 +5,16 @@ import { checkPadding, readPlane } from "./planes.js";
 import { checkParams, checkPlanes, type StreamRecord } from "./records.js";
 import { addressTable, countExtraBits, readExtraBits, STEP_MODEL_BYTES } from "./step_model.js";
 
-/** Most levels of an axis of the coarse grid (SPEC 6.5). */
+/** Levels of an axis of the coarse grid at most (SPEC 6.5). */
 const MAX_LEVELS = 2 ** 17;
-/** Most bits an axis that a refinement adds (SPEC 6.17). */
+/** Bits per axis of a refinement at most (SPEC 6.17). */
 const MAX_REFINEMENT_BITS = 15;
 
 /**
- * Means in Morton order on a coarse grid with extra bits by the step model (SPEC 6.5, 6.15, 6.17).
+ * Read means in Morton order on a coarse grid, with extra bits from the step model (SPEC 6.5, 6.15, 6.17).
  *
- * @param scales - Columns of the same rows' scales, as the head alone gives them.
- * @param refinement - The bits stream of a refinement, where there is one.
+ * @param scales - Columns of the rows' scales, from the head without refinement.
+ * @param refinement - Bits stream of a refinement, if any.
  * @returns Three columns of f32.
  */
 export function readSortedMeans(
@@ -51,7 +51,7 @@ export function readSortedMeans(
   return targets;
 }
 
-/** Axis codes of planes 0 and 1. */
+/** Read axis codes from planes 0 and 1. */
 function readMorton(k: Kernels, stream: StreamRecord): [number, number, number] {
   const { rows } = stream;
   const classes = readPlane(k, stream.planes[0]!, rows);
@@ -66,7 +66,7 @@ function readMorton(k: Kernels, stream: StreamRecord): [number, number, number] 
   return [x, y, z];
 }
 
-/** Bits that a refinement adds to each axis of each row, and how many. */
+/** Read the refinement bits of each axis of each row; return their address and their number per axis. */
 function readRefinement(k: Kernels, stream: StreamRecord): [number, number] {
   checkParams(stream, 4);
   const count = stream.params.getUint8(0);

@@ -1,17 +1,17 @@
 import { CogsplatError } from "../errors.js";
 import type { Kernels } from "../kernels/kernels.js";
 
-/** Bytes of a step model's six coefficients (SPEC 6.10). */
+/** Length of a step model's six coefficients, bytes (SPEC 6.10). */
 export const STEP_MODEL_BYTES = 24;
 /** Largest magnitude of a coefficient (SPEC 6.10). */
 const MAX_COEFFICIENT = 1e6;
 
 /**
- * Extra bits of each row by its decoded scales (SPEC 6.10).
+ * Return the number of extra bits of each row from its decoded scales (SPEC 6.10).
  *
  * @param params - Parameters of a stream; the six coefficients begin at byte `at`.
- * @param scales - Three columns.
- * @returns Address of one byte for each row, 0 to 15.
+ * @param scales - Three columns of scales.
+ * @returns Address of one byte per row, 0 to 15.
  */
 export function readExtraBits(
   k: Kernels,
@@ -31,14 +31,14 @@ export function readExtraBits(
   return extra;
 }
 
-/** How many rows have 0, 1, … 15 extra bits. */
+/** Count the rows with 0, 1, … 15 extra bits. */
 export function countExtraBits(k: Kernels, extra: number, rows: number): Uint32Array {
   const counts = k.alloc(64);
   k.countBits(extra, rows, counts);
   return k.u32.slice(counts >>> 2, (counts >>> 2) + 16);
 }
 
-/** A table of addresses or columns in the kernels' memory. */
+/** Write addresses or columns into a table in the kernels' memory. */
 export function addressTable(k: Kernels, addresses: readonly number[]): number {
   const table = k.alloc(4 * addresses.length);
   k.u32.set(addresses, table >>> 2);

@@ -1,19 +1,20 @@
 import { CogsplatError } from "../errors.js";
 
-/** Most bytes of a frame's window (SPEC 6.3). */
+/** Window of a frame at most, bytes (SPEC 6.3). */
 const MAX_WINDOW = 8_388_608;
-/** Most bytes of a block (RFC 8878, 3.1.1.2.4). */
+/** Length of a block at most, bytes (RFC 8878, 3.1.1.2.4). */
 const MAX_BLOCK = 131_072;
 
 /**
- * Check a zstd frame before anything is decompressed (SPEC 6.3).
+ * Check a zstd frame before it is decompressed (SPEC 6.3).
  *
- * Decoders for browsers accept cut frames, wrong sizes and bytes behind the frame without a word, so the header and
- * the chain of blocks are walked here.
+ * zstd decoders for browsers accept truncated frames, wrong sizes and trailing bytes, so this function checks the
+ * header
+ * and the chain of blocks itself.
  *
- * @param frame - Exactly the stored bytes of the plane.
- * @param length - Bytes that the frame must give.
- * @param offset - Where the frame is in its payload, for messages.
+ * @param frame - The stored bytes of the plane, nothing else.
+ * @param length - Decompressed length, bytes.
+ * @param offset - Offset of the frame in its payload, for messages.
  */
 export function checkFrame(frame: Uint8Array, length: number, offset: number): void {
   const refuse = (found: string) => new CogsplatError("zstd-frame", found, offset);
@@ -50,7 +51,7 @@ function windowSize(descriptor: number): number {
   return base + (base / 8) * (descriptor & 7);
 }
 
-/** Follow the block headers to the end of the frame, which is the end of the plane. */
+/** Follow the block headers to the end of the frame, which must be the end of the plane. */
 function walkBlocks(frame: Uint8Array, start: number, largest: number, refuse: (found: string) => CogsplatError): void {
   for (let at = start; ; ) {
     if (at + 3 > frame.length) throw refuse("a frame that is cut");

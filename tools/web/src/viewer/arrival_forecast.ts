@@ -1,14 +1,15 @@
 import type { FeedProgress } from "./scene_feed.js";
 
-/** How far a scene has come; its length where it is known. */
+/** Progress of a scene; its length if known. */
 type Arrived = Pick<FeedProgress, "splats" | "totalSplats" | "bytes"> & { readonly totalBytes?: number | undefined };
 
 /**
- * How long it takes until all of a scene is there, if what is missing comes as fast as what has come; bytes and splats
- * count, because bytes that have come are decoded first. Where nothing more comes it grows with time.
+ * Estimate the time until a scene is complete from its average speed so far.
  *
- * @param passed - Since the first bytes, ms.
- * @returns ms; Infinity where it cannot be said.
+ * Bytes and splats both count, because received bytes still have to be decoded. Without progress the estimate grows.
+ *
+ * @param passed - Time since the first bytes, ms.
+ * @returns Milliseconds; Infinity where no estimate is possible.
  */
 export function millisecondsLeft(progress: Arrived, passed: number): number {
   const { splats, totalSplats, bytes, totalBytes } = progress;

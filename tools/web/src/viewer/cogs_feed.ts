@@ -20,7 +20,7 @@ import type { SplatLayer } from "./splat_layer.js";
 import type { AllowedWorkers } from "./viewer_workers.js";
 import { VisitedScene } from "./visited_scene.js";
 
-/** What is fetched first: what the file has first, or what the view shows; by the view where the file was cut for that. */
+/** Fetch order: that of the file or of the view; undefined chooses the view for files cut into cells. */
 export type FetchOrder = "file" | "view" | undefined;
 
 /** Fills a layer from a COGS file while it is fetched. */
@@ -29,37 +29,37 @@ export class CogsFeed implements SceneFeed {
   private scene: StreamedScene | undefined;
   private layer: SplatLayer | undefined;
   private host: FeedHost | undefined;
-  /** First row and rows of the chunks that have come. */
+  /** First row and number of rows of each chunk received. */
   private readonly rowsOf = new Map<number, { readonly firstRow: number; readonly count: number }>();
   private splats = 0;
   private prefix = 0;
-  /** What could not be had or used, first of all. */
+  /** First error of a segment that could not be fetched or decoded. */
   private damage: unknown;
-  /** Chunks that are shown with what they add for missing ones. */
+  /** Chunks drawn with compensation. */
   private readonly shifted = new Set<number>();
-  /** Prefix that compensation is for, and chunks that still wait for it. */
+  /** Prefix of the present compensation, and chunks that still need theirs. */
   private compensatedFor = -1;
   private waiting: number[] = [];
   private shown: Prefix | undefined;
-  /** Chunks that end, as they came. */
+  /** Chunks that end (SPEC 5.10), without fading. */
   private readonly temporary = new Map<number, PackedSplats>();
   private readonly ending = new EndingChunks(
     (chunk, prefix) => this.scene!.index.isDrawn(chunk, prefix),
     (chunk, factor) => this.paint(chunk, factor),
   );
   private readonly opacities = new LevelOpacities();
-  /** The coarser one of the two levels whose opacities the layer has. */
+  /** Coarser one of the two levels whose opacities the layer has. */
   private coarser = 0;
-  /** Where chunks are chosen by the view: who chooses them, and the layer that they are in. */
+  /** Visit of a scene fetched in the order of the view, and its rows in the layer. */
   private visit: Visit | undefined;
   private visited: VisitedScene | undefined;
   private pose: Pose | undefined;
 
   /**
-   * @param source - A URL, a file or another source.
-   * @param meter - Counts its bytes.
-   * @param workers - Where the page allows none, chunks are decoded on the caller's thread, one at a time.
-   * @param mostSplats - Chunks beyond are not fetched; where they are chosen by the view, others make room for them.
+   * @param source - A URL, a file or another source of bytes.
+   * @param meter - Counts the bytes received.
+   * @param workers - Workers for decoding; without them chunks are decoded on this thread, one per task.
+   * @param mostSplats - Splats held at most: chunks beyond are not fetched, or in view order evict others.
    */
   constructor(
     private readonly source: string | Blob | ByteSource,
@@ -80,13 +80,13 @@ export class CogsFeed implements SceneFeed {
       await this.stream(source(false), signal);
     } catch (error) {
       if (!(error instanceof CogsplatError) || error.code !== "source-changed" || signal.aborted) throw error;
-      // The file was replaced while it was read: the new one is shown, around caches; one that changes again is not.
+      // The file was replaced while it was read: the new one is shown, bypassing caches; a second change ends it.
       this.forget();
       await this.stream(source(true), signal);
     }
   }
 
-  /** Begin anew, with nothing shown. */
+  /** Reset to an empty scene. */
   private forget(): void {
     this.rowsOf.clear();
     this.shifted.clear();
@@ -109,7 +109,7 @@ export class CogsFeed implements SceneFeed {
   private async stream(source: ByteSource, signal: AbortSignal): Promise<void> {
     const options: OpenOptions = { signal, service: this.service, folders };
     const scene = await StreamedScene.open(source, options).catch((error: unknown) => {
-      // A file that ends early is shown as far as it goes.
+      // A truncated file is shown as far as it goes.
       if (!(error instanceof CogsplatError) || error.code !== "file-truncated") throw error;
       this.damage = error;
       return StreamedScene.open(new CutSource(source), options);
@@ -127,7 +127,7 @@ export class CogsFeed implements SceneFeed {
     if (this.isVisited(scene)) await this.beVisited(scene, signal);
     else await this.streamAll(scene, signal);
     this.report();
-    // All else that there is has been shown.
+    // All other chunks are shown by now.
     if (this.damage !== undefined) throw this.damage as Error;
   }
 
@@ -143,7 +143,7 @@ export class CogsFeed implements SceneFeed {
     for await (const update of stream) this.take(update);
   }
 
-  /** Whether chunks are chosen by the view: those of levels and those that end are drawn in the order of the file. */
+  /** Return whether to fetch by the view; scenes with levels or chunks that end need the order of the file. */
   private isVisited({ answersRanges, index, info }: StreamedScene): boolean {
     const { cell, until } = index.chunks;
     const isAsked =
@@ -175,7 +175,7 @@ export class CogsFeed implements SceneFeed {
       this.splats = visited.splats;
       this.report();
     }
-    // All of it is there, in its rows: from now on it is as if it had come in the order of the file.
+    // The scene is complete with every chunk in its own rows, as after a fetch in file order.
     const { splats } = scene.index.chunks;
     let firstRow = 0;
     splats.forEach((count, chunk) => {
@@ -242,7 +242,7 @@ export class CogsFeed implements SceneFeed {
     return level;
   }
 
-  /** Chunks of the prefix that is drawn. */
+  /** Number of chunks of the prefix drawn. */
   private get drawnPrefix(): number {
     return this.shown?.chunks ?? this.prefix;
   }
@@ -268,7 +268,7 @@ export class CogsFeed implements SceneFeed {
     if (end === undefined) return [];
     const last = end.chunks === index.totalChunkCount ? { ...end, bytes: index.fileLength } : end;
     found.push(last);
-    // Twice the bytes with every picture, back from the whole.
+    // Each picture has half the bytes of the next one.
     const chosen = new Set([last]);
     for (let share = 0.5; chosen.size < Math.min(count, found.length) && share > 1e-4; share /= 2) {
       chosen.add(found.find((prefix) => prefix.bytes >= share * last.bytes)!);
@@ -284,7 +284,7 @@ export class CogsFeed implements SceneFeed {
     this.ending.show(this.drawnPrefix, undefined);
   }
 
-  /** Draw a chunk that ends with its opacities times a factor. */
+  /** Draw a chunk that ends with its opacities multiplied by a factor. */
   private paint(chunk: number, factor: number): void {
     const { packed, firstRow } = { packed: this.temporary.get(chunk)!, ...this.rowsOf.get(chunk)! };
     if (this.layer!.scene.hasLevels) this.writeLevels(chunk, factor);
@@ -302,7 +302,7 @@ export class CogsFeed implements SceneFeed {
     const { index } = this.scene!;
     const { hasLevels } = this.layer!.scene;
     const drawnBy = hasLevels ? index.levelsOf(chunk) : [];
-    // What is drawn at some levels alone is told by its opacities there.
+    // Chunks that some levels do not draw are hidden by their opacities there.
     const ends = index.chunks.until[chunk]! > 0 && drawnBy.length === 0;
     if (ends) this.temporary.set(chunk, copyOf(packed!));
     if (hasLevels) {
@@ -312,7 +312,7 @@ export class CogsFeed implements SceneFeed {
     this.layer!.write(packed!, firstRow);
     if (ends) this.ending.put(chunk, this.drawnPrefix);
     this.ending.show(this.drawnPrefix, this.shown === undefined ? performance.now() : undefined);
-    // A chunk that comes under compensation is shown with its part of it at once.
+    // A new chunk is drawn with its compensation at once.
     if (isNew && this.compensatedFor >= 0) this.compensatedFor = Math.min(this.compensatedFor, this.prefix - 1);
     this.report();
   }
@@ -330,17 +330,17 @@ export class CogsFeed implements SceneFeed {
   }
 }
 
-/** Splats whose words are no one else's: a layer hands those that it is given over to its sorter. */
+/** Return a copy of splats, because a layer transfers its rows to the sorter. */
 function copyOf(packed: PackedSplats): PackedSplats {
   return { ...packed, words: packed.words.slice() };
 }
 
-/** 0 says that nothing was predicted (SPEC 5.4). */
+/** Return a predicted quality; 0 in the file means none (SPEC 5.4). */
 function predicted(quality: number | undefined): number | undefined {
   return quality === undefined || quality === 0 ? undefined : quality;
 }
 
-/** A source that does not say how long its file is, so that one that was cut off is taken as far as it goes. */
+/** A source without a stated length, so that a truncated file is read as far as it goes. */
 class CutSource implements ByteSource {
   constructor(private readonly source: ByteSource) {}
 

@@ -1,16 +1,16 @@
 import type { OrbitCamera } from "./orbit.js";
 
-/** How the pointer and the keys move the camera: around the scene, or through it. */
+/** Movement by pointer and keys: around the target, or through the scene. */
 export type Movement = "orbit" | "fly";
 
-/** Turning by keys, px of the pointer a second. */
+/** Turning by keys, pointer pixels per second. */
 const KEY_PIXELS = 300;
-/** Flying by keys, distances to the target a second. */
+/** Flying by keys, distances to the target per second. */
 const KEY_DISTANCES = 0.7;
-/** Coming nearer by keys: the factor of a second. */
+/** Zooming by keys, factor per second. */
 const KEY_ZOOM = 0.4;
 
-/** Keys that move while they are held, and what they do: turn right, turn down; fly right, down, forward; come nearer. */
+/** Effects of held keys: turn right, turn down; fly right, down, forward; zoom in. */
 const HELD: Readonly<Record<string, readonly [number, number, number, number, number, number]>> = {
   ArrowLeft: [-1, 0, 0, 0, 0, 0],
   ArrowRight: [1, 0, 0, 0, 0, 0],
@@ -40,10 +40,10 @@ export class Controls {
   private readonly held = new Set<string>();
 
   /**
-   * @param surface - What is dragged on, and has the keyboard's focus.
-   * @param camera - The camera of the scene that is shown, where one is.
-   * @param moved - Called when the camera was moved, or is to be moved by `step`.
-   * @param signal - Ends it.
+   * @param surface - Element that receives pointer and keyboard events.
+   * @param camera - Returns the camera of the scene shown, if any.
+   * @param moved - Called when the camera has moved, or `step` will move it.
+   * @param signal - Removes the listeners.
    */
   constructor(
     private readonly surface: HTMLElement,
@@ -64,7 +64,7 @@ export class Controls {
     }
     on("wheel", (event) => {
       event.preventDefault();
-      // A line is about 16 px; a pinch of a touchpad comes as a wheel with the control key, in smaller steps.
+      // A line is about 16 px; a touchpad's pinch is a wheel event with the control key and smaller steps.
       const pixels = event.deltaY * (event.deltaMode === WheelEvent.DOM_DELTA_LINE ? 16 : 1) * (event.ctrlKey ? 10 : 1);
       this.zoom(Math.exp(pixels / 1000));
     });
@@ -84,10 +84,10 @@ export class Controls {
   }
 
   /**
-   * Move by the keys that are held.
+   * Move the camera by the held keys.
    *
-   * @param seconds - Since the last picture.
-   * @returns Whether there are any.
+   * @param seconds - Time since the last picture.
+   * @returns Whether any key is held.
    */
   step(seconds: number): boolean {
     const camera = this.camera();
@@ -112,7 +112,7 @@ export class Controls {
     const height = this.surface.clientHeight;
     const other = [...this.pointers].find(([id]) => id !== event.pointerId)?.[1];
     if (other !== undefined) {
-      // Each of two fingers moves the middle by half of its way.
+      // Each of two fingers moves their centre by half of its own movement.
       camera.move(dx / 2, dy / 2, height);
       const [from, to] = [before, now].map((p) => Math.hypot(p.x - other.x, p.y - other.y)) as [number, number];
       if (from > 0 && to > 0) this.zoom(from / to);

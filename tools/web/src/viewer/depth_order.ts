@@ -1,13 +1,13 @@
-/** Depths are sorted by half of their bits at a time. */
+/** Buckets of the radix sort, which takes half of a depth's bits per pass. */
 const BUCKETS = 65_536;
-/** Rows of one step of a sort. */
+/** Rows per step of a sort. */
 const STEP_ROWS = 65_536;
 
 /**
- * Rows from the farthest to the nearest, by a radix sort of their depths as float32; rows at one depth stay in order.
+ * Sort rows from the farthest to the nearest by a stable radix sort of their float32 depths.
  *
- * @param means - Three a row.
- * @param rows - Rows to sort.
+ * @param means - Three numbers per row.
+ * @param rows - Number of rows to sort.
  * @param forward - Direction of view.
  * @param order - Receives the rows.
  */
@@ -15,7 +15,7 @@ export function sortByDepth(means: Float32Array, rows: number, forward: readonly
   for (const _ of sortSteps(means, rows, forward, order));
 }
 
-/** The same in steps of about a millisecond, between which other work can be done. */
+/** Sort as `sortByDepth`, in steps of about a millisecond, and yield between them. */
 export function* sortSteps(
   means: Float32Array,
   rows: number,
@@ -34,7 +34,7 @@ export function* sortSteps(
   for (let first = 0; first < rows; first += STEP_ROWS, yield) {
     const end = Math.min(first + STEP_ROWS, rows);
     for (let i = first; i < end; i++) {
-      // Bits of negative floats grow with the depth behind; those of positive ones are turned round to go before them.
+      // Bits of negative floats grow with the distance behind; those of positive ones are flipped to sort before them.
       const bits = keys[i]!;
       const key = bits >>> 31 ? bits : bits ^ 0x7fffffff;
       keys[i] = key;

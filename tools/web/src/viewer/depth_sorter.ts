@@ -3,10 +3,10 @@ import { sortByDepth, sortSteps } from "./depth_order.js";
 import type { DepthOrder, SortRequest, SortResponse } from "./sort_messages.js";
 import type { ViewerWorkers } from "./viewer_workers.js";
 
-/** Longest time that is sorted at once where the page runs, ms. */
+/** Longest slice of a sort on the main thread, ms. */
 const SLICE_MILLISECONDS = 4;
 
-/** Sorts the rows of one scene by depth, in a worker; without workers where it is called, in slices. */
+/** Sorts the rows of one scene by depth, in a worker or, without workers, in slices on the caller's thread. */
 export class DepthSorter {
   private readonly worker: Worker | undefined;
   private readonly local: RowSorter | undefined;
@@ -15,7 +15,7 @@ export class DepthSorter {
   /**
    * @param rows - Rows of the scene.
    * @param workers - Makes the worker; undefined sorts on the caller's thread.
-   * @param failed - Told where the worker cannot be started.
+   * @param failed - Called if the worker cannot be started.
    */
   constructor(rows: number, workers: ViewerWorkers | undefined, failed: (message: string) => void) {
     if (workers === undefined) {
@@ -28,17 +28,17 @@ export class DepthSorter {
     this.send({ type: "allocate", rows }, []);
   }
 
-  /** Take the packed words of rows, which are handed over and no longer the caller's. */
+  /** Add packed words of rows; their buffer is transferred. */
   add(firstRow: number, words: Uint32Array): void {
     if (this.local) this.local.add(firstRow, words);
     else this.send({ type: "rows", firstRow, words }, [words.buffer as ArrayBuffer]);
   }
 
   /**
-   * Sort the first rows. One order is made at a time.
+   * Sort the first rows. One sort runs at a time.
    *
    * @param forward - Direction of view.
-   * @param spare - An order that is no longer used; its memory is used again.
+   * @param spare - An unused order, whose memory is reused.
    */
   async sort(rows: number, forward: readonly number[], spare: Uint32Array | undefined): Promise<DepthOrder> {
     if (this.local) return this.local.sortInSlices(rows, forward, spare);
@@ -57,7 +57,7 @@ export class DepthSorter {
   }
 }
 
-/** The means of a scene, and their order. */
+/** Means of a scene, sorted by depth. */
 export class RowSorter {
   private readonly means: Float32Array;
 
@@ -76,7 +76,7 @@ export class RowSorter {
     return { order, rows, milliseconds: performance.now() - start };
   }
 
-  /** Sort, and let the page do other things meanwhile. */
+  /** Sort in slices, and let the page do other work between them. */
   async sortInSlices(rows: number, forward: readonly number[], spare: Uint32Array | undefined): Promise<DepthOrder> {
     const start = performance.now();
     const order = spare ?? new Uint32Array(this.rows);

@@ -1,9 +1,9 @@
-/** Share of the width that an arrow key moves the divide by. */
+/** Movement of the divide by an arrow key, as a share of the width. */
 const KEY_STEP = 0.02;
 
-/** The line between two scenes, to be dragged or moved by arrow keys. */
+/** The line between two scenes, moved by dragging or arrow keys. */
 export class Divide {
-  /** Where it is, as a share of the width. */
+  /** Position, as a share of the width. */
   private share = 0.5;
 
   constructor(
@@ -34,7 +34,7 @@ export class Divide {
     );
   }
 
-  /** Show it at a share of the width, or take it away. */
+  /** Show or hide the line. */
   set shown(shown: boolean) {
     this.line.hidden = !shown;
     if (shown) this.place(this.share);

@@ -9,9 +9,9 @@ import { STYLE } from "./style.js";
 import type { ViewerHandle, ViewerPose, ViewerStatistics } from "./viewer_handle.js";
 import { type ViewerWorkers, workersBeside } from "./viewer_workers.js";
 
-/** Splats that are drawn at most where fingers are the pointer: phones have less memory and less power. */
+/** Splats on touch screens at most: phones have less memory and power. */
 const BUDGET_OF_PHONES = 1_500_000;
-/** How long the numbers stay when a scene is whole, ms. */
+/** Time for which the statistics stay visible after the scene is complete, ms. */
 const QUIET_AFTER = 2500;
 
 const NOTHING: ViewerStatistics = {
@@ -27,25 +27,26 @@ const NOTHING: ViewerStatistics = {
 };
 
 /**
- * `<cogsplat-viewer src="scene.cogs">`: a scene to look at, on any page, any number of times.
+ * `<cogsplat-viewer src="scene.cogs">`: an interactive view of a scene; a page may have several.
  *
  * | attribute | meaning |
  * |---|---|
- * | `src` | URL of a `.cogs` file or of a PLY of splats; set it anew to show another scene |
- * | `against` | URL of a second one to compare with, left of a line that can be moved |
- * | `label` | what the scene is called, by assistive technology as well; the file's name by default |
- * | `against-label` | what the second one is called; its file's name by default |
- * | `background` | a CSS colour behind the splats; black by default |
- * | `sh-degree` | highest SH degree that is drawn, 0 to 3 |
- * | `level` | of a scene with levels, the one that is drawn, 0 the coarsest, or a place between two; that of the picture's size by default |
- * | `splat-budget` | most splats in memory; 1,500,000 by default where fingers are the pointer |
- * | `order` | `view`: what is looked at is fetched first and, in a scene larger than its budget, takes the place of other things; `file`: the first chunks of the file; by default `view` where the file was cut into cells |
- * | `pixel-ratio` | most device pixels for a CSS pixel; 2 by default |
- * | `resolution` | `full` draws all pixels of moving and growing pictures too, where graphics are slow |
- * | `fill-holes` | `off` shows holes between splats while the scene arrives |
- * | `controls` | `none` shows no buttons |
+ * | `src` | URL of a `.cogs` file or a PLY of splats; setting it shows another scene |
+ * | `against` | URL of a second scene to compare with, left of a movable line |
+ * | `label` | name of the scene, also for assistive technology; by default the file's name |
+ * | `against-label` | name of the second scene; by default the file's name |
+ * | `background` | CSS colour behind the splats; black by default |
+ * | `sh-degree` | highest SH degree drawn, 0 to 3 |
+ * | `level` | level drawn in a scene with levels, 0 the coarsest, or a number between two; by default by the picture's size |
+ * | `splat-budget` | splats in memory at most; 1,500,000 by default on touch screens |
+ * | `order` | fetch order: `view` or `file`; by default `view` for files cut into cells |
+ * | `pixel-ratio` | device pixels per CSS pixel at most; 2 by default |
+ * | `resolution` | `full` draws moving and arriving pictures at full resolution on slow graphics too |
+ * | `fill-holes` | `off` leaves holes between splats while the scene arrives |
+ * | `controls` | `none` hides the buttons |
  *
- * It fires `cogsplat-change` when `statistics` change. Leaving the page ends its workers and gives all memory back.
+ * It dispatches `cogsplat-change` when `statistics` change. Removing it from the page ends its workers and frees its
+ * memory.
  */
 export class CogsplatViewer extends HTMLElement implements ViewerHandle {
   static readonly observedAttributes = [
@@ -63,7 +64,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     "fill-holes",
     "controls",
   ];
-  /** How workers are started: from the programs beside this one, by default. */
+  /** Workers of all viewers; by default the programs next to this one. */
   static workers: ViewerWorkers | undefined = workersBeside(import.meta.url);
 
   private readonly shadow = this.attachShadow({ mode: "open" });
@@ -102,7 +103,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     if (this.scene) this.scene.fillHoles = fills;
   }
 
-  /** Show a scene: a URL, or a file. */
+  /** Show a scene from a URL or a file. */
   async load(source: SceneSource): Promise<void> {
     this.source = source;
     this.otherSource = undefined;
@@ -113,7 +114,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     await this.scene?.load(source);
   }
 
-  /** Show a second scene left of a line that can be moved; undefined ends that. */
+  /** Compare with a second scene, left of a movable line; undefined ends the comparison. */
   async compare(source: SceneSource | undefined): Promise<void> {
     this.otherSource = source;
     this.nameScenes();
@@ -207,7 +208,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
             .padStart(2, "0"),
         )
         .join("")}`;
-      // What is not covered by splats is as clear as the background.
+      // Pixels without splats are as transparent as the background.
       this.style.background = value ?? "";
     } else if (name === "sh-degree") scene.show({ degree: value === null ? 3 : Number(value) });
     else if (name === "level") {
@@ -244,7 +245,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     this.addEventListener(
       "keydown",
       (event) => {
-        // Keys that are typed into a field are no commands.
+        // Keys typed into a field are no commands.
         const inField = event
           .composedPath()
           .some((target) => target instanceof HTMLInputElement || target instanceof HTMLSelectElement);
@@ -312,7 +313,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     else await this.requestFullscreen();
   }
 
-  /** Show how far the scene has come. */
+  /** Update the progress of the scene. */
   private changed(): void {
     const { scene } = this;
     const root = this.root;
@@ -395,7 +396,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     this.changed();
   }
 
-  /** Show a sentence, or take it away; `again` offers to load the scene once more. */
+  /** Show a message, or hide it with undefined; `again` offers to load the scene once more. */
   private say(sentence: Sentence | undefined, again = this.source !== undefined): void {
     this.error = sentence;
     const message = this.shadow.querySelector<HTMLElement>("#message");
@@ -409,14 +410,14 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
   }
 }
 
-/** The name of a source's file. */
+/** Return the file name of a source. */
 function nameOf(source: SceneSource | undefined): string {
   if (source instanceof File) return source.name;
   if (typeof source !== "string") return "";
   return decodeURIComponent(new URL(source, location.href).pathname.split("/").at(-1)!);
 }
 
-/** Make `<cogsplat-viewer>` known to the page; a second copy of this program leaves it to the first. */
+/** Define `<cogsplat-viewer>`, unless another copy of this program has defined it. */
 export function defineViewer(): void {
   if (customElements.get("cogsplat-viewer") === undefined) customElements.define("cogsplat-viewer", CogsplatViewer);
 }

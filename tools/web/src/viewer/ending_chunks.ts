@@ -1,26 +1,26 @@
-/** How long a chunk that has ended goes on fading, ms; SPEC 8.6 allows a second. */
+/** Duration of the fade of a chunk that has ended, ms; SPEC 8.6 allows a second. */
 const FADE_MILLISECONDS = 400;
 
 interface EndingChunk {
   hidden: boolean;
-  /** When it began to fade; undefined where it does not. */
+  /** Start of its fade; undefined before. */
   since: number | undefined;
 }
 
-/** Chunks that are there for the first seconds alone (SPEC 5.10): each fades when it has ended. */
+/** Chunks for the first seconds alone (SPEC 5.10), which fade when they end. */
 export class EndingChunks {
   private readonly chunks = new Map<number, EndingChunk>();
 
   /**
-   * @param isDrawn - Whether a prefix draws a chunk.
-   * @param paint - Draws a chunk with its opacities times a factor, 0 to 1.
+   * @param isDrawn - Returns whether a prefix draws a chunk.
+   * @param paint - Draws a chunk with its opacities multiplied by a factor from 0 to 1.
    */
   constructor(
     private readonly isDrawn: (chunk: number, prefix: number) => boolean,
     private readonly paint: (chunk: number, factor: number) => void,
   ) {}
 
-  /** Note that a chunk has come, for the first time or with more, and stands in the picture with all its opacity. */
+  /** Add a chunk, or an update of it, that is drawn with full opacity. */
   put(chunk: number, prefix: number): void {
     const entry = this.chunks.get(chunk) ?? { hidden: !this.isDrawn(chunk, prefix), since: undefined };
     this.chunks.set(chunk, entry);
@@ -28,9 +28,9 @@ export class EndingChunks {
   }
 
   /**
-   * Draw what a prefix draws.
+   * Draw the chunks of a prefix.
    *
-   * @param fadesFrom - When what has ended begins to fade; undefined to leave it out at once.
+   * @param fadesFrom - Time at which ended chunks begin to fade; undefined hides them at once.
    */
   show(prefix: number, fadesFrom: number | undefined): void {
     for (const [chunk, entry] of this.chunks) {
@@ -43,7 +43,7 @@ export class EndingChunks {
     }
   }
 
-  /** Fade on; returns whether there is something left that fades. */
+  /** Advance the fades; return whether any is left. */
   work(now: number): boolean {
     let fades = false;
     for (const [chunk, entry] of this.chunks) {

@@ -2,14 +2,14 @@ import { sizeText } from "./numbers.js";
 import type { Prefix } from "./scene_feed.js";
 import type { SceneView } from "./scene_view.js";
 
-/** Pictures of a strip, at most. */
+/** Pictures of a strip at most. */
 const PICTURES = 6;
 /** Size of a picture, device pixels. */
 const [WIDTH, HEIGHT] = [256, 160];
 
-/** Pictures of a scene after growing parts of its file; each can be chosen to be looked at. */
+/** Pictures of a scene after growing parts of its file, to choose from. */
 export class FilmStrip {
-  /** Counts strips, so that one that was replaced stops. */
+  /** Number of the present strip, so that a replaced one stops. */
   private run = 0;
 
   constructor(
@@ -22,13 +22,13 @@ export class FilmStrip {
     return !this.strip.hidden;
   }
 
-  /** Take the pictures, in the present view, and show them. */
+  /** Render the pictures in the present view and show them. */
   async open(): Promise<void> {
     const run = ++this.run;
     const prefixes = this.view.prefixes(PICTURES);
     this.strip.replaceChildren();
     this.strip.hidden = prefixes.length === 0;
-    // Small pictures are drawn small.
+    // Small pictures are rendered at low resolution.
     this.view.pixelRatio = Math.max(WIDTH / this.canvas.clientWidth, HEIGHT / this.canvas.clientHeight);
     for (const prefix of prefixes) {
       this.view.showPrefix(prefix);
@@ -40,7 +40,7 @@ export class FilmStrip {
     this.choose(this.strip.lastElementChild as HTMLButtonElement, undefined);
   }
 
-  /** Take the strip away, and show the whole scene. */
+  /** Remove the strip and show the whole scene. */
   close(): void {
     if (!this.isOpen) return;
     this.run++;
@@ -55,7 +55,7 @@ export class FilmStrip {
     const picture = document.createElement("canvas");
     [picture.width, picture.height] = [WIDTH, HEIGHT];
     const { canvas } = this;
-    // The middle of the canvas, in the shape of the frame.
+    // The centre of the canvas, in the aspect ratio of the strip.
     const scale = Math.min(canvas.width / WIDTH, canvas.height / HEIGHT);
     const [width, height] = [WIDTH * scale, HEIGHT * scale];
     picture

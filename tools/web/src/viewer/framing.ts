@@ -1,38 +1,40 @@
 import { type PackedSplats, packedMeans } from "../scene/packed_splats.js";
 import type { Vector } from "./orbit.js";
 
-/** Share of the weight that lies outside, at each end of an axis: far splats of a background do not shrink the rest. */
+/**
+ * Share of the weight outside the frame at each end of an axis, so that far background splats do not shrink the rest.
+ */
 const OUTSIDE = 0.25;
-/** How much larger the picture is than what lies inside. */
+/** Size of the picture relative to the framed part. */
 const MARGIN = 1.7;
-/** Share of the opacity that lies outside, at each end of an axis, where an object is looked at: single splats that float about. */
+/** Share of the opacity outside an object at each end of an axis: single stray splats. */
 const STRAY = 0.02;
 /**
- * An object alone reaches at most so much farther than a picture of its bulk. A ball that is filled evenly reaches 1.4 times
- * as far, trained splats of a person and of a toy 1.45 and 1.49 times; what stands in a room 1.6 times, under a sky 3 times and more.
+ * Largest extent of an object relative to its bulk. An evenly filled ball has 1.4, a trained person and a toy 1.45 and
+ * 1.49, the contents of a room 1.6, a scene under a sky 3 and more.
  */
 const OBJECT_REACH = 1.55;
-/** How much larger the picture is than an object. */
+/** Size of the picture relative to an object. */
 const OBJECT_MARGIN = 1.3;
-/** Cosine of 20 degrees: the middle of a picture is a cone so wide to each side. */
+/** Cosine of 20 degrees, the half angle of the picture's centre. */
 const COSINE_OF_MIDDLE = 0.94;
 
-/** Where the bulk of some splats is. */
+/** A ball around the bulk of some splats. */
 export interface Bulk {
   readonly centre: Vector;
-  /** Radius of the ball around the bulk, scene units. */
+  /** Radius of the ball, scene units. */
   readonly radius: number;
 }
 
-/** Splats that are looked at: quantiles of so many are near enough, and take no time that a picture would need. */
+/** Splats that are sampled; their quantiles are accurate enough and take less time than a picture. */
 const MOST_SPLATS = 2048;
 /** Step of a packed log scale. */
 const SCALE_STEP = 21 / 254;
 
 /**
- * What of some splats a picture is to show: an object as a whole, of all else where most of it is.
+ * Return the part of some splats that a picture should show: a whole object, or the bulk of other scenes.
  *
- * @param zero - Where the zero of the result is, in the space of the packed means.
+ * @param zero - Origin of the result in the space of the packed means.
  */
 export function bulkOf(packed: PackedSplats, zero: Vector): Bulk | undefined {
   const { means, weights, opacities } = sampleOf(packed, zero);
@@ -47,7 +49,7 @@ export function bulkOf(packed: PackedSplats, zero: Vector): Bulk | undefined {
   return found.radius > 0 && Number.isFinite(found.radius) ? found : undefined;
 }
 
-/** The ball around the box between two quantiles of each axis, larger by a margin. */
+/** Return the ball around the box between two quantiles of each axis, enlarged by a margin. */
 function ballOf(axes: readonly Sorted[], weights: Float32Array, outside: number, margin: number): Bulk {
   const ends = axes.map((axis) => [quantile(axis, weights, outside), quantile(axis, weights, 1 - outside)] as const);
   const centre = ends.map(([lo, hi]) => (lo + hi) / 2) as Vector;
@@ -55,10 +57,10 @@ function ballOf(axes: readonly Sorted[], weights: Float32Array, outside: number,
 }
 
 /**
- * How far in front of a camera the splats in the middle of its picture are: what turning goes around.
+ * Return the distance from a camera to the splats in the centre of its picture, around which it should turn.
  *
- * @param zero - Where the zero of the camera's space is, in the space of the packed means.
- * @param position - Of the camera.
+ * @param zero - Origin of the camera's space in the space of the packed means.
+ * @param position - Position of the camera.
  * @param forward - Direction of view, of unit length.
  */
 export function depthAhead(packed: PackedSplats, zero: Vector, position: Vector, forward: Vector): number | undefined {
@@ -75,14 +77,14 @@ export function depthAhead(packed: PackedSplats, zero: Vector, position: Vector,
     : undefined;
 }
 
-/** Some splats of a scene: their means, what they weigh and their opacities. */
+/** A sample of splats: means, weights and opacities. */
 interface Sample {
   readonly means: Float32Array;
   readonly weights: Float32Array;
   readonly opacities: Float32Array;
 }
 
-/** Splats in even steps; opaque ones weigh most, and small ones: a sky has few and large ones, what is looked at many. */
+/** Sample splats evenly; opaque and small ones weigh most, because a sky has few and large ones. */
 function sampleOf({ count, words }: PackedSplats, zero: Vector): Sample {
   const step = Math.max(1, Math.ceil(count / MOST_SPLATS));
   const size = Math.ceil(count / step);
@@ -100,7 +102,7 @@ function sampleOf({ count, words }: PackedSplats, zero: Vector): Sample {
   };
 }
 
-/** Numbers, and their indices from the smallest to the largest. */
+/** Numbers, and their indices in ascending order. */
 interface Sorted {
   readonly values: Float32Array;
   readonly order: Uint32Array;
@@ -110,7 +112,7 @@ function ascending(values: Float32Array): Uint32Array {
   return Uint32Array.from(values, (_, i) => i).sort((a, b) => values[a]! - values[b]!);
 }
 
-/** The value below which so much of the weight is. */
+/** Return a weighted quantile. */
 function quantile({ values, order }: Sorted, weights: Float32Array, share: number): number {
   const total = weights.reduce((sum, weight) => sum + weight, 0);
   let below = 0;

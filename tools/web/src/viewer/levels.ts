@@ -6,10 +6,10 @@ import type { LevelEntry } from "../container/root.js";
  */
 
 /**
- * The level for pictures of a size (SPEC 8.11).
+ * Return the level for pictures of a size (SPEC 8.11).
  *
- * @param levels - At least one, the coarsest first.
- * @param size - What the full width is multiplied by.
+ * @param levels - Levels, coarsest first; at least one.
+ * @param size - Factor of the full width.
  */
 export function levelForSize(levels: readonly LevelEntry[], size: number): number {
   const sizes = levels.map(({ scale }) => 1 / scale);
@@ -18,7 +18,7 @@ export function levelForSize(levels: readonly LevelEntry[], size: number): numbe
   return above === 0 ? 0 : above - 1 + (size - sizes[above - 1]!) / (sizes[above]! - sizes[above - 1]!);
 }
 
-/** How far a prefix of so many chunks has come: from a level that is whole towards the next one, by the chunks that are there. */
+/** Return the level that a prefix has reached, interpolated between two levels by chunks. */
 export function levelOfPrefix(levels: readonly LevelEntry[], chunks: number): number {
   const next = levels.findIndex((level) => level.chunks > chunks);
   if (next < 0) return levels.length - 1;

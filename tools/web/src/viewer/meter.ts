@@ -2,24 +2,24 @@ import type { ByteRange } from "../container/scene_index.js";
 import { SourceError } from "../errors.js";
 import type { Answer, ByteSource, ReadOptions } from "../loader/byte_source.js";
 
-/** Counts the bytes that come, and where a rate is set lets them come no faster. */
+/** Counts received bytes, and limits their rate if one is set. */
 export class Meter {
-  /** Bytes that have come. */
+  /** Number of bytes received. */
   bytes = 0;
-  /** When the first of them came, by `performance.now`. */
+  /** Time of the first byte, from `performance.now`. */
   since: number | undefined;
-  /** Most bits a second; Infinity as fast as they come. */
+  /** Bits per second at most. */
   bitsPerSecond = Infinity;
-  /** When all bytes so far would have come at the rate, ms. */
+  /** Time at which all bytes so far would have arrived at the rate, ms. */
   private due = 0;
 
-  /** Count from nothing on. */
+  /** Reset the count. */
   reset(): void {
     this.bytes = 0;
     this.since = undefined;
   }
 
-  /** The same parts, counted, and no faster than the rate. */
+  /** Count and delay parts. */
   async *through(parts: AsyncIterable<Uint8Array>): AsyncGenerator<Uint8Array> {
     for await (const part of parts) {
       const now = performance.now();
@@ -32,7 +32,7 @@ export class Meter {
   }
 }
 
-/** A source whose bytes go through a meter. */
+/** A source whose bytes pass through a meter. */
 export class MeteredSource implements ByteSource {
   constructor(
     private readonly source: ByteSource,

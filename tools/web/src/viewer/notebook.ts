@@ -4,14 +4,14 @@ import type { Answer, ByteSource } from "../loader/byte_source.js";
 import { type CogsplatViewer, defineViewer } from "./element.js";
 import { workersOfTexts } from "./viewer_workers.js";
 
-/** What a widget of anywidget has of its model: messages to Python and back. */
+/** Part of anywidget's model that is used: messages to Python and back. */
 export interface WidgetModel {
   send(content: object): void;
   on(name: "msg:custom", act: (content: WidgetAnswer, buffers: DataView[]) => void): void;
   off(name: "msg:custom", act: (content: WidgetAnswer, buffers: DataView[]) => void): void;
 }
 
-/** What Python answers (`tools/delivery/notebook.py`). */
+/** Answers of Python (`tools/delivery/notebook.py`). */
 export type WidgetAnswer =
   | {
       readonly type: "scene";
@@ -22,7 +22,7 @@ export type WidgetAnswer =
   | { readonly type: "bytes"; readonly id: number }
   | { readonly type: "failed"; readonly id: number; readonly message: string };
 
-/** A file that Python holds: its bytes come in messages. */
+/** A file in the Python kernel, whose bytes arrive in messages. */
 export class WidgetSource implements ByteSource {
   private readonly waiting = new Map<number, (answer: WidgetAnswer, buffers: DataView[]) => void>();
   private nextId = 0;
@@ -68,14 +68,14 @@ async function* once(part: Uint8Array): AsyncGenerator<Uint8Array> {
 }
 
 /**
- * Show the scene of a notebook's widget; anywidget calls this.
+ * Show the scene of a notebook's widget, called by anywidget.
  *
- * @returns What ends it.
+ * @returns Function that ends it.
  */
 export function render({ model, el }: { readonly model: WidgetModel; readonly el: HTMLElement }): () => void {
   defineViewer();
   const element = document.createElement("cogsplat-viewer");
-  // As wide as the cell, and not higher than the window.
+  // Full width of the cell, at most the window's height.
   Object.assign(element.style, { width: "100%", maxHeight: "80vh", borderRadius: "8px" });
   let source: WidgetSource | undefined;
   const opened = (answer: WidgetAnswer): void => {

@@ -1,4 +1,4 @@
-/** Bytes as a person reads them: three digits and a unit of 1000. */
+/** Format bytes with three digits and a unit of 1000. */
 export function sizeText(bytes: number): string {
   const units = ["bytes", "kB", "MB", "GB"];
   let value = bytes;
@@ -10,7 +10,7 @@ export function sizeText(bytes: number): string {
   return `${unit === 0 ? value : Number(value.toPrecision(3))} ${units[unit]!}`;
 }
 
-/** A CSS colour as R, G, B and opacity from 0 to 1; undefined where it is none. */
+/** Parse a CSS colour to R, G, B and opacity from 0 to 1; undefined for an invalid one. */
 export function colourOf(text: string): [number, number, number, number] | undefined {
   if (!CSS.supports("color", text)) return undefined;
   const context = new OffscreenCanvas(1, 1).getContext("2d", { willReadFrequently: true })!;

@@ -6,16 +6,16 @@ export type Vector = [number, number, number];
 /** Right, down and forward of a camera in the space of the means. */
 export type Axes = [Vector, Vector, Vector];
 
-/** Vertical field of view where the scene has no first view, radians. */
+/** Vertical field of view of scenes without a first view, radians. */
 const FIELD_OF_VIEW = 1;
-/** Width of the part of such a picture that is never cut off, as a share of its height: of phones held upright the field of view grows. */
+/** Width that is always visible, as a share of the height; on upright screens the field of view grows for it. */
 const UPRIGHT_WIDTH = 0.7;
 const RADIANS_PER_PIXEL = 0.005;
 
-/** Height and, where it is known, width of the picture that focal lengths are given for, px. */
+/** Size of the picture to which focal lengths refer, pixels; its width if known. */
 type Picture = { readonly height: number; readonly width?: number };
 
-/** A camera that turns around a point, walks up to it and moves with it, or flies. */
+/** A camera that orbits, approaches and moves with a target, or flies. */
 export class OrbitCamera {
   private axes: Axes;
   private target: Vector;
@@ -24,7 +24,7 @@ export class OrbitCamera {
   private focal: readonly [number, number];
   private picture: Picture;
 
-  /** Start at the scene's first view, or in front of its box. */
+  /** Start at the scene's first view, or in front of its bounding box. */
   constructor(scene: Pick<SceneInfo, "axes" | "box" | "firstView">) {
     const [lo, hi] = [scene.box.slice(0, 3), scene.box.slice(3)];
     const size = Math.hypot(...hi.map((value, i) => value - lo[i]!));
@@ -42,17 +42,17 @@ export class OrbitCamera {
     }
   }
 
-  /** Where the camera is, in the space of the means. */
+  /** Position in the space of the means. */
   get position(): Vector {
     return add(this.target, this.axes[2], -this.distance);
   }
 
-  /** The direction of view. */
+  /** Direction of view. */
   get forward(): Vector {
     return this.axes[2];
   }
 
-  /** Look from somewhere; what is turned around stays as far away as it was. */
+  /** Set the pose; the target keeps its distance. */
   place(view: ViewerPose): void {
     const r = view.rotation;
     this.axes = [0, 3, 6].map((i) => [r[i]!, r[i + 1]!, r[i + 2]!]) as Axes;
@@ -64,56 +64,56 @@ export class OrbitCamera {
     this.picture = view;
   }
 
-  /** Look at a ball from where it fills most of the picture, from the side that the axes call the front. */
+  /** Frame a ball from the side that the axes call the front. */
   frame(centre: Vector, radius: number): void {
     this.target = centre;
-    // From somewhat above: scenes on a ground show their shape that way.
+    // From slightly above, which shows the shape of scenes with a ground.
     const angle = -0.3;
     const right = this.axes[0];
     this.axes = this.axes.map((axis) => rotate(axis, right, angle)) as Axes;
     this.distance = Math.max((radius * this.focal[1]) / (0.5 * this.picture.height), 1e-3);
   }
 
-  /** Turn around what is so far in front of the camera; the picture stays as it is. */
+  /** Move the target to a distance in front of the camera; the picture stays the same. */
   turnAround(distance: number): void {
     const position = this.position;
     this.distance = distance;
     this.target = add(position, this.axes[2], distance);
   }
 
-  /** Turn around the target by a movement of the pointer, px. */
+  /** Orbit around the target by a movement of the pointer, pixels. */
   turn(dx: number, dy: number): void {
     this.axes = this.axes.map((axis) => rotate(axis, this.down, -dx * RADIANS_PER_PIXEL)) as Axes;
     const [right] = this.axes;
     this.axes = this.axes.map((axis) => rotate(axis, right, dy * RADIANS_PER_PIXEL)) as Axes;
   }
 
-  /** Look around from where the camera is, by a movement of the pointer, px. */
+  /** Turn the camera in place by a movement of the pointer, pixels. */
   look(dx: number, dy: number): void {
     const position = this.position;
     this.turn(-dx, -dy);
     this.target = add(position, this.axes[2], this.distance);
   }
 
-  /** Move sideways by a movement of the pointer, px of a picture of some height. */
+  /** Move sideways by a movement of the pointer, pixels of a picture of some height. */
   move(dx: number, dy: number, height: number): void {
     const scale = (this.distance * this.picture.height) / (this.focal[1] * height);
     this.target = add(add(this.target, this.axes[0], -scale * dx), this.axes[1], -scale * dy);
   }
 
-  /** Fly right, down and forward, in shares of the distance to the target. */
+  /** Fly right, down and forward, in units of the distance to the target. */
   fly(right: number, down: number, forward: number): void {
     [right, down, forward].forEach((share, i) => {
       this.target = add(this.target, this.axes[i]!, share * this.distance);
     });
   }
 
-  /** Come nearer, by a factor. */
+  /** Change the distance to the target by a factor. */
   zoom(factor: number): void {
     this.distance *= factor;
   }
 
-  /** The view for a canvas; nothing of the picture is cut off where its width is known. */
+  /** Return the view for a canvas; a known width is fully visible. */
   view(height: number, width = Infinity): View {
     const { position, picture } = this;
     const translation = this.axes.map((axis) => -axis.reduce((sum, value, i) => sum + value * position[i]!, 0));
@@ -122,7 +122,7 @@ export class OrbitCamera {
   }
 }
 
-/** The direction in the scene that a letter of its axes names. */
+/** Return the direction in the scene of a letter of its axes. */
 function direction(axes: string, letter: "D" | "F"): Vector {
   const opposite = { D: "U", F: "B" }[letter];
   return [...axes].map((axis) => (axis === letter ? 1 : axis === opposite ? -1 : 0)) as Vector;
@@ -136,7 +136,7 @@ function cross(a: Vector, b: Vector): Vector {
   return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 }
 
-/** Turn a vector about an axis of unit length (Rodrigues). */
+/** Rotate a vector about an axis of unit length (Rodrigues). */
 function rotate(v: Vector, axis: Vector, angle: number): Vector {
   const [c, s] = [Math.cos(angle), Math.sin(angle)];
   const along = axis[0] * v[0] + axis[1] * v[1] + axis[2] * v[2];

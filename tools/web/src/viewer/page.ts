@@ -1,15 +1,15 @@
-// The program of viewer.html, and of every page with a <cogsplat-viewer>. Where the page is the viewer's own, it shows
-// `viewer.html?scene=URL`, the scene that the page names, or the one that it holds.
+// Program of viewer.html and of every page with a <cogsplat-viewer>. On the viewer's own page it shows the scene of
+// `viewer.html?scene=URL`, the scene that the page names, or the one that it contains.
 import { CogsplatViewer, defineViewer } from "./element.js";
 import { render } from "./notebook.js";
 import { workersOfTexts } from "./viewer_workers.js";
 
-/** Blocks of a page that holds its scene: the file's bytes in base64, a part of them each. */
+/** Blocks of a page that contains its scene: parts of the file's bytes in base64. */
 const SCENE_BLOCKS = 'script[type="application/x-cogs-base64"]';
-/** Blocks of a page that holds the programs of its workers: the one that decodes, and the viewer's. */
+/** Blocks of a page that contains its workers' programs: the decoder's and the viewer's. */
 const WORKER_BLOCKS = 'script[type="application/x-cogs-worker"]';
 
-/** The file that the page holds, put together from its blocks; they are removed, so that it is in memory once. */
+/** Join the file from the blocks of the page, and remove these, so that it is in memory once. */
 function heldScene(): Blob | undefined {
   const blocks = [...document.querySelectorAll(SCENE_BLOCKS)];
   if (blocks.length === 0) return undefined;
@@ -21,7 +21,7 @@ function heldScene(): Blob | undefined {
   return new Blob(parts);
 }
 
-/** Give a viewer the keys that nothing else has: on a page of its own they are meant for it before it was clicked. */
+/** Pass keys that no other element has to a viewer, so that it reacts before it was clicked. */
 function passKeysTo(viewer: CogsplatViewer): void {
   document.addEventListener("keydown", (event) => {
     if (event.target !== document.body || event.key === "Tab") return;
@@ -51,5 +51,5 @@ if (own !== null) {
   }
 }
 
-// What anywidget calls in a notebook.
+// Entry point of anywidget in notebooks.
 export default { render };

@@ -4,13 +4,13 @@ import { colourOf } from "./numbers.js";
 import type { SceneView } from "./scene_view.js";
 import type { ViewerStatistics } from "./viewer_handle.js";
 
-/** What the panel asks of the viewer beside its scene view. */
+/** Functions of the viewer that the panel needs in addition to the scene view. */
 export interface PanelHost {
   reload(): void;
   chooseOther(): void;
 }
 
-/** The settings: a form whose fields act at once. */
+/** The settings: a form whose fields take effect at once. */
 export class Panel {
   private readonly fields: HTMLFormControlsCollection;
   private readonly table: HTMLTableElement;
@@ -29,7 +29,7 @@ export class Panel {
     form.querySelector("#choose")!.addEventListener("click", () => host.chooseOther(), { signal });
   }
 
-  /** Set the field of the background to a colour that was given otherwise. */
+  /** Set the field of the background colour. */
   set background(colour: string) {
     const select = this.field("background");
     const known = [...(select as unknown as HTMLSelectElement).options].some((option) => option.value === colour);
@@ -48,7 +48,7 @@ export class Panel {
     select.replaceChildren(...options);
   }
 
-  /** Offer the levels of a scene, where it has any. */
+  /** Offer the levels of a scene, if any. */
   offerLevels(levels: readonly LevelEntry[], chosen: number | undefined): void {
     this.form.querySelector<HTMLElement>("#levelRow")!.hidden = levels.length === 0;
     const select = this.field("level") as unknown as HTMLSelectElement;
@@ -57,12 +57,12 @@ export class Panel {
       return new Option(text, String(level), false, level === chosen);
     });
     select.replaceChildren(new Option("By the picture's size", ""), ...options);
-    // One between two levels is the page's own choice.
+    // A level between two is the choice of the page's program.
     if (chosen !== undefined && !Number.isInteger(chosen))
       select.append(new Option(`Between: ${chosen}`, String(chosen), false, true));
   }
 
-  /** Write the statistics, where they are shown. */
+  /** Update the statistics, if shown. */
   update(statistics: ViewerStatistics, canvas: HTMLCanvasElement): void {
     if (this.table.hidden || this.form.hidden) return;
     const { level } = statistics;

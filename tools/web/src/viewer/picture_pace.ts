@@ -1,23 +1,23 @@
-/** A picture that takes longer is one of slow graphics, ms. */
+/** Duration from which pictures count as slow, ms. */
 const SLOW_PICTURE = 45;
-/** Least share of the pixels of each side that is drawn in haste. */
+/** Smallest reduced resolution, as a share of each side. */
 const LEAST_SCALE = 0.4;
-/** By how much that share grows from one picture to the next, at most. */
+/** Largest growth of that share from one picture to the next. */
 const MOST_GROWTH = 1.5;
-/** More splats take longer, in proportion where they are many; at most so many times, because every picture takes some time. */
+/** Largest factor expected for more splats; every picture takes some constant time. */
 const MOST_LONGER = 10;
-/** What the first picture is expected to take, ms. */
+/** Expected duration of the first picture, ms. */
 const FIRST_PICTURE = 100;
-/** Shares are rounded to this step, because every change makes textures anew. */
+/** Step of the share, because every change allocates textures. */
 const SCALE_STEP = 0.05;
 
-/** A picture: pixels of each side, as a share of all, and its splats. */
+/** A picture: its resolution as a share of each side, and its splats. */
 interface Picture {
   readonly scale: number;
   readonly splats: number;
 }
 
-/** Commands that were given. */
+/** Commands submitted to the graphics. */
 interface UnderWay {
   readonly sync: WebGLSync;
   readonly begun: number;
@@ -25,15 +25,15 @@ interface UnderWay {
 }
 
 /**
- * Follows the pictures that the graphics work on, so that no more are begun than they can finish: those that wait would
- * show what is no longer asked for, and full queues hold up the page.
+ * Tracks the pictures that the graphics work on, so that no more are begun than they finish: queued pictures would be
+ * outdated, and full queues block the page.
  */
 export class PicturePace {
-  /** Duration of the last picture, from its first command until the graphics had finished it, ms. */
+  /** Duration of the last picture, from its first command to the end of its graphics work, ms. */
   milliseconds = 0;
-  /** Pixels of each side that pictures in haste have, as a share of all; few until it is known how long a picture takes. */
+  /** Reduced resolution as a share of each side; low until the first duration is known. */
   scale = LEAST_SCALE;
-  /** Splats of the next picture, as far as they have come. */
+  /** Splats of the next picture. */
   splats = 0;
   /** Splats of the last picture. */
   private drawn = 0;
@@ -41,39 +41,39 @@ export class PicturePace {
 
   constructor(private readonly gl: WebGL2RenderingContext) {}
 
-  /** How long the next picture takes by what the last one took, ms. */
+  /** Expected duration of the next picture, from that of the last, ms. */
   get expected(): number {
     if (this.milliseconds === 0) return FIRST_PICTURE;
     return this.milliseconds * Math.min(Math.max(this.splats / Math.max(this.drawn, 1), 1), MOST_LONGER);
   }
 
-  /** Whether the graphics take so long that work between pictures matters. */
+  /** Whether the graphics are so slow that work between pictures matters. */
   get isSlow(): boolean {
     return this.expected > SLOW_PICTURE;
   }
 
-  /** Whether nothing is left to finish. */
+  /** Whether no picture is in progress. */
   get isIdle(): boolean {
     this.look();
     return this.underWay.length === 0;
   }
 
-  /** Whether another picture may be begun: quick graphics work on one while the next is prepared. */
+  /** Whether another picture may begin; fast graphics work on one while the next is prepared. */
   get isFree(): boolean {
     this.look();
     return this.underWay.length < (this.isSlow ? 1 : 2);
   }
 
   /**
-   * Note that the commands of a picture were given.
+   * Record that the commands of a picture were submitted.
    *
-   * @param begun - When the first of them was, by `performance.now`.
+   * @param begun - Time of the first command, from `performance.now`.
    */
   given(begun: number, picture: Picture): void {
     this.follow(begun, picture);
   }
 
-  /** Note that textures are uploaded, which is no picture but takes its time too. */
+  /** Record an upload of textures, which takes graphics time as well. */
   uploads(): void {
     this.follow(performance.now(), undefined);
   }
@@ -85,7 +85,7 @@ export class PicturePace {
     if (sync !== null) this.underWay.push({ sync, begun, picture });
   }
 
-  /** Forget pictures of graphics that were lost. */
+  /** Drop the pictures of lost graphics. */
   forget(): void {
     this.underWay.length = 0;
   }
@@ -98,9 +98,9 @@ export class PicturePace {
       if (picture === undefined) continue;
       this.milliseconds = performance.now() - begun;
       this.drawn = picture.splats;
-      // Most of the work of slow graphics is for pixels.
+      // On slow graphics the duration is mostly proportional to the pixels.
       const wanted = picture.scale * Math.sqrt(SLOW_PICTURE / Math.max(this.milliseconds, 1));
-      // The next one may show more splats than this one did.
+      // The next picture may have more splats.
       const next = Math.min(wanted, this.scale * MOST_GROWTH, 1);
       this.scale = Math.max(Math.round(next / SCALE_STEP) * SCALE_STEP, LEAST_SCALE);
     }

@@ -16,9 +16,9 @@ export class PlyFeed implements SceneFeed {
 
   /**
    * @param source - A URL or a file.
-   * @param meter - Says how fast its bytes may come, and counts them.
-   * @param workers - Where the page allows none, rows are read on the caller's thread, a block at a time.
-   * @param mostSplats - Rows beyond are not read.
+   * @param meter - Counts the bytes and limits their rate.
+   * @param workers - Workers for reading; without them rows are read on this thread, block by block.
+   * @param mostSplats - Rows to read at most.
    */
   constructor(
     private readonly source: string | Blob,
@@ -66,7 +66,7 @@ export class PlyFeed implements SceneFeed {
           this.layer = host.begin({ ...scene, hasLevels: false }, info);
         } else if (response.type === "rows") {
           splats += response.packed.count;
-          // The rate can be changed while rows come.
+          // The rate may change while rows arrive.
           if (worker !== undefined && bitsPerSecond !== meter.bitsPerSecond) {
             bitsPerSecond = meter.bitsPerSecond;
             worker.postMessage({ type: "rate", bitsPerSecond } satisfies RateRequest);
@@ -97,7 +97,7 @@ export class PlyFeed implements SceneFeed {
   }
 
   prefixes(): Prefix[] {
-    // The rows of a PLY are in no order that would make a part of them a picture.
+    // The rows of a PLY are in arbitrary order, so a part of them is no picture.
     return [];
   }
 
@@ -114,7 +114,7 @@ export class PlyFeed implements SceneFeed {
   }
 }
 
-/** The source where it is a PLY: by the name of a URL, by the first bytes of a file. */
+/** Return the source if it is a PLY: by the name of a URL, by the first bytes of a file. */
 export async function plyOf(source: string | Blob | ByteSource): Promise<string | Blob | undefined> {
   if (typeof source === "string") {
     return new URL(source, location.href).pathname.toLowerCase().endsWith(".ply") ? source : undefined;

@@ -1,6 +1,6 @@
 import type { PlyScene } from "./ply_messages.js";
 
-/** Most bytes of a header: one of 3DGS at SH degree 3 has about 1,500. */
+/** Length of a header at most, bytes; one of 3DGS at SH degree 3 has about 1,500. */
 export const MOST_HEADER_BYTES = 65_536;
 
 const SIZES: Readonly<Record<string, number>> = {
@@ -23,24 +23,24 @@ const SIZES: Readonly<Record<string, number>> = {
 };
 const COMMENT = /^comment cogsplat (\w+) (.*)$/;
 
-/** Where the values of a splat are in the PLY of 3DGS training. */
+/** Layout of a splat's values in a PLY of 3DGS training. */
 export interface PlyLayout {
   readonly scene: Omit<PlyScene, "origin" | "fileOrigin">;
-  /** The origin that the file states; its means are relative to it. */
+  /** Origin that the file states, to which its means are relative. */
   readonly origin: readonly number[];
-  /** Bytes of the header and of a row. */
+  /** Length of the header and of a row, bytes. */
   readonly headerBytes: number;
   readonly stride: number;
-  /** Byte of a row where each value is: means, scales, quats, opacity, sh0, then bands coefficient by coefficient. */
+  /** Byte offset in a row of means, scales, quats, opacity, sh0, then bands coefficient by coefficient. */
   readonly columns: readonly number[];
 }
 
 /**
  * Read the header of a PLY.
  *
- * @param bytes - The beginning of the file.
+ * @param bytes - First bytes of the file.
  * @returns undefined where the header does not end in `bytes`.
- * @throws Error with a sentence for a person where the file is no PLY of splats, or of a kind that is not read.
+ * @throws Error with a sentence for a person where the file is no PLY of splats, or of an unsupported kind.
  */
 export function readPlyHeader(bytes: Uint8Array): PlyLayout | undefined {
   const text = new TextDecoder("latin1").decode(bytes.subarray(0, MOST_HEADER_BYTES));
@@ -95,7 +95,7 @@ export function readPlyHeader(bytes: Uint8Array): PlyLayout | undefined {
     "f_dc_1",
     "f_dc_2",
   ];
-  // In the PLY channels stand one behind the other, each with all its coefficients.
+  // The PLY stores coefficients channel by channel.
   const shN = Array.from({ length: 3 * rest }, (_, i) => `f_rest_${(i % 3) * rest + Math.floor(i / 3)}`);
   const said = new Map(lines.map((line) => COMMENT.exec(line)).flatMap((m) => (m ? [[m[1]!, m[2]!] as const] : [])));
   const origin = (said.get("origin") ?? "0 0 0").split(" ").map(Number);

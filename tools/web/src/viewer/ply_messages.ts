@@ -1,12 +1,12 @@
 import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
 
-/** A PLY to read: where it is, how many of its rows are wanted and how they are packed. */
+/** A PLY to read: source, number of rows, and packing. */
 export interface PlyRequest {
   readonly type: "ply";
   readonly source: Blob | string;
   readonly mostRows: number;
   readonly ranges: PackRanges;
-  /** Most bits a second that come, Infinity as fast as they can. */
+  /** Bits per second at most. */
   readonly bitsPerSecond: number;
 }
 
@@ -16,13 +16,13 @@ export interface RateRequest {
   readonly bitsPerSecond: number;
 }
 
-/** What the header says of a scene. */
+/** Scene information of the header. */
 export interface PlyScene {
   readonly splats: number;
   readonly shDegree: number;
-  /** Where the zero of the packed means is in the world, scene units. */
+  /** World position of the packed means' zero, scene units. */
   readonly origin: readonly number[];
-  /** Where the zero of the file's means is. */
+  /** World position of the file's zero, scene units. */
   readonly fileOrigin: readonly number[];
   readonly axes: string;
   readonly linear: boolean;
@@ -30,7 +30,7 @@ export interface PlyScene {
   readonly antialiased: boolean;
 }
 
-/** What comes of it, in this order: the header, rows, and the end or why there is none. */
+/** Messages of the reader, in this order: header, rows, and the end or an error. */
 export type PlyResponse =
   | { readonly type: "scene"; readonly scene: PlyScene; readonly totalBytes: number | undefined }
   | { readonly type: "rows"; readonly firstRow: number; readonly packed: PackedSplats; readonly bytes: number }

@@ -1,12 +1,12 @@
-/** Packing for renderers in plain JavaScript; `src/scene/packed_splats.ts` describes the layouts. */
+/** Packing of PLY rows, without WebAssembly; `src/scene/packed_splats.ts` describes the layouts. */
 import { toHalf } from "../scene/half_floats.js";
 
 const SH_C0 = 0.28209479177387814;
-/** Range of log scales that one byte stands for. */
+/** Smallest log scale of a byte. */
 const LOG_MIN = -12;
 const LOG_STEPS = 254 / 21;
 
-/** Bytes 0 to 255 of numbers 0 to 1. */
+/** Convert a number from 0 to 1 to a byte. */
 function byte(value: number): number {
   return Math.round(Math.min(Math.max(value, 0), 1) * 255);
 }
@@ -15,7 +15,7 @@ function logScale(value: number): number {
   return Math.round(Math.min(Math.max((value - LOG_MIN) * LOG_STEPS, 0), 254)) + 1;
 }
 
-/** A rotation as its axis on an octahedron, two bytes, and its angle, one byte. */
+/** Return a rotation as its axis on an octahedron, two bytes, and its angle, one byte. */
 function octahedral(w: number, x: number, y: number, z: number): number {
   const sum = Math.abs(x) + Math.abs(y) + Math.abs(z);
   let u = sum < 1e-6 ? 1 : x / sum;
@@ -55,9 +55,9 @@ export function packSplats(
 /**
  * Pack one SH band of every row.
  *
- * @param source - Rows of `stride` floats, the band's first at `first`.
- * @param bits - Bits of a value in two's complement, whose largest stands for `range`.
- * @param words - Words of a row in `target`.
+ * @param source - Rows of `stride` floats, with the band's first value at `first`.
+ * @param bits - Bits per value in two's complement; the largest code stands for `range`.
+ * @param words - Words per row of `target`.
  */
 export function packBand(
   source: Float32Array,

@@ -5,7 +5,7 @@ import { type PlyLayout, readPlyHeader } from "./ply_header.js";
 import type { PlyRequest, PlyResponse } from "./ply_messages.js";
 import { packBand, packSplats } from "./ply_packing.js";
 
-/** Rows that are packed and handed over at a time: a few milliseconds. */
+/** Rows packed and posted at a time, which takes a few milliseconds. */
 const ROWS = 4096;
 /** Columns of a splat before its SH bands above DC. */
 const COLUMNS = 14;
@@ -19,9 +19,9 @@ const BANDS = [
 type Post = (response: PlyResponse, transfer: ArrayBuffer[]) => void;
 
 /**
- * Read a PLY of 3DGS training as its bytes come, and post it in packed rows.
+ * Read a PLY of 3DGS training as its bytes arrive, and post it as packed rows.
  *
- * @param meter - Its bytes come no faster than the meter's rate.
+ * @param meter - Limits the rate of the bytes.
  * @param rest - Awaited between two blocks of rows.
  */
 export async function readPly(
@@ -39,7 +39,7 @@ export async function readPly(
   }
 }
 
-/** An answer of a server that holds no file. */
+/** Error of an HTTP status. */
 class StatusError extends Error {
   constructor(readonly status: number) {
     super(`The server answered with status ${status}.`);
@@ -56,7 +56,7 @@ async function bytesOf(
   return { stream: response.body, totalBytes: length === null ? undefined : Number(length) };
 }
 
-/** Turns the bytes of one PLY into packed rows. */
+/** Converts the bytes of one PLY to packed rows. */
 class PlyRows {
   private layout: PlyLayout | undefined;
   private origin: number[] | undefined;
@@ -98,7 +98,7 @@ class PlyRows {
     return Math.min(this.layout!.scene.splats, this.request.mostRows);
   }
 
-  /** Pack what has come; less than a block only at the end. */
+  /** Pack complete blocks; at the end also a partial one. */
   private async take(last: boolean): Promise<void> {
     if (this.layout === undefined) {
       this.layout = readPlyHeader(this.pending);
@@ -130,7 +130,7 @@ class PlyRows {
   }
 }
 
-/** Where the first rows are on average: near it half floats are finest. */
+/** Return the average position of the first rows, near which half floats are most precise. */
 function middle(block: Float32Array, layout: PlyLayout, rows: number): number[] {
   const width = layout.columns.length;
   return [0, 1, 2].map((axis) => {
@@ -140,13 +140,13 @@ function middle(block: Float32Array, layout: PlyLayout, rows: number): number[] 
   });
 }
 
-/** The values of some rows, row by row in the order of the layout's columns. */
+/** Return the values of some rows, in the order of the layout's columns. */
 function valuesOf(bytes: Uint8Array, layout: PlyLayout, rows: number): Float32Array {
   const { stride, columns } = layout;
   const width = columns.length;
   const values = new Float32Array(rows * width);
   if (stride % 4 === 0 && columns.every((offset) => offset % 4 === 0)) {
-    // A copy begins where floats may; most files hold floats alone.
+    // A copy is aligned for floats; most files contain floats alone.
     const floats = new Float32Array(bytes.slice(0, rows * stride).buffer);
     const places = Uint32Array.from(columns, (offset) => offset / 4);
     for (let row = 0, at = 0, first = 0; row < rows; row++, first += stride / 4) {
@@ -170,7 +170,7 @@ function pack(
 ): PackedSplats {
   const width = layout.columns.length;
   const columns = Array.from({ length: COLUMNS }, (_, column) => {
-    // The three columns of means come first, so that `origin` belongs to them alone.
+    // Means are the first three columns, so `origin` applies to them alone.
     const shift = origin[column] ?? 0;
     const target = new Float32Array(rows);
     for (let row = 0, at = column; row < rows; row++, at += width) target[row] = values[at]! - shift;
@@ -187,7 +187,7 @@ function pack(
   return { count: rows, words, sh, ranges };
 }
 
-/** Make quaternions w x y z of unit length, with w at least 0; trainers store them as they are. */
+/** Normalise quaternions w x y z to unit length and w ≥ 0; training stores them unnormalised. */
 function normalise(
   [w, x, y, z]: readonly [Float32Array, Float32Array, Float32Array, Float32Array],
   rows: number,

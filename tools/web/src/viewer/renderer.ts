@@ -7,24 +7,24 @@ import {
 } from "./shaders.js";
 import type { SplatLayer } from "./splat_layer.js";
 
-/** Where a picture is taken from: x_camera = R·x + t in the space of the means, x right, y down, z forward. */
+/** Camera of a picture: x_camera = R·x + t in the space of the means, x right, y down, z forward. */
 export interface View {
   /** R, row by row. */
   readonly rotation: readonly number[];
   readonly translation: readonly number[];
-  /** Focal lengths, px of the canvas. */
+  /** Focal lengths, pixels of the canvas. */
   readonly focal: readonly [number, number];
 }
 
-/** What a picture shows beside the view. */
+/** Options of a picture. */
 export interface PictureOptions {
   /** Colour behind the splats: R, G, B and opacity from 0 to 1, display-encoded. */
   readonly background: readonly [number, number, number, number];
-  /** Highest SH degree that is drawn. */
+  /** Highest SH degree drawn. */
   readonly degree: number;
-  /** How much holes between splats take the colour around them, 0 to 1. */
+  /** Strength with which holes between splats take the surrounding colour, 0 to 1. */
   readonly fill: number;
-  /** Where the second scene ends, as a share of the width from the left. */
+  /** Position of the divide, as a share of the width from the left. */
   readonly divide: number;
 }
 
@@ -50,7 +50,7 @@ export class SplatRenderer {
   }
 
   /**
-   * Whether its programs are built, which browsers do beside the page where they can.
+   * Whether the programs are built; browsers that can build them in parallel with the page.
    *
    * @throws NoWebGlError where they cannot be built.
    */
@@ -58,12 +58,12 @@ export class SplatRenderer {
     return this.splats.isReady && this.composite.isReady;
   }
 
-  /** Make programs and buffers anew, because the graphics memory was lost. */
+  /** Make programs and buffers again after the graphics memory was lost. */
   restore(): void {
     [this.splats, this.composite, this.target] = this.build();
   }
 
-  /** Set the size of pictures, px. */
+  /** Set the size of pictures, pixels. */
   resize(width: number, height: number): void {
     const { canvas } = this;
     if (canvas.width !== width) canvas.width = width;
@@ -74,9 +74,9 @@ export class SplatRenderer {
   /**
    * Draw a picture.
    *
-   * @param view - The translation is relative to its origin in the world, that of the scene that poses are given for.
-   * @param layers - The scene, and where there are two, the one that is shown left of the divide.
-   * @returns Whether the picture holds all rows that have come.
+   * @param view - Camera, with a translation relative to its origin in the world.
+   * @param layers - The scene and, in a comparison, the second one, left of the divide.
+   * @returns Whether the picture shows all rows received.
    */
   draw(
     view: View & { readonly origin: readonly number[] },
@@ -119,7 +119,7 @@ export class SplatRenderer {
     return whole.every((isWhole) => isWhole);
   }
 
-  /** Give back what the graphics memory holds. */
+  /** Free the graphics memory. */
   close(): void {
     this.target.delete();
     this.gl.deleteProgram(this.splats.program);
@@ -168,12 +168,12 @@ export class SplatRenderer {
   }
 }
 
-/** A browser, or a machine, without WebGL 2. */
+/** Error of a browser or a machine without WebGL 2. */
 export class NoWebGlError extends Error {
   override readonly name = "NoWebGlError";
 }
 
-/** The same view in the space of another scene's means. */
+/** Return a view in the space of another scene's means. */
 function moved(view: View, from: readonly number[], to: readonly number[]): View {
   if (from === to) return view;
   const { rotation: r } = view;
@@ -184,13 +184,13 @@ function moved(view: View, from: readonly number[], to: readonly number[]): View
   return { ...view, translation };
 }
 
-/** A program and where its uniforms are. */
+/** A program and the locations of its uniforms. */
 class Program {
   readonly program: WebGLProgram;
   private isLinked = false;
   private readonly locations = new Map<string, WebGLUniformLocation | null>();
 
-  /** @param known - One of its uniforms. */
+  /** @param known - Name of one of its uniforms. */
   constructor(
     private readonly gl: WebGL2RenderingContext,
     vertex: string,
@@ -214,14 +214,14 @@ class Program {
   get isReady(): boolean {
     const { gl, program } = this;
     if (this.isLinked) return true;
-    // To ask how it went would hold up the page until it is done.
+    // Querying the status would block the page until the program is built.
     const beside = gl.getExtension("KHR_parallel_shader_compile");
     if (beside !== null && gl.getProgramParameter(program, beside.COMPLETION_STATUS_KHR) === false) return false;
     if (gl.getProgramParameter(program, gl.LINK_STATUS) === false && !gl.isContextLost()) {
       throw new NoWebGlError(gl.getProgramInfoLog(program) ?? "no program");
     }
     this.isLinked = true;
-    // The first question for a uniform waits for the graphics, which are idle now and are not when a picture is drawn.
+    // The first query of a uniform waits for the graphics, which are idle now.
     this.at(this.known);
     return true;
   }
@@ -237,8 +237,9 @@ class Program {
 }
 
 /**
- * The picture that splats are blended into: half floats, because the colours of splats may be beyond 1, and because
- * hundreds of splats in a pixel add up what 8 bits round; 8 bits where half floats cannot be drawn into.
+ * Render target of the blended splats: half floats, because colours may exceed 1, and hundreds of splats in a pixel add
+ * up
+ * rounding errors of 8 bits. Without half float targets it has 8 bits.
  */
 class Target {
   readonly framebuffer: WebGLFramebuffer;

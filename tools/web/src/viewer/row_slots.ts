@@ -1,12 +1,12 @@
-/** Rows beside each other. */
+/** A run of adjacent rows. */
 export interface RowRun {
   readonly first: number;
   readonly count: number;
 }
 
-/** Rows of a layer that is smaller than its scene: chunks take them and give them back. */
+/** Allocator for rows of a layer smaller than its scene. */
 export class RowSlots {
-  /** Rows that nobody has, ascending, no two runs beside each other. */
+  /** Free rows, ascending, in runs that do not touch. */
   private free: RowRun[];
 
   constructor(rows: number) {
@@ -14,9 +14,9 @@ export class RowSlots {
   }
 
   /**
-   * Take rows, the first that are free, in as many runs as it needs.
+   * Allocate the first free rows, in as few runs as they form.
    *
-   * @throws RangeError where there are fewer.
+   * @throws RangeError where fewer are free.
    */
   take(count: number): RowRun[] {
     const taken: RowRun[] = [];
@@ -32,7 +32,7 @@ export class RowSlots {
     return taken;
   }
 
-  /** Give rows back. */
+  /** Free rows. */
   give(runs: readonly RowRun[]): void {
     const joined: RowRun[] = [];
     for (const run of [...this.free, ...runs].sort((a, b) => a.first - b.first)) {

@@ -3,72 +3,70 @@ import type { PackedSplats } from "../scene/packed_splats.js";
 import type { Pose } from "../schedule/poses.js";
 import type { LayerScene, SplatLayer } from "./splat_layer.js";
 
-/** How far a scene has come. */
+/** Progress of a scene. */
 export interface FeedProgress {
   readonly splats: number;
   readonly totalSplats: number;
   readonly bytes: number;
-  /** Length of the file; undefined where the server does not say. */
+  /** Length of the file; undefined where the server does not state it. */
   readonly totalBytes: number | undefined;
-  /** PSNR that the file predicts for what has come, dB; undefined where it predicts nothing. */
+  /** PSNR that the file predicts for the part received, dB; undefined for files without a prediction. */
   readonly predictedDb: number | undefined;
 }
 
-/** A part of a scene that could be shown alone: what the first bytes hold. */
+/** A beginning of the file that can be shown alone. */
 export interface Prefix {
-  /** Rows from the first on. */
+  /** Number of rows. */
   readonly rows: number;
-  /** Chunks from the first on. */
+  /** Number of chunks. */
   readonly chunks: number;
-  /** Bytes of those chunks, and of what comes before them. */
+  /** Bytes up to the end of those chunks. */
   readonly bytes: number;
   readonly predictedDb: number | undefined;
 }
 
-/** What a feed asks of the viewer that it fills. */
+/** Functions of a viewer that its feed calls. */
 export interface FeedHost {
   /**
-   * Make the layer of a scene; called once, before rows come.
+   * Make the layer of a scene; called once, before any rows.
    *
-   * @param scene - The means of its rows are relative to its origin.
-   * @param info - Poses are relative to its origin.
+   * @param scene - Layer scene; the means of its rows are relative to its origin.
+   * @param info - Scene information; poses are relative to its origin.
    */
   begin(scene: LayerScene, info: Pick<SceneInfo, "axes" | "box" | "firstView" | "origin" | "levels">): SplatLayer;
-  /** Told of rows when they are in the layer. */
+  /** Called when rows are in the layer. */
   rowsCame(packed: PackedSplats, first: boolean): void;
   progressed(progress: FeedProgress): void;
-  /** All that the pose is worth has come, or something of it is missing again. */
+  /** Called when all chunks that the pose is worth have arrived, or some are missing again. */
   settled(isSettled: boolean): void;
-  /** Something cannot be had, and the rest goes on being shown. */
+  /** Called when a part cannot be fetched or decoded; the rest stays visible. */
   damaged(error: unknown): void;
 }
 
 /** Fills a layer with one scene. */
 export interface SceneFeed {
-  /** Whether what has come first is a picture of the whole, so that it is shown before the rest is there. */
+  /** Whether the first rows show the whole scene coarsely, so that they are drawn before the rest arrives. */
   readonly progressive: boolean;
-  /** Whether the file says where to look from. */
+  /** Whether the file has a first view. */
   readonly hasFirstView: boolean;
-  /** Resolves when all has come; where a part could not be had or used, it rejects after all else is shown. */
+  /** Run to the end; reject after all other chunks are shown if a part could not be fetched or decoded. */
   run(host: FeedHost, signal: AbortSignal): Promise<void>;
-  /** Prefixes to choose from, about `count` of them, from the smallest to the whole. */
+  /** Return about `count` prefixes, from the smallest to the whole file. */
   prefixes(count: number): Prefix[];
-  /** Show the layer as it is with a prefix alone; undefined shows all that is there. */
+  /** Show a prefix alone; undefined shows all rows received. */
   show(prefix: Prefix | undefined): void;
   /**
-   * Draw the level for a size, or one that was chosen, as far as it has come (SPEC 8.11).
+   * Draw the level for a picture size, or a chosen one, as far as it has arrived (SPEC 8.11).
    *
-   * @param focal - Focal length of the picture, px.
-   * @param chosen - 0 the coarsest; 1.25 is a quarter of the way from level 1 to level 2. Undefined for that of the size.
-   * @returns The level that is drawn; undefined for a scene without levels.
+   * @param focal - Focal length of the picture, pixels.
+   * @param chosen - 0 the coarsest; 1.25 is a quarter of the way from level 1 to level 2. By default by the size.
+   * @returns The level drawn; undefined for a scene without levels.
    */
   drawLevel(focal: number, chosen: number | undefined): number | undefined;
-  /**
-   * Look from somewhere, in the space of the means, where that says what is fetched; asked as soon as it has changed.
-   */
+  /** Set the pose, in the space of the means, for feeds that fetch by the view. */
   look?(pose: Pose): void;
-  /** Hold at most so many splats; returns whether the feed sees to it. */
+  /** Limit the splats held; return whether the feed supports it. */
   limit?(splats: number): boolean;
-  /** Work of at most some ms; returns whether there is more. */
+  /** Work for at most some ms; return whether more is left. */
   work(milliseconds: number): boolean;
 }

@@ -16,27 +16,27 @@ import { SplatLayer } from "./splat_layer.js";
 import type { ViewerPose, ViewerStatistics } from "./viewer_handle.js";
 import { AllowedWorkers, type ViewerWorkers } from "./viewer_workers.js";
 
-/** A URL, a file that the page has, or another source of the bytes of a `.cogs` file. */
+/** A URL, a file, or another source of the bytes of a `.cogs` file. */
 export type SceneSource = string | Blob | ByteSource;
 
-/** Work between two pictures on what compensation adds, ms: a picture has 16. */
+/** Longest work on compensation between two pictures, ms: a frame has 16. */
 const WORK_MILLISECONDS = 5;
-/** How long after the last change slow graphics draw all pixels while more is to come, ms. */
+/** Time after the last change at which slow graphics draw at full resolution although more is to arrive, ms. */
 const QUIET_MILLISECONDS = 300;
-/** Between two looks whether the graphics have finished a picture, ms. */
+/** Interval at which the graphics are polled for the end of a picture, ms. */
 const LOOK_MILLISECONDS = 4;
 
-/** What is told of a scene view. */
+/** Callbacks of a scene view. */
 export interface SceneViewHost {
-  /** The statistics changed, or what the canvas shows. */
+  /** Called when the statistics or the canvas have changed. */
   changed(): void;
-  /** Something went wrong with a scene, with the one that is compared with or with the graphics. */
+  /** Called on an error of a scene, of the second scene or of the graphics. */
   failed(error: unknown, which: "scene" | "other" | "graphics"): void;
-  /** The graphics are back. */
+  /** Called when lost graphics are back. */
   restored(): void;
 }
 
-/** One of the two scenes that can be shown. */
+/** One of the two scenes shown. */
 interface Shown {
   readonly feed: SceneFeed;
   readonly abort: AbortController;
@@ -56,22 +56,22 @@ const EMPTY: ViewerStatistics = {
   upToDate: false,
 };
 
-/** Shows a scene on a canvas, and beside it a second one: loads, moves, draws on demand. */
+/** Shows a scene, and optionally a second one, on a canvas: loads it, moves the camera, draws on demand. */
 export class SceneView {
   readonly controls: Controls;
   readonly meter = new Meter();
   statistics: ViewerStatistics = EMPTY;
   /** Highest SH degree of the scene. */
   degree = 3;
-  /** Device pixels for a CSS pixel, at most. */
+  /** Device pixels per CSS pixel at most. */
   mostPixelRatio = 2;
-  /** Device pixels for a CSS pixel, instead of those of the screen. */
+  /** Device pixels per CSS pixel in place of the screen's. */
   pixelRatio: number | undefined;
-  /** Levels of the scene, the coarsest first; none where it has none. */
+  /** Levels of the scene, coarsest first; empty without levels. */
   levels: readonly LevelEntry[] = [];
-  /** Whether slow graphics draw moving and growing pictures in fewer pixels. */
+  /** Whether slow graphics draw moving and arriving pictures at reduced resolution. */
   mayHaste = true;
-  /** What is fetched first of scenes to come. */
+  /** Fetch order of scenes loaded later. */
   order: FetchOrder;
   private readonly renderer: SplatRenderer;
   private readonly pace: PicturePace;
@@ -80,27 +80,27 @@ export class SceneView {
   private main: Shown | undefined;
   private other: Shown | undefined;
   private camera: OrbitCamera | undefined;
-  /** Where the zero of poses is in the world. */
+  /** World position of the zero of poses. */
   private origin: readonly number[] = [0, 0, 0];
-  /** The pose at the start, for `reset`. */
+  /** Sets the initial pose, for `reset`. */
   private home: ((camera: OrbitCamera) => void) | undefined;
   private homeCamera: (() => OrbitCamera) | undefined;
   private pose: ViewerPose | undefined;
   private touched = false;
-  /** Counts what was shown, so that a scene that was replaced before it began does not begin. */
+  /** Numbers of the scenes loaded, so that a scene replaced before its start does not start. */
   private readonly runs = { main: 0, other: 0 };
   private scheduled = false;
   private dirty = false;
   private lost = false;
   private lastFrame = 0;
   private lastChange = 0;
-  /** Whether the last picture has all pixels, and shows all that had come. */
+  /** Whether the last picture has full resolution and shows all rows received. */
   private isSharp = true;
   private isWhole = true;
   private budget = Infinity;
-  /** Whether all that the first view was worth has come: from then on holes are not filled, and nothing is waited for. */
+  /** Whether the first view has been completely received; from then on holes stay and no picture waits. */
   private wasSettled = false;
-  /** Where was looked from last. */
+  /** Last pose passed to the feeds. */
   private looked = "";
   private readonly waiting: (() => void)[] = [];
   private picture: PictureOptions = { background: [0, 0, 0, 1], degree: 3, fill: 0, divide: 0.5 };
@@ -153,19 +153,19 @@ export class SceneView {
     );
   }
 
-  /** Whether something of the scene is on the canvas. */
+  /** Whether a part of the scene is on the canvas. */
   get isShown(): boolean {
     return (
       (this.main?.layer?.drawnRows ?? 0) > 0 && (this.main!.feed.progressive || this.statistics.state !== "streaming")
     );
   }
 
-  /** Whether a second scene is compared with. */
+  /** Whether a second scene is shown. */
   get compares(): boolean {
     return this.other !== undefined;
   }
 
-  /** Rows that the last picture was made of. */
+  /** Rows of the last picture. */
   get drawnRows(): number {
     return this.main?.layer?.drawnRows ?? 0;
   }
@@ -179,7 +179,9 @@ export class SceneView {
     this.redraw();
   }
 
-  /** The level that is drawn, 0 the coarsest, or a place between two; undefined for that of the picture's size (SPEC 8.11). */
+  /**
+   * Level chosen, 0 the coarsest, or a number between two; undefined for the level of the picture's size (SPEC 8.11).
+   */
   get level(): number | undefined {
     return this.chosenLevel;
   }
@@ -189,7 +191,7 @@ export class SceneView {
     this.redraw();
   }
 
-  /** Look from somewhere, until a person moves; it holds for scenes to come as well. */
+  /** Pose set by a program, until a person moves; it applies to later scenes too. */
   get view(): ViewerPose | undefined {
     return this.pose;
   }
@@ -200,13 +202,13 @@ export class SceneView {
     this.redraw();
   }
 
-  /** Change what pictures show. */
+  /** Change options of pictures. */
   show(options: Partial<Omit<PictureOptions, "fill">>): void {
     this.picture = { ...this.picture, ...options };
     this.redraw();
   }
 
-  /** Draw at most so many splats of a scene, the first of its file; where they are chosen by the view, those that it is worth most to. */
+  /** Limit the splats drawn: the first of the file or, in view order, those worth most to the view. */
   limit(splats: number): void {
     this.budget = splats;
     for (const shown of [this.main, this.other]) {
@@ -214,7 +216,7 @@ export class SceneView {
     }
   }
 
-  /** Show a scene in the place of what is shown. */
+  /** Replace the scene. */
   async load(source: SceneSource): Promise<void> {
     this.close("main");
     this.close("other");
@@ -227,14 +229,14 @@ export class SceneView {
     await this.run("main", source);
   }
 
-  /** Show a second scene left of the divide; undefined ends that. */
+  /** Show a second scene left of the divide; undefined removes it. */
   async compare(source: SceneSource | undefined): Promise<void> {
     this.close("other");
     this.redraw();
     if (source !== undefined) await this.run("other", source);
   }
 
-  /** Go back to the first view. */
+  /** Return to the first view. */
   reset(): void {
     this.camera = this.homeCamera?.();
     if (this.camera !== undefined) {
@@ -245,19 +247,19 @@ export class SceneView {
     this.redraw();
   }
 
-  /** Parts of the file that can be shown alone. */
+  /** Return the prefixes of the file that can be shown alone. */
   prefixes(count: number): Prefix[] {
     return this.main?.feed.prefixes(count) ?? [];
   }
 
-  /** Show the scene as it is after a part of its file; undefined shows all that has come. */
+  /** Show a prefix of the file; undefined shows all rows received. */
   showPrefix(prefix: Prefix | undefined): void {
     this.main?.feed.show(prefix);
     if (prefix === undefined) this.limit(this.budget);
     this.redraw();
   }
 
-  /** Resolves when the canvas shows all that has arrived, in the view asked for. */
+  /** Resolve when the canvas shows all rows received in the requested view. */
   async settled(): Promise<void> {
     this.redraw();
     await new Promise<void>((resolve) => this.waiting.push(resolve));
@@ -430,7 +432,8 @@ export class SceneView {
     if (moves) this.lastChange = time;
     const hastes = moves || this.dirty;
     if (hastes || !this.isSharp) {
-      // More is about to come, most often, and a picture of all pixels would hold it up; any picture, where more comes before it is finished.
+      // More rows usually follow soon, and a full picture would delay them; so would any picture that ends after they
+      // arrive.
       const isSorting = layers.some((layer) => layer.isSorting);
       const isBusy = controls.active || isSorting || this.statistics.state === "streaming";
       const waits = !hastes || (!moves && !controls.active && pace.isSlow && (isSorting || this.restComesSoon()));
@@ -451,7 +454,7 @@ export class SceneView {
     if (this.statistics.upToDate) for (const resolve of this.waiting.splice(0)) resolve();
   };
 
-  /** Tell the scenes where is looked from, where that has changed. */
+  /** Pass a changed pose to the feeds. */
   private look(): void {
     const { camera } = this;
     if (camera === undefined) return;
@@ -470,7 +473,7 @@ export class SceneView {
     }
   }
 
-  /** Have the scenes draw the levels for the size of the picture, or the one that was chosen. */
+  /** Draw the level of the picture's size, or the chosen one. */
   private drawLevels(): void {
     if (this.camera === undefined) return;
     const [width, height] = this.size(1);
@@ -482,7 +485,7 @@ export class SceneView {
     if (level !== undefined) this.note({ level });
   }
 
-  /** Width and height of pictures, px, of which a share is drawn. */
+  /** Return the size of pictures at a resolution, pixels. */
   private size(scale: number): [number, number] {
     const { canvas } = this;
     const ratio = (this.pixelRatio ?? Math.min(devicePixelRatio, this.mostPixelRatio)) * scale;
@@ -492,7 +495,7 @@ export class SceneView {
     ];
   }
 
-  /** Whether programs are built; where they are not yet, it is looked again soon. */
+  /** Return whether the programs are built; otherwise retry on a timer. */
   private canDraw(): boolean {
     try {
       const { isReady } = this.renderer;
@@ -507,18 +510,18 @@ export class SceneView {
     }
   }
 
-  /** Whether the graphics would still work on a picture when the rest of the scene is there. */
+  /** Return whether the rest of the scene would arrive before the graphics finish a picture. */
   private restComesSoon(): boolean {
     const { meter, pace, statistics } = this;
     if (statistics.state !== "streaming" || meter.since === undefined || this.wasSettled) return false;
     return millisecondsLeft({ ...statistics, bytes: meter.bytes }, performance.now() - meter.since) < pace.expected;
   }
 
-  /** Draw what has come; returns whether that is all, in the view asked for. */
+  /** Draw the rows received; return whether they are all, in the requested view. */
   private draw(scale: number): boolean {
     const { camera, renderer, layers, pace, statistics } = this;
     const [width, height] = this.size(scale);
-    // Also before there is something to draw: a new size waits for the graphics, which have nothing else to do then.
+    // Resizing waits for the graphics, which are idle before the first picture.
     renderer.resize(width, height);
     if (camera === undefined || layers.length === 0)
       return statistics.state === "failed" || statistics.state === "empty";

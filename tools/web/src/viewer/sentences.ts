@@ -1,7 +1,7 @@
 import { CogsplatError, SourceError } from "../errors.js";
 import { NoWebGlError } from "./renderer.js";
 
-/** What a person is told of something that went wrong: a short title, and what can be done or what it means. */
+/** A message to a person: a short title, and the cause or remedy. */
 export interface Sentence {
   readonly title: string;
   readonly detail: string;
@@ -10,7 +10,7 @@ export interface Sentence {
 /**
  * Describe an error to a person.
  *
- * @param shown - Whether a part of the scene is on the screen.
+ * @param shown - Whether a part of the scene is visible.
  */
 export function describe(error: unknown, shown: boolean): Sentence {
   if (error instanceof NoWebGlError) {

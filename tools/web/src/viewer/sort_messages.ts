@@ -1,13 +1,13 @@
-/** Rows in the order in which they are drawn. */
+/** Rows in drawing order. */
 export interface DepthOrder {
-  /** The rows that were sorted, from the farthest to the nearest, with room behind them. */
+  /** Rows from the farthest to the nearest; the array may be longer than `rows`. */
   readonly order: Uint32Array;
   readonly rows: number;
-  /** How long it took, ms. */
+  /** Duration of the sort, ms. */
   readonly milliseconds: number;
 }
 
-/** What a sorting worker is told. */
+/** Message to a sorting worker. */
 export type SortRequest =
   | { readonly type: "allocate"; readonly rows: number }
   | { readonly type: "rows"; readonly firstRow: number; readonly words: Uint32Array }
@@ -18,5 +18,5 @@ export type SortRequest =
       readonly spare: Uint32Array | undefined;
     };
 
-/** What it answers to `sort`; the order is handed over. */
+/** Answer to `sort`; the order is transferred. */
 export type SortResponse = DepthOrder;

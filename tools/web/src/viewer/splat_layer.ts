@@ -4,34 +4,34 @@ import type { DepthSorter } from "./depth_sorter.js";
 import { TEXTURE_WIDTH } from "./shaders.js";
 import { SplatTextures } from "./splat_textures.js";
 
-/** What a scene is drawn by. */
+/** Properties of a scene that drawing needs. */
 export interface LayerScene {
   /** Splats of the scene. */
   readonly splats: number;
   readonly shDegree: number;
-  /** Where the means' zero is in the world, scene units. */
+  /** World position of the means' zero, scene units. */
   readonly origin: readonly number[];
   readonly linear: boolean;
-  /** Variance that is added to projected covariances, px². */
+  /** Variance added to projected covariances, pixels². */
   readonly kernelPx: number;
   readonly antialiased: boolean;
   /** Whether opacities differ between levels (SPEC 5.11). */
   readonly hasLevels: boolean;
 }
 
-/** The cosine of the angle by which a view may turn before rows are sorted again: 0.05 degrees. */
+/** Cosine of the angle by which a view may turn before rows are sorted again: 0.05 degrees. */
 const SAME_DIRECTION = 1 - 4e-7;
 
-/** One scene that is drawn: its rows, and their order for the view. */
+/** One scene drawn: its rows, and their order for the view. */
 export class SplatLayer {
-  /** Rows that memory was taken for. */
+  /** Rows of allocated memory. */
   readonly capacity: number;
   private readonly textures: SplatTextures;
-  /** Rows from the first on that have come. */
+  /** Rows received, from the first on. */
   private arrived = 0;
-  /** Whether compensation adds something to a row. */
+  /** Whether any row has compensation. */
   compensated = false;
-  /** Share of the finer one of the two levels whose opacities are mixed. */
+  /** Weight of the finer one of the two levels whose opacities are mixed. */
   between = 0;
   /** Duration of the last sort, ms. */
   sortMilliseconds = 0;
@@ -45,10 +45,10 @@ export class SplatLayer {
   private closed = false;
 
   /**
-   * @param ranges - What the codes of packed rows stand for.
-   * @param capacity - Most rows that are held.
-   * @param makeSorter - Makes what sorts so many rows.
-   * @param changed - Called when there is something new to draw.
+   * @param ranges - Value ranges of the codes of packed rows.
+   * @param capacity - Rows held at most.
+   * @param makeSorter - Makes the sorter for a number of rows.
+   * @param changed - Called when a new picture is needed.
    */
   constructor(
     private readonly gl: WebGL2RenderingContext,
@@ -67,82 +67,82 @@ export class SplatLayer {
 
   private readonly sorter: DepthSorter;
 
-  /** Rows that are drawn as soon as they are sorted. */
+  /** Rows drawn once they are sorted. */
   get rows(): number {
     return Math.min(this.arrived, this.most);
   }
 
-  /** Rows that the last picture was made of. */
+  /** Rows of the last picture. */
   get drawnRows(): number {
     return this.sorted?.rows ?? 0;
   }
 
-  /** Whether an order is being made that shows more than the last one. */
+  /** Whether a sort is running that includes more rows than the last one. */
   get isSorting(): boolean {
     return this.sorting;
   }
 
-  /** Put a chunk's rows where they belong. */
+  /** Write a chunk's rows. */
   write(packed: PackedSplats, firstRow: number): void {
     if (firstRow + packed.count > this.capacity) return;
     this.textures.write(packed, firstRow);
     this.arrived = Math.max(this.arrived, firstRow + packed.count);
     this.sorter.add(firstRow, packed.words);
     this.stale = true;
-    // What has come is drawn when it is sorted, which need not wait for a picture.
+    // New rows are drawn once sorted, and the sort need not wait for a picture.
     if (this.forward === undefined) this.changed();
     else void this.sort(this.forward);
   }
 
-  /** Draw rows no longer. */
+  /** Hide rows. */
   clear(firstRow: number, count: number): void {
     this.textures.clear(firstRow, count);
     this.changed();
   }
 
-  /** Replace rows whose means stay what they are, so that their order does. */
+  /** Replace rows without changing their means, and so their order. */
   repaint(packed: PackedSplats, firstRow: number): void {
     if (firstRow + packed.count > this.capacity) return;
     this.textures.write(packed, firstRow);
     this.changed();
   }
 
-  /** Note the opacities of rows at two adjacent levels, as `LevelOpacities` gives them. */
+  /** Write the opacities of rows at two adjacent levels, from `LevelOpacities`. */
   writeLevels(words: Uint32Array, firstRow: number): void {
     if (firstRow + words.length > this.capacity) return;
     this.textures.writeLevels(words, firstRow);
   }
 
-  /** Note what compensation adds to rows. */
+  /** Write the compensation of rows. */
   shift(firstRow: number, count: number, shifts: Shifts | undefined): void {
     if (firstRow + count > this.capacity) return;
     this.textures.writeShifts(firstRow, count, shifts);
     this.changed();
   }
 
-  /** Draw only the first rows. */
+  /** Draw the first rows alone. */
   limit(rows: number): void {
     this.most = Math.max(rows, 1);
     this.stale = true;
     this.changed();
   }
 
-  /** Make the textures anew, because the graphics memory was lost. */
+  /** Make the textures again after the graphics memory was lost. */
   restore(): void {
     this.textures.allocate(this.gl);
     this.changed();
   }
 
-  /** Upload a part of what has changed; returns whether that was all. */
+  /** Upload a part of the changes; return whether none are left. */
   upload(): boolean {
     return this.textures.upload(this.gl);
   }
 
   /**
-   * Bind what is drawn, and have the rows sorted where they are not sorted for a view.
+   * Bind the textures, and start a sort if the view requires one.
    *
    * @param forward - Direction of view.
-   * @returns Whether all rows that have come are bound, in the order for the view.
+   * @returns Whether all rows received are bound in the order of the view.
    */
   prepare(forward: readonly number[]): boolean {
     this.forward = [...forward];
@@ -172,7 +172,7 @@ export class SplatLayer {
     this.sorted = { rows, forward };
     this.sortMilliseconds = milliseconds;
     this.changed();
-    // Rows that came meanwhile wait for no picture either.
+    // Rows that arrived meanwhile need not wait for a picture either.
     if (this.stale) void this.sort(this.forward!);
   }
 }

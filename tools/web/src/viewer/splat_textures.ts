@@ -3,17 +3,18 @@ import { type PackedSplats, SH_WORDS } from "../scene/packed_splats.js";
 import { OPACITY_STEPS, SCALE_STEPS, TEXTURE_WIDTH } from "./shaders.js";
 
 /**
- * Bytes of textures that are uploaded at once. Browsers hand them on in a buffer of 16 MiB (Chromium's for WebGL), and
- * who fills it waits until the graphics have taken something out.
+ * Bytes of textures uploaded at once. Chromium passes WebGL uploads through a buffer of 16 MiB; filling it blocks until
+ * the
+ * graphics have read from it.
  */
 const BYTES_AT_ONCE = 4 << 20;
 
-/** A texture of unsigned integers, one texel a splat, with a copy in memory from which changed lines are uploaded. */
+/** A texture of unsigned integers, one texel per splat, with a copy in memory from which changed lines are uploaded. */
 class RowTexture {
   readonly words: Uint32Array;
   private texture: WebGLTexture | undefined;
   private readonly height: number;
-  /** Lines that differ from the texture's. */
+  /** Lines that differ from the texture. */
   private readonly changed = new Set<number>();
 
   constructor(
@@ -24,7 +25,7 @@ class RowTexture {
     this.words = new Uint32Array(TEXTURE_WIDTH * this.height * channels);
   }
 
-  /** Make the texture, for the first time or because the graphics memory was lost. */
+  /** Make the texture, also after the graphics memory was lost. */
   allocate(gl: WebGL2RenderingContext): void {
     this.texture = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
@@ -34,13 +35,13 @@ class RowTexture {
     gl.texStorage2D(gl.TEXTURE_2D, 1, format, TEXTURE_WIDTH, this.height);
   }
 
-  /** Note that rows have changed. */
+  /** Mark rows as changed. */
   touch(first: number, count: number): void {
     const end = Math.ceil((first + count) / TEXTURE_WIDTH);
     for (let line = Math.floor(first / TEXTURE_WIDTH); line < end; line++) this.changed.add(line);
   }
 
-  /** Upload lines that have changed, about so many bytes of them; returns how many there were. */
+  /** Upload about `mostBytes` of changed lines; return the number of bytes. */
   upload(gl: WebGL2RenderingContext, mostBytes: number): number {
     if (this.changed.size === 0) return 0;
     gl.activeTexture(gl.TEXTURE0);
@@ -58,7 +59,7 @@ class RowTexture {
     return bytes;
   }
 
-  /** Whether the texture holds all that was written. */
+  /** Whether the texture is up to date. */
   get isUploaded(): boolean {
     return this.changed.size === 0;
   }
@@ -74,8 +75,8 @@ class RowTexture {
 }
 
 /**
- * The textures of a scene: splats, what compensation adds to them, SH bands, the order in which they are drawn and, where
- * the scene has levels, their opacities at two adjacent ones.
+ * Textures of a scene: splats, compensation, SH bands, drawing order and, for scenes with levels, opacities at two
+ * adjacent levels.
  */
 export class SplatTextures {
   private readonly splats: RowTexture;
@@ -84,7 +85,7 @@ export class SplatTextures {
   private readonly bands: RowTexture[];
   private readonly levels: RowTexture | undefined;
 
-  /** Rows from the first on that hold something. */
+  /** Number of rows written, from the first on. */
   private written = 0;
 
   constructor(rows: number, degree: number, hasLevels: boolean) {
@@ -99,7 +100,7 @@ export class SplatTextures {
     return [this.splats, this.order, this.shifts, ...this.bands, ...(this.levels ? [this.levels] : [])];
   }
 
-  /** Make the textures, for the first time or because the graphics memory was lost; rows that were written are uploaded anew. */
+  /** Make the textures, also after the graphics memory was lost; written rows are uploaded again. */
   allocate(gl: WebGL2RenderingContext): void {
     for (const texture of this.all) {
       texture.allocate(gl);
@@ -108,7 +109,7 @@ export class SplatTextures {
     }
   }
 
-  /** Put a chunk's rows where they belong. */
+  /** Write a chunk's rows. */
   write(packed: PackedSplats, firstRow: number): void {
     this.written = Math.max(this.written, firstRow + packed.count);
     this.splats.words.set(packed.words, 4 * firstRow);
@@ -119,19 +120,19 @@ export class SplatTextures {
     });
   }
 
-  /** Make rows transparent: what has no opacity is not drawn. */
+  /** Make rows transparent; transparent splats are not drawn. */
   clear(firstRow: number, count: number): void {
     this.splats.words.fill(0, 4 * firstRow, 4 * (firstRow + count));
     this.splats.touch(firstRow, count);
   }
 
-  /** Note the opacities of rows at two adjacent levels, as `LevelOpacities` gives them. */
+  /** Write the opacities of rows at two adjacent levels, from `LevelOpacities`. */
   writeLevels(words: Uint32Array, firstRow: number): void {
     this.levels!.words.set(words, firstRow);
     this.levels!.touch(firstRow, words.length);
   }
 
-  /** Note what compensation adds to rows. */
+  /** Write the compensation of rows. */
   writeShifts(firstRow: number, count: number, shifts: Shifts | undefined): void {
     const words = this.shifts.words.subarray(firstRow, firstRow + count);
     if (shifts === undefined) words.fill(0);
@@ -139,21 +140,21 @@ export class SplatTextures {
     this.shifts.touch(firstRow, count);
   }
 
-  /** Set the order in which the first rows are drawn. */
+  /** Set the drawing order of the first rows. */
   writeOrder(order: Uint32Array, rows: number): void {
     this.order.words.set(order.subarray(0, rows));
     this.order.touch(0, rows);
   }
 
-  /** Upload about as many bytes of what has changed as go to the graphics without waiting for them; returns whether that was all. */
+  /** Upload as many changed bytes as the graphics accept without blocking; return whether none are left. */
   upload(gl: WebGL2RenderingContext): boolean {
     let left = BYTES_AT_ONCE;
-    // An order is of use as a whole alone.
+    // An order is uploaded as a whole.
     for (const texture of this.all) left -= texture.upload(gl, texture === this.order ? Infinity : left);
     return this.all.every((texture) => texture.isUploaded);
   }
 
-  /** Bind all to units: splats, order, shifts, then the bands and the opacities of levels. */
+  /** Bind all textures to units: splats, order, shifts, then the bands and the opacities of levels. */
   bind(gl: WebGL2RenderingContext): void {
     this.all.forEach((texture, unit) => {
       texture.bind(gl, unit);
@@ -165,7 +166,7 @@ export class SplatTextures {
   }
 }
 
-/** Two numbers in steps, 16 bits each. */
+/** Return two numbers in steps of 16 bits each. */
 function shiftWord(scale: number, opacity: number): number {
   return (Math.round(scale * SCALE_STEPS) & 0xffff) | (Math.round(opacity * OPACITY_STEPS) << 16);
 }

@@ -1,11 +1,11 @@
-// The program of a viewer's worker: it sorts the rows of one scene, or reads one PLY.
+// Program of a viewer's worker: it sorts the rows of one scene, or reads one PLY.
 import { RowSorter } from "./depth_sorter.js";
 import { Meter } from "./meter.js";
 import type { PlyRequest, PlyResponse, RateRequest } from "./ply_messages.js";
 import { readPly } from "./ply_reader.js";
 import type { SortRequest, SortResponse } from "./sort_messages.js";
 
-/** The worker's own side of the messages; `lib.webworker` cannot stand beside `lib.dom`. */
+/** The worker's side of the messages; `lib.webworker` conflicts with `lib.dom`. */
 interface WorkerScope {
   onmessage: ((event: MessageEvent<SortRequest | PlyRequest | RateRequest>) => void) | null;
   postMessage(message: SortResponse | PlyResponse, transfer: ArrayBuffer[]): void;

@@ -6,30 +6,30 @@ import { countedSplats } from "../schedule/chunk_ratios.js";
 import { type RowRun, RowSlots } from "./row_slots.js";
 import type { SplatLayer } from "./splat_layer.js";
 
-/** How long a visitor stands still before chunks are changed for what is seen from there, ms (docs/streaming.md, 10). */
+/** Time for which the camera rests before chunks are changed for its view, ms (docs/streaming.md, 10). */
 const STILL_MILLISECONDS = 250;
-/** Most layers of compensation of a scene, or more. */
+/** Layers of compensation of a scene at most, or more. */
 const LAYERS = 1 << 16;
 
-/** Fills a layer with what a visitor looks at, and empties what makes room for it. */
+/** Fills a layer with the chunks of a visit, and removes evicted ones. */
 export class VisitedScene {
-  /** Splats that are in memory. */
+  /** Splats in memory. */
   splats = 0;
-  /** Rows of the chunks that are there. */
+  /** Rows of the chunks in memory. */
   private readonly rows = new Map<number, readonly RowRun[]>();
-  /** Undefined where the layer has room for all: each chunk then has the rows that it has in the scene. */
+  /** Allocator of rows; undefined where the layer has room for the scene, so that each chunk has its own rows. */
   private readonly slots: RowSlots | undefined;
-  /** What each chunk's compensation is for: chunks of a prefix, and layers that were known. */
+  /** State of each chunk's compensation: chunks of the prefix, and layers known. */
   private readonly compensatedFor = new Map<number, number>();
   private waiting: { readonly chunk: number; readonly prefix: number }[] = [];
   private isStale = false;
-  /** When the pose changed last, by `performance.now`, where chunks were not changed for it yet. */
+  /** Time of the last change of the pose, from `performance.now`, until chunks were changed for it. */
   private movedAt: number | undefined;
 
   /**
-   * @param layer - May hold fewer rows than the scene has.
-   * @param shifted - Chunks that are shown with what they add for missing ones.
-   * @param shown - How much more than usual the pose of now shows of each chunk, where somebody looks.
+   * @param layer - Layer, perhaps with fewer rows than the scene.
+   * @param shifted - Chunks drawn with compensation.
+   * @param shown - Returns the ratios of the latest pose (`Visit.ratios`).
    */
   constructor(
     private readonly scene: StreamedScene,
@@ -40,7 +40,7 @@ export class VisitedScene {
     if (layer.capacity < scene.info.splats) this.slots = new RowSlots(layer.capacity);
   }
 
-  /** Draw what has come, or draw no longer what is gone. */
+  /** Draw the rows of a change, or hide an evicted chunk. */
   take(change: VisitChange): void {
     this.isStale = true;
     const { chunk } = change;
@@ -73,17 +73,16 @@ export class VisitedScene {
     }
   }
 
-  /** Look from somewhere else. */
+  /** Record a change of the pose. */
   look(): void {
     this.movedAt = performance.now();
   }
 
   /**
-   * Change chunks to make up for what is missing, each by what is there of its cell (SPEC 8.5) and what the pose shows
-   * of that (docs/streaming.md, 10).
+   * Update the compensation of chunks for their cells (SPEC 8.5) and the pose (docs/streaming.md, 10).
    *
-   * @param end - When to stop, by `performance.now`.
-   * @returns Whether there is more to do.
+   * @param end - Time at which to stop, from `performance.now`.
+   * @returns Whether more is left to do.
    */
   work(end: number): boolean {
     if (this.movedAt !== undefined && performance.now() - this.movedAt >= STILL_MILLISECONDS) this.isStale = true;
@@ -132,7 +131,7 @@ export class VisitedScene {
   }
 }
 
-/** Some rows of a chunk, whose words are no one else's: a layer hands those that it is given over to its sorter. */
+/** Return a copy of some rows of a chunk, because a layer transfers its rows to the sorter. */
 function part(packed: PackedSplats, from: number, count: number): PackedSplats {
   const rows = (words: Uint32Array, each: number): Uint32Array => words.slice(each * from, each * (from + count));
   return { ...packed, count, words: rows(packed.words, 4), sh: packed.sh.map((band, i) => rows(band, SH_WORDS[i]!)) };

@@ -5,42 +5,42 @@ import type { Splats } from "../scene/splats.js";
 import type { TexelArray, TexelLayout, Texels } from "../scene/texel_layouts.js";
 import { packBandTexels, packTexels } from "../scene/texels.js";
 
-/** What chunks are decoded to: arrays to the bit, 16 bytes and packed bands, or the textures of a renderer. */
+/** Format of decoded chunks: exact arrays, 16 bytes and packed bands, or the textures of a renderer. */
 export type ChunkFormat = "splats" | "packed" | TexelLayout;
 
-/** One chunk to decode; everything in it can be sent to a worker. */
+/** One chunk to decode, in a form that can be sent to a worker. */
 export interface DecodeTask {
-  /** Without a head, bands alone are decoded. */
+  /** Payloads; without a head the bands alone are decoded. */
   readonly payloads: ChunkPayloads | TailPayload;
   readonly rows: number;
   readonly needs: { readonly head: number; readonly tail: number };
   readonly degree: number;
   readonly format: ChunkFormat;
-  /** For packed chunks: what their codes stand for. */
+  /** Value ranges of the codes of packed chunks. */
   readonly ranges: PackRanges;
 }
 
-/** Coefficients above DC: all of `splats`, or a band of `packed` or of a renderer's textures. */
+/** Coefficients above DC: all of `splats`, or one band of `packed` or of a renderer's textures. */
 export type BandArray = Float32Array | Uint32Array | TexelArray;
 
-/** A decoded chunk: one of the four, as the task asked. */
+/** A decoded chunk: one of the four fields, by the format of the task. */
 export interface DecodedChunk {
   readonly splats?: Splats;
   readonly packed?: PackedSplats;
   readonly texels?: Texels;
-  /** Of a task without a head: `shN`, the packed bands, or the textures behind those that hold none. */
+  /** Result of a task without a head: `shN`, the packed bands, or the textures with coefficients above DC. */
   readonly bands?: readonly BandArray[];
 }
 
-/** Decodes the chunks of one scene, here or in workers. */
+/** Decoder of the chunks of one scene, on this thread or in workers. */
 export interface ChunkService {
-  /** Hand over a codebook's segment before the first chunk that needs it. */
+  /** Add a codebook's segment, before the first chunk that needs it. */
   addCodebook(codebook: number, kind: number, payload: Uint8Array): void;
   decode(task: DecodeTask): Promise<DecodedChunk>;
   close(): void;
 }
 
-/** Decodes where it is called. */
+/** Decoder on the caller's thread. */
 export class InlineService implements ChunkService {
   private readonly decoder: ChunkDecoder;
 
@@ -56,7 +56,7 @@ export class InlineService implements ChunkService {
     return this.decodeNow(task);
   }
 
-  /** Decode without a promise, as a worker does. */
+  /** Decode at once, as in a worker. */
   decodeNow({ payloads, rows, needs, degree, format, ranges }: DecodeTask): DecodedChunk {
     if (payloads.head === undefined) {
       if (format === "packed")
@@ -70,11 +70,11 @@ export class InlineService implements ChunkService {
   }
 
   close(): void {
-    // The memory goes with this object.
+    // The memory is freed with this object.
   }
 }
 
-/** Decodes where it is called, a chunk in a task of its own, so that the page stays awake where it may start no workers. */
+/** Decoder on the caller's thread with one task per chunk, so that a page without workers stays responsive. */
 export class SlicedService extends InlineService {
   private last: Promise<unknown> = Promise.resolve();
 

@@ -3,7 +3,7 @@ import type { DecoderIndex } from "../scene/chunk_decoder.js";
 import type { ChunkService, DecodedChunk, DecodeTask } from "./decode_task.js";
 import type { Request, Response } from "./messages.js";
 
-/** What a pool needs of a worker; a browser's `Worker` has it. */
+/** Part of a browser's `Worker` that a pool uses. */
 export interface WorkerLike {
   onmessage: ((event: MessageEvent<Response>) => void) | null;
   onerror: ((event: ErrorEvent) => void) | null;
@@ -11,11 +11,11 @@ export interface WorkerLike {
   terminate(): void;
 }
 
-/** How a pool is made. */
+/** Options of a pool. */
 export interface PoolOptions {
   /** Number of workers; by default one less than the machine has cores, at most 4. */
   readonly workers?: number;
-  /** Makes a worker; by default from `worker.js` beside this file, which a policy `worker-src 'self'` allows. */
+  /** Makes a worker; by default from `worker.js` next to this file, which a policy `worker-src 'self'` allows. */
   readonly makeWorker?: () => WorkerLike;
 }
 
@@ -25,7 +25,7 @@ interface Task {
   readonly reject: (error: unknown) => void;
 }
 
-/** Decodes chunks in workers. No memory is shared, so pages need no cross-origin isolation. */
+/** Decoder in workers. No memory is shared, so pages need no cross-origin isolation. */
 export class DecoderPool implements ChunkService {
   private readonly workers: WorkerLike[];
   private readonly tasks = new Map<number, Task>();
@@ -81,7 +81,7 @@ export class DecoderPool implements ChunkService {
     else task.reject(new CogsplatError(response.code, response.message, response.offset));
   }
 
-  /** A worker that ended, by lack of memory for example, takes its chunks with it. */
+  /** Reject the chunks of a worker that ended, for example for lack of memory. */
   private crashed(number: number, message: string): void {
     this.load[number] = Infinity;
     for (const [id, task] of this.tasks) {

@@ -2,13 +2,13 @@ import type { ReasonCode } from "../errors.js";
 import type { DecoderIndex } from "../scene/chunk_decoder.js";
 import type { DecodedChunk, DecodeTask } from "./decode_task.js";
 
-/** What a worker is told. */
+/** Message to a worker. */
 export type Request =
   | { readonly type: "scene"; readonly index: DecoderIndex }
   | { readonly type: "codebook"; readonly codebook: number; readonly kind: number; readonly payload: Uint8Array }
   | { readonly type: "chunk"; readonly id: number; readonly task: DecodeTask };
 
-/** What a worker answers: that its program runs, then chunks, or why there is none. */
+/** Message of a worker: its start, then a decoded chunk or an error for each task. */
 export type Response =
   | { readonly ready: true }
   | { readonly id: number; readonly decoded: DecodedChunk }
@@ -19,7 +19,7 @@ export type Response =
       readonly offset: number | undefined;
     };
 
-/** The buffers of a decoded chunk, which are handed over instead of copied. */
+/** Return the buffers of a decoded chunk, to be transferred instead of copied. */
 export function buffersOf({ splats, packed, texels, bands }: DecodedChunk): ArrayBuffer[] {
   const arrays = [
     ...(splats ? [splats.means, splats.scales, splats.quats, splats.opacities, splats.sh0, splats.shN] : []),

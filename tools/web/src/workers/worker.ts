@@ -1,22 +1,22 @@
-// The program of a decoder's worker: it decodes the chunks of one scene, in the order in which they come.
+// Program of a decoder's worker: it decodes the chunks of one scene in the order of their tasks.
 import { CogsplatError, type ReasonCode } from "../errors.js";
 import { loadKernels } from "../kernels/load.js";
 import { InlineService } from "./decode_task.js";
 import { buffersOf, type Request, type Response } from "./messages.js";
 
-/** The worker's own side of the messages; `lib.webworker` cannot stand beside `lib.dom`. */
+/** The worker's side of the messages; `lib.webworker` conflicts with `lib.dom`. */
 interface WorkerScope {
   onmessage: ((event: MessageEvent<Request>) => void) | null;
   postMessage(message: Response, transfer: ArrayBuffer[]): void;
 }
 
 const scope = globalThis as unknown as WorkerScope;
-// Pages that may refuse workers learn by it that this one runs.
+// Tells pages whose policy may refuse workers that this one runs.
 scope.postMessage({ ready: true }, []);
-/** Compiled while the first bytes of the scene come. */
+/** Compiled while the first bytes of the scene arrive. */
 const loading = loadKernels();
 let service: Promise<InlineService> | undefined;
-/** A codebook that was refused: every chunk after it is refused with the same error. */
+/** Error of a refused codebook, with which every later chunk is refused. */
 let refusal: unknown;
 
 scope.onmessage = ({ data }) => {
