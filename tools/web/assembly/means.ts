@@ -89,7 +89,7 @@ export function extraBits(s0: usize, s1: usize, s2: usize, rows: i32, coefficien
   }
 }
 
-/** How many rows have 0, 1, … 15 extra bits: 16 u32. */
+/** Count the rows with 0, 1, … 15 extra bits into 16 u32. */
 export function countBits(extra: usize, rows: i32, target: usize): void {
   memory.fill(target, 0, 64);
   for (let row = 0; row < rows; row++) {

@@ -242,7 +242,7 @@ function huffmanFour(source: usize, s1: usize, s2: usize, s3: usize, end: usize,
   );
 }
 
-/** Bits of a stream that ends at `end`: those below the highest bit that is set in its last byte. */
+/** Return the number of bits of a stream: the highest set bit of its last byte marks its end. */
 function firstBit(start: usize, end: usize): i32 {
   return ((<i32>(end - start)) << 3) - (<i32>clz<u32>(load<u8>(end - 1)) - 23);
 }

@@ -13,7 +13,7 @@ async function bytesOf(path) {
   return response.ok ? new Uint8Array(await response.arrayBuffer()) : undefined;
 }
 
-/** What is measured: a name, and a function that decodes all and gives the number of splats. */
+/** Decoders to measure: a name, and a function that decodes a file and returns its number of splats. */
 async function contestants() {
   const found = [];
   const cogs = await bytesOf(`${name}.cogs`);

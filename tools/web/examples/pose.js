@@ -21,7 +21,7 @@ export function poseOf({ height, fy, rotation, translation }, axes) {
   };
 }
 
-/** Where to begin: the scene's first view, or so far away that its box fits into the picture. */
+/** Return the first pose: the scene's first view, or one at which its bounding box fits into the picture. */
 export function firstPose(info, fieldOfView) {
   if (info.firstView !== undefined) return poseOf(info.firstView, info.axes);
   const { box } = info;

@@ -2,7 +2,7 @@
 // Spark's decoders. The page of tools/lab/benchmark/time_to_picture.py; everything is kept as packed splats.
 import { DecoderPool, SH_WORDS, StreamedScene, shiftPacked } from "./cogsplat.js";
 
-/** Shortest time between two copies of what is there, ms. */
+/** Shortest time between two copies of the splats, ms. */
 const COPY_INTERVAL = 30;
 
 /** Stream a COGS file; gives a copy of its splats whenever chunks have come. */

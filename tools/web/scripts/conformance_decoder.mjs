@@ -10,7 +10,7 @@ import { folders } from "../dist/folders.js";
 const VERSION = "0.1.0";
 const makeKernels = await loadKernels();
 
-/** A manifest on disk, with its objects beside it. */
+/** A manifest on disk, with its objects in the same folder. */
 class LocalManifest extends BlobSource {
   objects = new Map();
 
@@ -26,7 +26,7 @@ class LocalManifest extends BlobSource {
     return new BlobSource(new Blob([this.objects.get(name)]));
   }
 
-  /** Refuse objects, of those that were read, whose names do not stand for their bytes (SPEC 3.4). */
+  /** Refuse objects read whose names are not the hash of their bytes (SPEC 3.4). */
   checkObjects() {
     for (const [name, bytes] of this.objects) {
       const digits = createHash("sha256").update(bytes).digest("hex").slice(0, 32);

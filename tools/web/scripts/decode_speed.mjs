@@ -91,7 +91,7 @@ const [name, rounds = "15"] = process.argv.slice(2);
 const all = await contestants(name);
 const times = all.map(() => []);
 const splats = [];
-// The formats take turns, so that what else the machine does meets all of them; the first two rounds compile.
+// The formats take turns, so that other load on the machine affects all equally; the first two rounds compile.
 for (let round = -2; round < Number(rounds); round++) {
   for (const [i, [, decode]] of all.entries()) {
     const wall = performance.now();

@@ -199,7 +199,7 @@ test("scenes with other origins are placed beside each other", async () => {
   });
 });
 
-/** How many steps two words of half floats differ by at most; other words count whole. */
+/** Return the largest difference of two words in half-float steps; words without half floats differ as integers. */
 function halvesApart(a: number, b: number): number {
   return Math.max(Math.abs((a & 0xffff) - (b & 0xffff)), Math.abs((a >>> 16) - (b >>> 16)));
 }

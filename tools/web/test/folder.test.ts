@@ -12,7 +12,7 @@ import { manifest, sha256, vectorBytes, vectorFolder } from "./vectors.js";
 const FAST_RETRY = { retries: 3, pause: 1, longest: 4 };
 const kernels = await loadKernels();
 
-/** Open a folder of a server, do something with its scene, and give what was asked for. */
+/** Open a folder on a server, use its scene, and return the requests. */
 async function withScene(
   server: FolderServer,
   name: string,

@@ -16,7 +16,7 @@ import { manifest, sha256, vectorBytes } from "./vectors.js";
 const FAST_RETRY = { retries: 3, pause: 1, longest: 4 };
 const kernels = await loadKernels();
 
-/** Four chunks, most of them behind the first 64 KiB. */
+/** A file of four chunks, mostly after the first 64 KiB. */
 const PADDED = padSegments(vectorBytes("valid", "chunks"), 200_000);
 
 /** Serve a file, stream it whole, and give the last update of each chunk. */
@@ -316,7 +316,7 @@ test("segments that share a part of their bytes come by requests of their own", 
   assert.deepEqual(wanted, [1]);
 });
 
-/** A source whose first answer stops behind some bytes until it is told to go on. */
+/** A source whose first answer stops after some bytes until `goOn` is called. */
 class SlowSource {
   readonly signals: (AbortSignal | undefined)[] = [];
   goOn: () => void = () => undefined;
@@ -389,7 +389,7 @@ test("a server that asks for a wait is not asked before, and not waited for too 
   const start = performance.now();
   const { last } = await streamFrom(PADDED, (number) => (number === 1 ? "retry-after" : undefined));
   checkWhole(PADDED, last);
-  // Timers are told whole milliseconds, and may end a little before.
+  // Timers have whole milliseconds, and may end slightly early.
   assert.ok(performance.now() - start >= 990);
   const retry = { ...FAST_RETRY, longestWait: 500 };
   await assert.rejects(

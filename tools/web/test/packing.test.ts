@@ -233,7 +233,7 @@ for (const layout of ["spark", "playcanvas"] as const) {
   });
 }
 
-/** Splats of textures as the renderers' shaders read them; opacities, not logits. */
+/** Read splats from textures like a renderer's shader, with opacities instead of logits. */
 function unpackTexels({ layout, count, arrays }: Texels) {
   const [means, scales, quats, opacities, sh0, shN] = [3, 3, 4, 1, 3, 45].map(
     (width) => new Float32Array(width * count),

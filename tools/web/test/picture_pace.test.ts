@@ -3,7 +3,7 @@ import { test } from "node:test";
 import { millisecondsLeft } from "../src/viewer/arrival_forecast.js";
 import { PicturePace } from "../src/viewer/picture_pace.js";
 
-/** Graphics that finish what they were given when they are told to. */
+/** Fake graphics that finish their commands when the test says so. */
 class Graphics {
   readonly SYNC_GPU_COMMANDS_COMPLETE = 1;
   readonly TIMEOUT_EXPIRED = 2;

@@ -1,7 +1,7 @@
 import { createServer, type IncomingMessage, type ServerResponse } from "node:http";
 import type { AddressInfo } from "node:net";
 
-/** What goes wrong with one request; nothing where it is undefined. */
+/** Fault of one request; undefined for none. */
 export type Fault =
   | "status-503"
   | "status-403"

@@ -7,7 +7,7 @@ import { along, byBoxes, bySgss, byViewTable, countedSplats, type PoseRatios } f
 import { type Pose, path } from "../src/schedule/poses.js";
 import { Scheduler, type Unit } from "../src/schedule/scheduler.js";
 
-/** What `tools/lab/make_decisions.py` writes. */
+/** Contents of the file of `tools/lab/make_decisions.py`. */
 interface Scene {
   readonly boxes: readonly (readonly number[])[];
   readonly contribution: readonly number[];

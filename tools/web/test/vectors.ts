@@ -44,7 +44,7 @@ export const manifest = JSON.parse(readFileSync(join(FOLDER, "manifest.json"), "
   readonly invalid_folders: readonly InvalidVector[];
 };
 
-/** What is in a folder of the conformance files, by its path there. */
+/** Read the files of a folder of the conformance files, by path. */
 export function vectorFolder(kind: "folders" | "invalid-folders", name: string): Map<string, Uint8Array> {
   const folder = join(FOLDER, kind, name);
   const files = readdirSync(folder, { recursive: true, withFileTypes: true }).filter((entry) => entry.isFile());
@@ -61,7 +61,7 @@ export function vectorBytes(folder: "valid" | "invalid", name: string): Uint8Arr
   return new Uint8Array(readFileSync(join(FOLDER, folder, `${name}.cogs`)));
 }
 
-/** SHA-256 in hexadecimal of arrays one after the other. */
+/** Return the SHA-256 of concatenated arrays in hexadecimal. */
 export function sha256(...arrays: ArrayBufferView[]): string {
   const hash = createHash("sha256");
   for (const array of arrays) hash.update(new Uint8Array(array.buffer, array.byteOffset, array.byteLength));

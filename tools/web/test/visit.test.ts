@@ -47,7 +47,7 @@ function smallIndex(): UnitIndex {
   } as unknown as UnitIndex;
 }
 
-/** The segments of an index in the order in which a pose wants them. */
+/** Return the segments of an index in the order that a pose requests. */
 function order(index: UnitIndex, pose: Pose): number[] {
   const units = segmentUnits(index, 0, false);
   const ratios = along(byBoxes(index.chunks.box, index.chunks.contribution), path(pose, pose, 0));
@@ -200,7 +200,7 @@ test("a server without ranges cannot be visited", async () => {
   }
 });
 
-/** Where a viewpoint of the vector `view-table` stands and looks. */
+/** Return the pose of a viewpoint of the vector `view-table`. */
 function viewpoint(file: SceneFile, view: number): Pose {
   const { positions, directions } = file.viewTable()!;
   const [x, y, z] = Array.from(directions.subarray(3 * view, 3 * view + 3)) as [number, number, number];

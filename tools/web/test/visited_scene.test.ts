@@ -16,7 +16,7 @@ function packedOf(chunk: number): PackedSplats {
   return { words, count: SPLATS[chunk]!, sh: [] } as unknown as PackedSplats;
 }
 
-/** A scene and a layer that keep what is asked of them and what is drawn. */
+/** Fakes of a scene and a layer that record calls and rows. */
 function watched(capacity: number, ratios: () => Float64Array | undefined) {
   const prefixes = new Map<number, number>();
   const rows = new Array<number>(capacity).fill(0);

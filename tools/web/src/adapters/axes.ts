@@ -3,7 +3,7 @@ const OPENGL = "RUB";
 const OPPOSITE: Readonly<Record<string, string>> = { R: "L", L: "R", U: "D", D: "U", F: "B", B: "F" };
 
 /**
- * Return the matrix from a scene's axes to those of a renderer.
+ * Return the matrix from a scene's axes to a renderer's axes.
  *
  * @param from - Directions of the scene's +x, +y and +z, for example `RDF` (SPEC 4.2).
  * @param to - Directions of the renderer's axes; by default `RUB`, of three.js and PlayCanvas.
@@ -16,7 +16,7 @@ export function axesMatrix(from: string, to = OPENGL): number[] {
 }
 
 /**
- * Return the rotation x y z w from a scene's axes to those of a renderer.
+ * Return the rotation x y z w from a scene's axes to a renderer's axes.
  *
  * @throws RangeError where the axes differ by a reflection.
  */

@@ -166,7 +166,7 @@ export function drawBySpec(
 /** Number of distinct splat counts for uploads; at four uploads per second they last four minutes. */
 const SPARE_ROWS = 1024;
 
-/** Splat access of the engine's shader; bands are read like those of its own uncompressed splats. */
+/** Splat access of the engine's shader; its code for uncompressed splats reads the bands. */
 const READ_GLSL = `
 uint cogsRotation;
 vec4 cogsScale;

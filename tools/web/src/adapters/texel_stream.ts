@@ -34,7 +34,7 @@ export interface AdapterStream {
 }
 
 const UPLOAD_INTERVAL = 250;
-/** Longest task, ms: a frame at 60 Hz has 16, shared with other work. */
+/** Longest task, ms; a frame at 60 Hz has 16. */
 const LONGEST_TASK = 6;
 
 /** Return the SH degree of a stream. */
@@ -43,7 +43,7 @@ export function wantedDegree(scene: StreamedScene, options: AdapterOptions): num
 }
 
 /**
- * Fill a renderer's arrays as chunks arrive, and upload them at intervals.
+ * Fill and upload a renderer's arrays as chunks arrive.
  *
  * Rows present compensate for missing ones (SPEC 8.5), less with every chunk; refinements and coefficients replace
  * rows.
@@ -128,7 +128,7 @@ class DrawnRows {
   }
 }
 
-/** Yields to other work of the page. */
+/** Limits the duration of the tasks of a stream. */
 class Pace {
   private since = performance.now();
 

@@ -7,7 +7,7 @@ export class Float {
 
 /** A value of the msgpack subset of SPEC 4.1; integers are numbers. */
 export type Value = null | boolean | number | Float | string | Uint8Array | readonly Value[] | ValueMap;
-/** A map of the subset. A `Map`, because `__proto__` is a key like any other. */
+/** A map of the subset; a `Map`, because `__proto__` is an ordinary key. */
 export type ValueMap = Map<string, Value>;
 
 /** Nesting depth of arrays and maps at most, the outermost map included (SPEC 9.1). */

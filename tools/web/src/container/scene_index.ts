@@ -195,7 +195,7 @@ export class SceneIndex {
     return until === 0 || until > prefix;
   }
 
-  /** Return the segment of a chunk's opacities at a level; undefined where the head holds them (SPEC 5.11). */
+  /** Return the segment of a chunk's opacities at a level; undefined for the opacities of its head (SPEC 5.11). */
   opacitiesAt(chunk: number, level: number): number | undefined {
     const found = this.opacities.get(chunk) ?? NO_OPACITIES;
     return found[Math.min(level - this.levelsOf(chunk)[0]!, found.length) - 1];
@@ -257,7 +257,7 @@ export class SceneIndex {
   }
 
   /**
-   * Check the segments read since the last call against each other, and enter them by chunk and codebook.
+   * Cross-check the segments read since the last call, and enter each under its chunk or codebook.
    *
    * Checks of the whole file run once all pages are read.
    */

@@ -17,7 +17,7 @@ export const SegmentKind = {
   viewTable: 131,
 } as const;
 
-/** First kind of segments that a reader may skip when it does not know them. */
+/** First kind of segments that a reader without support may skip. */
 const FIRST_SKIPPABLE_KIND = 128;
 /** Splats of a chunk at most (SPEC 5.4). */
 const MAX_CHUNK_SPLATS = 262_144;
@@ -113,7 +113,7 @@ export function readChunkTable(fields: Fields): ChunkTable {
   return table;
 }
 
-/** Append the rows of the second table to those of the first. */
+/** Append the rows of a second table. */
 export function joinTables<T extends SegmentTable | ChunkTable>(first: T, second: T): T {
   const columns = Object.entries(first) as [keyof T, Column][];
   return Object.fromEntries(columns.map(([key, column]) => [key, join(column, second[key] as Column)])) as unknown as T;

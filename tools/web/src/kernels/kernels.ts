@@ -6,7 +6,7 @@
  * valid data and a negative number otherwise; the caller raises the reason code.
  */
 export interface Kernels {
-  /** Views of the whole memory, replaced when it grows: read them again after each `alloc`. */
+  /** Views of the whole memory. `alloc` may replace each view, so read it again afterwards. */
   readonly u8: Uint8Array;
   readonly u32: Uint32Array;
   readonly f32: Float32Array;

@@ -19,7 +19,7 @@ const PADDING = 32;
 /** Bytes behind the last reservation that readers of packed bits may load and never use. */
 const SLACK = 64;
 
-/** WebAssembly memory from which a decoder reserves the buffers of one chunk and releases all of them at once. */
+/** WebAssembly memory with a stack of reservations; a decoder releases all buffers of a chunk at once. */
 class KernelMemory {
   u8!: Uint8Array;
   u32!: Uint32Array;

@@ -6,7 +6,7 @@ export interface ReadOptions {
   readonly signal?: AbortSignal | undefined;
   /** Bypass caches, because they returned damaged bytes. */
   readonly fresh?: boolean;
-  /** Priority among other requests, for sources that support it. */
+  /** Fetch priority, for sources that support it. */
   readonly priority?: RequestPriority | undefined;
 }
 
@@ -21,7 +21,7 @@ export interface Answer {
   readonly parts: AsyncIterable<Uint8Array>;
 }
 
-/** A source of bytes: a server, a file, or any other. */
+/** A source of bytes, for example a server or a file. */
 export interface ByteSource {
   /** Read a range; the answer is shorter where the file ends within it. */
   read(range: ByteRange, options?: ReadOptions): Promise<Answer>;

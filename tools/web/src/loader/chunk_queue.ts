@@ -4,7 +4,7 @@ import type { ChunkFormat, ChunkService } from "../workers/decode_task.js";
 import { KeptHeads, withBands } from "./kept_heads.js";
 import type { ChunkUpdate } from "./stream_options.js";
 
-/** What chunks are decoded to. */
+/** Format and detail of decoded chunks. */
 export interface DecodeOptions {
   readonly degree: number;
   readonly format: ChunkFormat;
@@ -87,7 +87,7 @@ export class ChunkQueue {
     return segment === undefined ? [] : [segment];
   }
 
-  /** Return the received opacities of a chunk: those of all levels for packed chunks, otherwise the last. */
+  /** Return the received opacities of a chunk: of all levels for packed chunks, otherwise of the last level. */
   private opacitiesHere(chunk: number): {
     readonly count: number;
     readonly payloads: readonly (Uint8Array | undefined)[] | undefined;

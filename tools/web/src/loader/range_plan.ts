@@ -11,7 +11,7 @@ export interface RangeRequest extends ByteRange {
 }
 
 /**
- * Join the next segments of a list into one request, and remove them from the list.
+ * Remove the next segments from a list and join their ranges into one request.
  *
  * @param wanted - Segments in the order of their urgency.
  * @param rangeOf - Byte range of a segment.

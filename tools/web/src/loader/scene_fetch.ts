@@ -14,7 +14,7 @@ import type { ChunkUpdate, StreamOptions } from "./stream_options.js";
 const MAX_QUEUED = 64;
 /** Longest time in which segments of the first bytes are accepted at once, ms: a frame of the page has 16. */
 const SLICE_MILLISECONDS = 4;
-/** Bytes of decoded heads kept until their tails arrive, at most: those of two million packed splats. */
+/** Bytes of decoded heads kept until their tails arrive, at most: two million packed splats. */
 export const MOST_KEPT_BYTES = 32 * 2 ** 20;
 
 /** Rows of a decoded chunk. */
@@ -36,7 +36,7 @@ export interface FetchSource {
 }
 
 /**
- * One pass through a scene: reads index pages, requests segments, checks and decodes them, reports damage.
+ * One pass through a scene: reads index pages; requests, checks and decodes segments; reports damage.
  *
  * Subclasses choose which segments to request next, and turn decoded chunks into changes for the caller.
  */
@@ -187,7 +187,7 @@ export abstract class SceneFetch<Change> {
     this.wake();
   }
 
-  /** Read the index pages one after the other; chunks are entered as their pages arrive. */
+  /** Read the index pages in order, and enter the chunks of each. */
   private async readPages(): Promise<void> {
     try {
       for (let count = this.index.pagesRead + 1; count <= this.index.pages.length; count++) {
@@ -202,7 +202,7 @@ export abstract class SceneFetch<Change> {
     }
   }
 
-  /** Accept the segments that lie in the first bytes of the file; return the others. */
+  /** Accept the segments within the first bytes of the file; return the remaining segments. */
   protected acceptFromBeginning(segments: readonly number[]): number[] {
     const { beginning } = this.source;
     const held = new Set(segments.filter((segment) => beginning.holds(this.endOf(segment))));
@@ -218,7 +218,7 @@ export abstract class SceneFetch<Change> {
     return offset + length;
   }
 
-  /** Accept segments of the first bytes one after the other, and yield to the page between time slices. */
+  /** Accept segments of the first bytes in order, and yield to the page between time slices. */
   private async acceptInSlices(segments: readonly number[]): Promise<void> {
     const { beginning } = this.source;
     for (const segment of segments) this.uncancellable.add(segment);
@@ -278,7 +278,7 @@ export abstract class SceneFetch<Change> {
     else this.queue.add(segment, payload);
   }
 
-  /** Continue without segments that cannot be had, or end where no other segment would arrive either. */
+  /** Continue without segments that cannot be fetched; end after an error of the whole source. */
   protected lose(error: unknown, segments: readonly number[]): void {
     if (this.abort.signal.aborted) return;
     const isOfSegment =

@@ -13,7 +13,7 @@ export class SceneStream extends SceneFetch<ChunkUpdate> {
   private wanted: number[] = [];
   private readonly planned = new Set<number>();
   private readonly yielded = new Set<number>();
-  /** Chunks not fetched because they end, or because the level does not draw them. */
+  /** Chunks excluded from the fetch: chunks that end, or that the level does not draw. */
   private readonly excluded = new Set<number>();
   private prefix = 0;
   private requestBytes = FIRST_REQUEST;

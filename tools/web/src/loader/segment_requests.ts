@@ -11,11 +11,11 @@ const REQUEST_BYTES = 65_536;
 
 /** Handlers of what requests bring. */
 export interface SegmentReceiver {
-  /** All bytes of a segment have arrived. */
+  /** Called with each complete segment. */
   received(segment: number, payload: Uint8Array): void;
-  /** A request failed after all attempts, with these segments incomplete. */
+  /** Called with the incomplete segments of a request that failed after all retries. */
   failed(error: unknown, segments: readonly number[]): void;
-  /** A request has ended. */
+  /** Called after the end of each request. */
   ended(): void;
 }
 

@@ -57,7 +57,7 @@ export interface FolderReader {
 
 /** A scene streamed from the URL of a file or folder, from a File, or from another source of bytes. */
 export class StreamedScene implements FetchSource {
-  /** The last page being read; pages are read one after the other, once for all streams. */
+  /** The last page being read; pages are read in order, once for all streams. */
   private pages: Promise<unknown> = Promise.resolve();
   /** Layers of compensation received by streams with `compensate`. */
   readonly compensation: PrefixCompensation;
@@ -257,7 +257,7 @@ async function inlineService(index: DecoderIndex): Promise<ChunkService> {
 }
 
 /**
- * Return the address of the manifest for a folder's URL, which ends in a slash (SPEC 3.4); other URLs unchanged.
+ * Return the address of the manifest for a folder's URL, which ends in a slash (SPEC 3.4), and any other URL unchanged.
  *
  * @example
  * ```ts

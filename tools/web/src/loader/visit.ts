@@ -29,7 +29,7 @@ export interface VisitOptions
   readonly onSettled?: (isSettled: boolean) => void;
 }
 
-/** Rows of a chunk, new or with more in them, always after those of its parent (SPEC 5.4); or an evicted chunk. */
+/** New or more detailed rows of a chunk, always after its parent's (SPEC 5.4); or an evicted chunk. */
 export type VisitChange =
   | ({ readonly kind: "rows" } & ChunkRows)
   | { readonly kind: "evicted"; readonly chunk: number };
@@ -52,7 +52,7 @@ export class Visit extends SceneFetch<VisitChange> {
   private readonly yielded = new Set<number>();
   /** Decoded rows whose parent the caller does not have yet. */
   private readonly early = new Map<number, ChunkRows>();
-  /** Chunks that cannot be had; their children do not wait for them. */
+  /** Chunks that cannot be fetched or decoded; their children are yielded without a parent. */
   private readonly lost = new Set<number>();
   private table: ViewTable | undefined;
   private poseRatios: PoseRatios | undefined;
@@ -241,7 +241,7 @@ export class Visit extends SceneFetch<VisitChange> {
     for (const rows of [...this.early.values()]) if (this.parents[rows.chunk] === chunk) this.onDecoded(rows);
   }
 
-  /** Queue rows for the caller, after those of the chunk's parent; rows of a chunk evicted meanwhile are dropped. */
+  /** Queue rows for the caller after the rows of the parent chunk; drop rows of a chunk evicted meanwhile. */
   protected override onDecoded(rows: ChunkRows): void {
     const { chunk } = rows;
     this.chooseSoon();

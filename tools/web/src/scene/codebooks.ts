@@ -35,7 +35,7 @@ export class Codebooks {
   ) {}
 
   /**
-   * Decode the segment of a codebook and keep its rows. No other memory may be reserved meanwhile.
+   * Decode the segment of a codebook and keep its rows; no memory may be reserved meanwhile.
    *
    * @param kind - Segment kind: 3 for shapes, 4 to 6 for colour bands.
    */

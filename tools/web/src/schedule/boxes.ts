@@ -75,7 +75,7 @@ export function inPyramid(boxes: Boxes, box: number, pose: Pose): boolean {
   );
 }
 
-/** Return whether a projected box and a convex polygon overlap: no edge of either separates them. */
+/** Return whether a projected box and a convex polygon overlap: no edge of either is a separating line. */
 function meet(box: readonly Point[], polygon: readonly Point[]): boolean {
   const from = (a: Point, b: Point): Point => [b[0] - a[0], b[1] - a[1]];
   const edges = [

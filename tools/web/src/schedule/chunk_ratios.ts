@@ -24,7 +24,7 @@ const EPSILON = 1e-6;
  */
 export type PoseRatios = (pose: Pose) => Float64Array;
 
-/** Sum in array order, which the other implementation follows to the bit. */
+/** Sum in array order, for results equal to the bit in Python. */
 function total(values: Float64Array): number {
   let sum = 0;
   for (const value of values) sum += value;

@@ -85,7 +85,7 @@ export class Scheduler {
     return { stop: round.stopped, evict: round.evicted, fetch: round.chosen };
   }
 
-  /** Return urgencies and the order by them, cached for the ratios of the last call. */
+  /** Return the urgency and the order of the units, cached for the ratios of the last call. */
   private ordered(ratios: Float64Array): { readonly urgency: Float64Array; readonly order: readonly number[] } {
     if (this.last?.ratios === ratios) return this.last;
     const urgency = this.urgency(ratios);
@@ -135,7 +135,7 @@ class Round {
     return this.bytesComing >= this.window && this.coming.size > 0;
   }
 
-  /** Return the most urgent chain, without the units set aside. */
+  /** Return the most urgent chain, without units that found no room. */
   best(order: readonly number[]): Chain | undefined {
     let best: Chain | undefined;
     for (const unit of order) {
@@ -190,7 +190,7 @@ class Round {
     return worths;
   }
 
-  /** Request the first unit of a chain, or set the last aside if there is no room for it. */
+  /** Request the first unit of a chain, or skip the chain from now on if there is no room for it. */
   want({ units }: Chain): void {
     const first = units[0]!;
     const last = units[units.length - 1]!;

@@ -6,7 +6,7 @@ import { checkParams, checkPlanes, type StreamRecord } from "./records.js";
 /** Parameters of a vq stream (SPEC 6.7). */
 export interface IndexParams {
   readonly codebook: number;
-  /** Number of escape rows, which the chunk holds itself; their indices follow those of the codebook. */
+  /** Number of escape rows, which the chunk holds itself, with indices after the codebook's rows. */
   readonly escapes: number;
 }
 

@@ -6,7 +6,7 @@ import { Attribute, checkParams, checkPlanes, Kind, type StreamRecord } from "./
 
 /** Length of the axes of sh0 after the grids, bytes (SPEC 6.13). */
 const AXES_BYTES = 36;
-/** Levels at most where codes stand for ±∞ too, so that these fit three byte planes (SPEC 6.4). */
+/** Levels at most in streams with codes for ±∞, which must fit three byte planes too (SPEC 6.4). */
 const MAX_LEVELS_WITH_INFINITIES = 2 ** 24 - 2;
 
 /**
@@ -52,7 +52,7 @@ export function readScalarRows(k: Kernels, stream: StreamRecord, target: number)
 interface Codes {
   readonly addresses: number[];
   readonly grids: Grid[];
-  /** Address of the axes of sh0; 0 for other streams. */
+  /** Address of the axes of sh0; 0 without axes. */
   readonly axes: number;
 }
 

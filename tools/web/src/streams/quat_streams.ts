@@ -9,7 +9,7 @@ import { addressTable, countExtraBits, readExtraBits, STEP_MODEL_BYTES } from ".
 const PER_ROW = 255;
 /** Planes per component of swing and twist: six of symbols, one of low bits (SPEC 6.11). */
 const SWING_TWIST_PLANES = 7;
-/** Bits of a code in its symbol; the other bits are low bits (SPEC 6.11). */
+/** Bits of a code in its symbol; the remaining ones are low bits (SPEC 6.11). */
 const SYMBOL_BITS = 6;
 
 /** Read quaternions of three stored components (SPEC 6.6) into four columns w x y z. */

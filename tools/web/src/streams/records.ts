@@ -44,7 +44,7 @@ interface AttributeRule {
 }
 
 const PLAIN = [Kind.scalar, Kind.float];
-/** Rules for the attributes of SPEC 6.2, without those of refinements alone (digits and bits). */
+/** Rules for the attributes of SPEC 6.2 except digits and bits, which only refinements have. */
 const RULES: ReadonlyMap<number, AttributeRule> = new Map<number, AttributeRule>([
   [Attribute.means, { name: "means", components: 3, kinds: [...PLAIN, Kind.sorted] }],
   [Attribute.opacities, { name: "opacities", components: 1, kinds: [...PLAIN, Kind.differences] }],
@@ -81,7 +81,7 @@ export interface StreamRecord {
 /** Owner of a payload; the kinds allowed differ. */
 export type Place = "head" | "tail" | "codebook" | "refinement" | "opacities";
 
-/** The streams of one payload, read in the order of a clause of SPEC 7; other streams are refused. */
+/** The streams of one payload, read in the order of a clause of SPEC 7; unread streams are refused. */
 export class Payload {
   private readonly streams = new Map<string, StreamRecord>();
 

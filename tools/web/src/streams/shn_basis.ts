@@ -42,7 +42,7 @@ export function readShnCodebook({ params }: StreamRecord): number {
 }
 
 /**
- * Read the other parameters of a basis stream of shN (SPEC 6.14).
+ * Read the parameters of a basis stream of shN after its codebook (SPEC 6.14).
  *
  * @param bookRows - Rows of the codebook that the stream names.
  */

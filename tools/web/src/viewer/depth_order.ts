@@ -15,7 +15,7 @@ export function sortByDepth(means: Float32Array, rows: number, forward: readonly
   for (const _ of sortSteps(means, rows, forward, order));
 }
 
-/** Sort as `sortByDepth`, in steps of about a millisecond, and yield between them. */
+/** Sort as `sortByDepth`, and yield after each millisecond or so. */
 export function* sortSteps(
   means: Float32Array,
   rows: number,

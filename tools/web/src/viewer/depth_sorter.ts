@@ -76,7 +76,7 @@ export class RowSorter {
     return { order, rows, milliseconds: performance.now() - start };
   }
 
-  /** Sort in slices, and let the page do other work between them. */
+  /** Sort in slices, so that the page stays responsive. */
   async sortInSlices(rows: number, forward: readonly number[], spare: Uint32Array | undefined): Promise<DepthOrder> {
     const start = performance.now();
     const order = spare ?? new Uint32Array(this.rows);

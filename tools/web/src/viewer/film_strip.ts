@@ -22,7 +22,7 @@ export class FilmStrip {
     return !this.strip.hidden;
   }
 
-  /** Render the pictures in the present view and show them. */
+  /** Render and show the pictures in the present view. */
   async open(): Promise<void> {
     const run = ++this.run;
     const prefixes = this.view.prefixes(PICTURES);

@@ -32,7 +32,7 @@ const MOST_SPLATS = 2048;
 const SCALE_STEP = 21 / 254;
 
 /**
- * Return the part of some splats that a picture should show: a whole object, or the bulk of other scenes.
+ * Return the part of some splats that a picture should show: a whole object, or the bulk of a scene.
  *
  * @param zero - Origin of the result in the space of the packed means.
  */

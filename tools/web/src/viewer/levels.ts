@@ -1,7 +1,7 @@
 import type { LevelEntry } from "../container/root.js";
 
 /*
- * Levels of a scene for pictures of several sizes (SPEC 5.11). A place between two of them is a number: 1.25 is a quarter
+ * Levels of a scene for pictures of several sizes (SPEC 5.11). A number between two levels is allowed: 1.25 is a quarter
  * of the way from level 1 to level 2.
  */
 

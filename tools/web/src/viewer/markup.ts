@@ -1,6 +1,6 @@
 const icon = (path: string): string => `<svg viewBox="0 0 24 24" aria-hidden="true"><path d="${path}"/></svg>`;
 
-/** What stands in the viewer's shadow. */
+/** Markup of the viewer's shadow root. */
 export const MARKUP = `
 <div id="root" class="empty">
   <canvas tabindex="0" role="application" aria-roledescription="3D scene"></canvas>

@@ -9,7 +9,7 @@ const SCENE_BLOCKS = 'script[type="application/x-cogs-base64"]';
 /** Blocks of a page that contains its workers' programs: the decoder's and the viewer's. */
 const WORKER_BLOCKS = 'script[type="application/x-cogs-worker"]';
 
-/** Join the file from the blocks of the page, and remove these, so that it is in memory once. */
+/** Join the file from the blocks of the page, and remove the blocks, so that it is in memory once. */
 function heldScene(): Blob | undefined {
   const blocks = [...document.querySelectorAll(SCENE_BLOCKS)];
   if (blocks.length === 0) return undefined;
@@ -21,7 +21,7 @@ function heldScene(): Blob | undefined {
   return new Blob(parts);
 }
 
-/** Pass keys that no other element has to a viewer, so that it reacts before it was clicked. */
+/** Pass keys without a focused element to a viewer, so that it reacts before it was clicked. */
 function passKeysTo(viewer: CogsplatViewer): void {
   document.addEventListener("keydown", (event) => {
     if (event.target !== document.body || event.key === "Tab") return;

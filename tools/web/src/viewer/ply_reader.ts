@@ -187,7 +187,7 @@ function pack(
   return { count: rows, words, sh, ranges };
 }
 
-/** Normalise quaternions w x y z to unit length and w ≥ 0; training stores them unnormalised. */
+/** Normalise quaternions w x y z to unit length and w ≥ 0, because training stores unnormalised ones. */
 function normalise(
   [w, x, y, z]: readonly [Float32Array, Float32Array, Float32Array, Float32Array],
   rows: number,

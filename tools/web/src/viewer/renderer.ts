@@ -50,7 +50,7 @@ export class SplatRenderer {
   }
 
   /**
-   * Whether the programs are built; browsers that can build them in parallel with the page.
+   * Whether the programs are built, which many browsers do in parallel with the page.
    *
    * @throws NoWebGlError where they cannot be built.
    */

@@ -20,7 +20,7 @@ export interface Prefix {
   readonly rows: number;
   /** Number of chunks. */
   readonly chunks: number;
-  /** Bytes up to the end of those chunks. */
+  /** Bytes up to the end of the last chunk. */
   readonly bytes: number;
   readonly predictedDb: number | undefined;
 }
@@ -49,7 +49,7 @@ export interface SceneFeed {
   readonly progressive: boolean;
   /** Whether the file has a first view. */
   readonly hasFirstView: boolean;
-  /** Run to the end; reject after all other chunks are shown if a part could not be fetched or decoded. */
+  /** Run to the end; reject at the end if a part could not be fetched or decoded. */
   run(host: FeedHost, signal: AbortSignal): Promise<void>;
   /** Return about `count` prefixes, from the smallest to the whole file. */
   prefixes(count: number): Prefix[];

@@ -208,7 +208,7 @@ export class SceneView {
     this.redraw();
   }
 
-  /** Limit the splats drawn: the first of the file or, in view order, those worth most to the view. */
+  /** Limit the splats drawn: the first of the file or, in view order, the splats worth most to the view. */
   limit(splats: number): void {
     this.budget = splats;
     for (const shown of [this.main, this.other]) {
@@ -419,7 +419,7 @@ export class SceneView {
       return;
     }
     const isUploaded = layers.map((layer) => layer.upload()).every(Boolean);
-    // Pictures that take long wait for all that they are to show.
+    // Slow pictures wait until all uploads are complete.
     if (!isUploaded && pace.isSlow) {
       pace.uploads();
       this.schedule();

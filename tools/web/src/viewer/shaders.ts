@@ -3,11 +3,11 @@ export const SPLATS_PER_INSTANCE = 128;
 /** Texels of a row of every texture that holds splats. */
 export const TEXTURE_WIDTH = 2048;
 
-/** What compensation adds is stored in these steps: a scale's logarithm and an opacity's logit (SPEC 8.5), 16 bits each. */
+/** Steps of stored compensation (SPEC 8.5), 16 bits each: log scale and logit of the opacity. */
 export const SCALE_STEPS = 2048;
 export const OPACITY_STEPS = 1024;
 
-/** Reads packed splats (`src/scene/packed_splats.ts`), projects them (SPEC 8.7) and spans a triangle over each. */
+/** Reads packed splats (`src/scene/packed_splats.ts`), projects each (SPEC 8.7) and covers it with a triangle. */
 export const VERTEX_SHADER = `#version 300 es
 precision highp float;
 precision highp int;
@@ -174,7 +174,7 @@ void main() {
 `;
 
 /**
- * Puts the splats' picture over the background; while a scene arrives, holes between splats take the colour around them.
+ * Blends the picture of the splats over the background; while a scene arrives, fills holes with the surrounding colour.
  *
  * Coarser levels of the picture are its averages, so that a level in which a pixel is covered tells the colour of the
  * nearest splats. Where even the coarsest level is hardly covered there is no hole but the end of the scene.

@@ -8,7 +8,7 @@ export interface ViewerWorkers {
   viewer(): Worker;
 }
 
-/** Return workers whose programs are next to the viewer's own; a policy `worker-src 'self'` allows them. */
+/** Return workers whose programs are next to the viewer's own, as a policy `worker-src 'self'` allows. */
 export function workersBeside(base: string): ViewerWorkers {
   const start = (name: string) => new Worker(new URL(name, base), { type: "module" });
   return { decoder: () => start("worker.js"), viewer: () => start("viewer_worker.js") };
@@ -24,9 +24,9 @@ export function workersOfTexts(decoder: string, viewer: string): ViewerWorkers {
   return { decoder: start(decoder), viewer: start(viewer) };
 }
 
-/** Workers as far as the page's policy allows them. */
+/** Workers, if the page's policy allows any. */
 export class AllowedWorkers {
-  /** The workers; undefined where a policy refuses them, or their program cannot be fetched. */
+  /** The workers; undefined where a policy refuses workers, or the program cannot be fetched. */
   readonly found: Promise<ViewerWorkers | undefined>;
   /** The workers, once `found` has resolved. */
   known: ViewerWorkers | undefined;
