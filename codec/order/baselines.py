@@ -1,4 +1,4 @@
-"""Baseline orders of other programs and papers, computed from a splat's own values.
+"""Baseline orders from programs and papers, computed from a splat's own values.
 
 Each function returns priorities, (N,) float64: splats of higher priority come first.
 """

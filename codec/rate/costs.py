@@ -38,9 +38,13 @@ _VIEWS_PER_BEST: Final = 32
 
 
 def robust_energy(scores: Scores) -> F64:
-    """Return (N,) float64 energies: each at least 1/32 of the splat's largest in any view.
+    """Return each splat's energy, raised to at least 1/32 of its largest energy in one view.
 
     The mean energy over the scoring views ignores the view that an error spoils most.
+
+    Returns
+    -------
+    (N,) float64
     """
     return np.maximum(scores.energy, scores.largest_energy / _VIEWS_PER_BEST)
 
@@ -105,7 +109,7 @@ class Costs:
         return Costs(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
     def equalise(self) -> Costs:
-        """Return costs in which every row has the attribute's mean, so that all steps are equal."""
+        """Return costs with every row set to the attribute's mean, so that all steps are equal."""
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
         level = {name: np.full_like(x, x.mean()) for name, x in values.items() if x.ndim == 1}
         return replace(self, **level)

@@ -145,7 +145,9 @@ def missing_shares(contribution: F64) -> F64:
 
 
 def missing_shares_from_mse(prefix_mse: F64) -> F64:
-    """Return the missing shares at which the model of `MISSING_ALL` predicts the measured errors.
+    """Return missing shares derived from the measured errors of prefixes.
+
+    A share is √(excess error / `MISSING_ALL`), where the excess is relative to the whole file.
 
     Parameters
     ----------

@@ -377,7 +377,7 @@ class _Planner:
         return orbit(target, self._config.views, self.down, self._config.near_plane)
 
     def _is_isolated(self, target: OrbitTarget) -> bool:
-        """Check that splats around the orbit poses, target included, block few directions."""
+        """Return whether, from half of the orbit poses, splats block only few directions."""
         if self._from_inside or not target.radius > 0.0:
             return False
         tries = orbit(target, _ORBIT_TRIES, self.down, self._config.near_plane)

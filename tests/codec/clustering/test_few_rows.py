@@ -23,7 +23,7 @@ def test_rows_are_the_means_of_clusters():
         np.testing.assert_allclose(book[row], vectors[labels == row].mean(axis=0))
 
 
-def test_the_nearest_row_is_the_one_that_a_tree_finds():
+def test_the_nearest_row_equals_that_of_a_tree():
     rng = np.random.default_rng(2)
     vectors, book = rng.normal(size=(500, 3)), rng.normal(size=(8, 3))
     np.testing.assert_array_equal(nearest(vectors, book), cKDTree(book).query(vectors)[1])
@@ -31,7 +31,7 @@ def test_the_nearest_row_is_the_one_that_a_tree_finds():
 
 
 @pytest.mark.parametrize("rows", [1, 2, 8])
-def test_a_stray_does_not_take_a_row(rows):
+def test_an_outlier_gets_no_row(rows):
     _, vectors = clusters()
     vectors[17] = 1e6
     book = train(vectors, rows)
@@ -39,7 +39,7 @@ def test_a_stray_does_not_take_a_row(rows):
     assert rows == 1 or (np.abs(book) < 1e5).sum() >= 2
 
 
-def test_more_rows_than_vectors_stay_where_they_began():
+def test_rows_without_vectors_keep_their_start():
     book = train(np.array([[1.0, 2.0]]), 4)
     assert book.shape == (4, 2)
     assert np.isfinite(book).all()

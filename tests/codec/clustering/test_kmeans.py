@@ -39,20 +39,20 @@ def check(rows, vectors, most):
 
 
 @pytest.mark.parametrize("rows", [1, 2, 16, 128, 1024])
-def test_no_row_is_dead_and_none_is_too_many(rows):
+def test_all_rows_are_used_and_limited(rows):
     vectors = cloud(1)
     out = kmeans.train(vectors, np.ones(len(vectors)), rows)
     check(out, vectors, rows)
     assert len(out) >= 0.99 * rows
 
 
-def test_no_row_is_dead_under_weights_of_many_magnitudes():
+def test_all_rows_are_used_under_weights_of_many_magnitudes():
     vectors = cloud(2)
     weights = np.random.default_rng(3).lognormal(0, 4, len(vectors))
     check(kmeans.train(vectors, weights, 200), vectors, 200)
 
 
-def test_rows_are_better_than_as_many_vectors_drawn_at_random():
+def test_rows_beat_random_vectors():
     vectors = cloud(4)
     out = kmeans.train(vectors, np.ones(len(vectors)), 64)
     drawn = vectors[np.random.default_rng(5).choice(len(vectors), 64, replace=False)]
@@ -97,7 +97,7 @@ def test_weights_count_by_their_ratios_only():
         np.append(np.zeros(590), np.ones(10)),
     ],
 )
-def test_no_weights_break_it(weights):
+def test_extreme_weights_are_accepted(weights):
     vectors = cloud(11, n=600)
     check(kmeans.train(vectors, weights, 16), vectors, 16)
 
@@ -156,7 +156,7 @@ def test_training_goes_on_from_a_codebook():
 
 
 @pytest.mark.parametrize("rows", [8, 64])
-def test_a_codebook_of_another_size_is_cut_or_completed(rows):
+def test_a_start_codebook_is_cut_or_extended(rows):
     vectors = cloud(22, n=2000)
     weights = np.random.default_rng(23).lognormal(0, 1, 2000)
     start = kmeans.train(vectors, weights, 32)
@@ -165,7 +165,7 @@ def test_a_codebook_of_another_size_is_cut_or_completed(rows):
     assert len(out) == rows
 
 
-def test_inputs_are_left_alone():
+def test_inputs_are_not_modified():
     vectors, weights = cloud(17, n=500), np.full(500, 3.0)
     before = vectors.copy()
     kmeans.train(vectors, weights, 8)

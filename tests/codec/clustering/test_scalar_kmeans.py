@@ -31,7 +31,7 @@ def best_error(values: np.ndarray, levels: int) -> float:
     st.lists(st.floats(-100, 100, width=32), min_size=5, max_size=12, unique=True),
     st.integers(1, 4),
 )
-def test_small_sets_are_cut_at_best(numbers: list[float], levels: int) -> None:
+def test_small_sets_are_cut_optimally(numbers: list[float], levels: int) -> None:
     values = np.array(numbers, np.float32)
     codebook = train_scalars(values, levels)
     assert len(codebook) <= levels

@@ -67,7 +67,7 @@ def test_without_any_it_still_decodes():
     assert len(concatenate(decoding.chunks(encoded(nothing)))) == N
 
 
-def test_levelled_costs_ask_for_one_step():
+def test_equalised_costs_give_one_step():
     costs = rate_costs.costs(oracle.scene(3, n=N, degree=3), scored())
     level = costs.equalise()
     rng = np.random.default_rng(1)

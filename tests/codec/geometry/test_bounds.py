@@ -38,7 +38,7 @@ def test_the_box_holds_every_ellipsoid(seed):
         assert (points <= corners[3:] + 1e-9).all()
 
 
-def test_the_box_of_one_splat_is_no_larger_than_it_must_be():
+def test_the_box_of_one_splat_is_tight():
     for row in range(10):
         one = oracle.scene(9, n=10).take(slice(row, row + 1))
         points, corners = surface(one, 0, 60_000), box(one)

@@ -81,7 +81,7 @@ def test_size_does_not_matter_and_no_size_breaks_it():
     np.testing.assert_allclose(out[:, :3].sum(axis=1), 1, atol=4e-3)
 
 
-def test_names_of_one_gaussian_give_one_vector():
+def test_equivalent_quaternions_give_one_vector():
     quats, scales = random_shapes(5)
     named, permuted = rotations.largest_w(quats, scales)
     np.testing.assert_allclose(
@@ -144,7 +144,7 @@ def test_principal_axes_turn_variances_into_the_covariance():
     assert (np.abs(back - wide) <= 1e-12 * largest).all()
 
 
-def test_centres_that_are_no_longer_covariances_still_give_shapes():
+def test_indefinite_matrices_still_give_shapes():
     # Means of many, rounded: slightly negative eigenvalues, a trace off one, nothing at all.
     rows = np.array(
         [[1, 0, 0, 0, 0, 0.01], [0.5, 0.5, -1e-4, 0, 0, 0], [0.3, 0.3, 0.3, 0, 0, 0], [0] * 6],

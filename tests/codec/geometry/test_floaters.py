@@ -13,7 +13,7 @@ def test_distances_are_those_of_brute_force() -> None:
     np.testing.assert_array_equal(neighbour_distances(means, 1), neighbour_distances(means, 2))
 
 
-def test_few_splats_have_the_neighbours_there_are() -> None:
+def test_few_splats_use_all_neighbours() -> None:
     line = np.array([[0, 0, 0], [1, 0, 0], [3, 0, 0]], np.float32)
     np.testing.assert_allclose(neighbour_distances(line), [2, 1.5, 2.5])
     np.testing.assert_array_equal(neighbour_distances(line[:1]), [0])
@@ -21,7 +21,7 @@ def test_few_splats_have_the_neighbours_there_are() -> None:
     assert not floaters(np.zeros((5, 3), np.float32), np.zeros(5), 2.0).any()
 
 
-def test_isolated_splats_go_unless_views_need_them() -> None:
+def test_isolated_splats_are_floaters_unless_they_contribute() -> None:
     rng = np.random.default_rng(2)
     cloud = rng.normal(size=(500, 3))
     means = np.concatenate([cloud, [[90, 0, 0], [0, -90, 0]]]).astype(np.float32)

@@ -37,7 +37,7 @@ def test_axes_and_origins_are_those_of_the_first_part() -> None:
     np.testing.assert_array_equal(merged.means[20:], expected.astype(np.float32))
 
 
-def test_extras_that_not_all_have_alike_are_left_out() -> None:
+def test_extras_that_differ_between_parts_are_omitted() -> None:
     a = replace(synth(3), extras={"t": np.arange(3, dtype="u1"), "n": np.zeros(3, "f4")})
     b = replace(synth(2), extras={"t": np.arange(2, dtype="u1"), "n": np.zeros(2, "f8")})
     with pytest.warns(CogsplatWarning, match="attributes n are not alike"):
@@ -46,7 +46,7 @@ def test_extras_that_not_all_have_alike_are_left_out() -> None:
     np.testing.assert_array_equal(merged.extras["t"], [0, 1, 2, 0, 1])
 
 
-def test_what_does_not_fit_together_is_said_or_refused() -> None:
+def test_incompatible_parts_warn_or_are_refused() -> None:
     scene = synth(2)
     with pytest.raises(DataError, match="colours in linear") as refused:
         merge([scene, replace(scene, info=SceneInfo(colour_space="linear"))])

@@ -18,7 +18,7 @@ def test_codes_hold_the_bits_of_x_y_z_in_turn(bits: int) -> None:
     np.testing.assert_array_equal(deinterleave(found), codes)
 
 
-def test_spatial_order_keeps_neighbours_together_beside_outliers() -> None:
+def test_spatial_order_keeps_neighbours_together_despite_outliers() -> None:
     rng = np.random.default_rng(7)
     means = rng.uniform(-1.0, 1.0, (2000, 3)).astype(np.float32)
     means[:5] *= 1e7
@@ -28,7 +28,7 @@ def test_spatial_order_keeps_neighbours_together_beside_outliers() -> None:
     assert np.median(steps) < 0.25, "shuffled, it would be about 1.3"
 
 
-def test_spatial_order_tells_thousands_of_neighbours_apart() -> None:
+def test_spatial_order_separates_thousands_of_neighbours() -> None:
     along = np.random.default_rng(3).permutation(5000).astype(np.float32)
     diagonal = np.stack([along, along, along], axis=1)
     np.testing.assert_array_equal(spatial_order(diagonal), np.argsort(along))

@@ -87,7 +87,7 @@ def test_products_match_scipy_and_broadcast():
     np.testing.assert_array_equal(table[3, 6], rotations.multiply(a[3], b[6]))
 
 
-def test_renaming_axes_leaves_the_gaussian_and_bounds_the_quaternion():
+def test_permuting_axes_preserves_the_gaussian_and_bounds_the_quaternion():
     rng = np.random.default_rng(6)
     quats = random_quats(7, 20_000)
     scales = rng.normal(-4, 2, (20_000, 3)).astype(np.float32)
@@ -104,7 +104,7 @@ def test_renaming_axes_leaves_the_gaussian_and_bounds_the_quaternion():
     assert (np.abs(before - after).max(axis=(1, 2)) / size).max() < 1e-6
 
 
-def test_w_is_the_largest_of_all_24_names():
+def test_w_is_the_largest_of_all_24_equivalents():
     quats = random_quats(8, 300).astype(np.float64)
     named, _ = rotations.largest_w(quats.astype(np.float32), np.zeros((300, 3), np.float32))
     best = np.zeros(300)
@@ -120,7 +120,7 @@ def test_w_is_the_largest_of_all_24_names():
     np.testing.assert_allclose(named[:, 0], best, atol=1e-6)
 
 
-def test_the_24_names_of_one_gaussian_all_become_the_same():
+def test_the_24_equivalent_quaternions_all_become_the_same():
     quat, scales = random_quats(9, 1), np.array([[1.0, 2.0, 3.0]], np.float32)
     expected_quat, expected_scales = rotations.largest_w(quat, scales)
     for order in itertools.permutations(range(3)):

@@ -93,7 +93,7 @@ def test_gaussians_and_colours_move_with_their_axes(target: str) -> None:
 
 
 @pytest.mark.parametrize("target", FRAMES)
-def test_there_and_back(target: str) -> None:
+def test_converting_back_gives_the_same_scene(target: str) -> None:
     splats = replace(oracle.scene(4, n=20), info=SceneInfo(origin=(1.5, -2.0, 7.25)))
     back = convert_axes(convert_axes(splats, target), "RDF")
     assert back.info == splats.info
@@ -190,7 +190,7 @@ def test_transform_there_and_back() -> None:
         np.testing.assert_allclose(getattr(back, name), getattr(splats, name), atol=5e-6)
 
 
-def test_nothing_asked_changes_nothing() -> None:
+def test_the_identity_changes_nothing() -> None:
     splats = oracle.scene(3, n=20)
     same = transform(splats)
     for name in ARRAYS:

@@ -79,7 +79,7 @@ def test_behind_the_share_that_is_ordered_by_gain_splats_come_by_contribution(sc
     assert set(rows[:first]) != set(by_contribution[:first])
 
 
-def test_a_copy_in_the_same_place_waits(scene):
+def test_duplicates_are_ordered_late(scene):
     splats, cameras, _ = scene
     # Twice the same scene: by contribution every splat stands beside its copy.
     pairs = concatenate([splats, splats])
@@ -145,7 +145,7 @@ def test_progress_can_cancel(scene):
     assert calls[0] == ("gain", 0, 360)
 
 
-def test_reference_views_at_hand_are_not_drawn_again(several_chunks, monkeypatch):
+def test_given_reference_views_are_not_rendered_again(several_chunks, monkeypatch):
     splats, cameras, scores = several_chunks
     expected = gain_order(splats, scores, cameras)
     references = render_references(splats, cameras)
@@ -163,7 +163,7 @@ def test_reference_views_at_hand_are_not_drawn_again(several_chunks, monkeypatch
     )
 
 
-def test_without_jitter_only_the_given_views_are_looked_at(several_chunks):
+def test_without_jitter_only_the_given_views_are_rendered(several_chunks):
     splats, cameras, scores = several_chunks
     without = gain_order(splats, scores, cameras, GainConfig(jitter=False))
     assert (without != gain_order(splats, scores, cameras)).any()

@@ -30,7 +30,7 @@ def test_labels_come_from_the_attribute(dtype):
     ("labels", "dtype"),
     [([-1, 0], np.int8), ([0.5, 1], np.float32), ([np.nan, 1], np.float32), ([2.0**33], float)],
 )
-def test_labels_that_are_none_are_refused(labels, dtype):
+def test_invalid_labels_are_refused(labels, dtype):
     with pytest.raises(DataError) as caught:
         objects.labels_of(labelled(labels, dtype))
     assert caught.value.code == "bad-objects"
@@ -111,7 +111,7 @@ def test_budgets_come_first_object_by_object():
     assert sorted(found.rows.tolist()) == list(range(3000))
 
 
-def test_a_budget_for_an_object_that_is_not_there_is_refused():
+def test_a_budget_for_a_missing_object_is_refused():
     rows, labels, values = mixed()
     with pytest.raises(DataError, match="a budget for object 77, expected one of") as caught:
         objects.chunk_by_object(rows, labels, values, 500, [(None, 0.25), (77, 0.5)])
@@ -137,7 +137,7 @@ def test_encoded_chunks_name_their_object():
         encode(splats.without_extras(), scores, config)
 
 
-def test_what_would_be_refused_is_refused_before_splats_are_scored():
+def test_invalid_budgets_are_refused_before_scoring():
     scene = labelled([0, 2, 2], np.uint8)
     objects.require_objects(scene, ((None, 0.5), (2, 0.1)))
     with pytest.raises(

@@ -27,7 +27,7 @@ def test_votes_are_the_weights_of_a_direct_render():
     np.testing.assert_array_equal(labels[clear], expected[clear])
 
 
-def test_unseen_splats_go_with_their_neighbours():
+def test_unseen_splats_get_the_label_of_their_neighbours():
     splats = oracle.scene(8, n=200)
     camera = oracle.camera(width=30, height=30)
     left = np.zeros((30, 30), np.uint8)
@@ -54,7 +54,7 @@ def test_masks_of_two_objects_recover_their_labels(threads):
         assert (labels[truth == label] == label).mean() >= 0.98
 
 
-def test_what_cannot_be_voted_on_is_refused():
+def test_invalid_masks_are_refused():
     splats, camera = oracle.scene(7, n=5), oracle.camera()
     mask = np.zeros((camera.height, camera.width), np.uint8)
     with pytest.raises(DataError) as caught:

@@ -58,7 +58,7 @@ def test_unseen_splats_come_last_in_file_order():
     assert order_rows("contribution", scored([0.0] * 6)).tolist() == list(range(6))
 
 
-def test_baselines_sort_by_what_they_say():
+def test_baselines_sort_by_their_priority():
     scene = scored(np.zeros(400))
     splats = scene.splats
     volumes = np.prod(np.exp(splats.scales.astype(np.float64)), axis=1)
@@ -109,7 +109,7 @@ def test_first_view_is_ordered_by_what_a_direct_render_of_it_shows():
     assert rows[15:].tolist() == rest
 
 
-def test_first_view_leads_only_with_what_it_shows():
+def test_first_view_brings_forward_only_visible_splats():
     scene = replace(scored(np.arange(60.0)), splats=oracle.scene(5, n=60))
     camera = oracle.camera(width=12, height=10)
     seen = int((oracle.view(scene.splats, camera).weights.sum(axis=0) > 0).sum())
@@ -147,7 +147,7 @@ def test_frustum_holds_means_within_the_widened_image():
     assert (np.diff(rows[:count]) < 0).all()
 
 
-def test_the_usual_frustum_share_halves_what_lies_outside():
+def test_the_default_frustum_share_halves_the_splats_outside():
     scene = replace(scored(np.arange(300.0)), splats=oracle.scene(6, n=300))
     camera = oracle.camera(width=20, height=30)
     inside = frustum.in_frustum(scene.splats, camera, 0.15)
@@ -160,7 +160,7 @@ def test_the_usual_frustum_share_halves_what_lies_outside():
         assert 1 - inside[rows[:prefix]].mean() <= 0.5 * (1 - share) + 1e-9
 
 
-def test_a_frustum_that_changes_nothing_is_said():
+def test_a_frustum_that_changes_nothing_warns():
     scene = replace(scored(np.arange(300.0)), splats=oracle.scene(6, n=300))
     config = OrderConfig(first_view=oracle.camera(), frustum_share=0.0)
     with pytest.warns(CogsplatWarning, match="changes nothing"):
@@ -169,7 +169,7 @@ def test_a_frustum_that_changes_nothing_is_said():
 
 
 @pytest.mark.parametrize("name", [name for name in ORDERS if not needs_scores(name)])
-def test_orders_that_need_no_scores_do_not_look_at_them(name):
+def test_orders_without_scores_do_not_read_them(name):
     one, other = (scored(values) for values in (np.arange(60.0), np.zeros(60)))
     np.testing.assert_array_equal(order_rows(name, one), order_rows(name, other))
 

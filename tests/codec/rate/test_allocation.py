@@ -16,7 +16,7 @@ def with_energy(values):
     return replace(zero_scores(len(energy)), energy=energy)
 
 
-def test_ten_decibels_are_a_tenth_of_lambda_where_no_step_is_the_coarsest():
+def test_ten_decibels_are_a_tenth_of_lambda_below_the_coarsest_steps():
     scores = with_energy([0.0, 1.0, 2.0])
     assert allocation.lagrangian(scores, 30) == pytest.approx(
         10 * allocation.lagrangian(scores, 40)
@@ -60,7 +60,7 @@ def test_unseen_splats_do_not_count():
     assert math.isfinite(allocation.lagrangian(zero_scores(0), 36))
 
 
-def test_no_energy_is_zero():
+def test_positive_energies_are_above_zero():
     energy = np.append(np.zeros(10), np.linspace(1, 2, 101))
     out = rate_costs.positive_energy(with_energy(energy))
     assert out.min() == pytest.approx(1.01)
@@ -88,7 +88,7 @@ def test_sensitivities_rise_with_the_energy_of_the_best_view():
         np.testing.assert_allclose(ratio[~fainter], 4.0, rtol=1e-9, err_msg=name)
 
 
-def test_what_the_measured_views_did_not_show_costs_what_splats_usually_cost():
+def test_splats_outside_the_measured_views_have_typical_costs():
     splats, scores = a_scene()
     found = sensitive(80, scale=1e9)
     for values in (found.opacities, found.means, found.scales, found.rotations):
@@ -149,7 +149,7 @@ def test_costs_are_above_zero_with_and_without_sensitivities():
             assert costs.basis_mean.shape == (80, 15)
 
 
-def test_renaming_the_axes_of_a_splat_changes_no_cost():
+def test_permuting_the_axes_of_a_splat_changes_no_cost():
     splats, scores = a_scene()
     found = sensitive(80)
     turned = [1, 2, 0]
@@ -163,7 +163,7 @@ def test_renaming_the_axes_of_a_splat_changes_no_cost():
             np.testing.assert_allclose(getattr(named, name), getattr(plain, name), rtol=1e-12)
 
 
-def test_sensitivities_say_what_errors_cost():
+def test_costs_follow_sensitivities():
     splats, scores = a_scene()
     found = sensitive(80, scale=1e9)  # far above any floor
     costs = rate_costs.costs(splats, replace(scores, sensitivities=found))
@@ -199,7 +199,7 @@ def test_larger_sensitivities_and_energies_cost_more():
             assert name == "energy" or (getattr(two, name) > getattr(one, name)).any()
 
 
-def test_rows_and_levels_of_costs():
+def test_costs_are_sliced_and_equalised():
     splats, scores = a_scene()
     costs = rate_costs.costs(splats, replace(scores, sensitivities=sensitive(80)))
     rows = np.array([5, 2, 2, 79])
@@ -212,7 +212,7 @@ def test_rows_and_levels_of_costs():
     np.testing.assert_array_equal(level.basis_mean, costs.basis_mean)
 
 
-def test_steps_follow_the_mean_cost_or_each_ones():
+def test_steps_follow_the_mean_cost_or_each_cost():
     cost = np.random.default_rng(6).lognormal(-5, 2, 300)
     assert cost.mean() * allocation.equal_step(1e-7, cost) ** 2 == pytest.approx(1e-7)
     np.testing.assert_allclose(cost * allocation.step_per_value(1e-7, cost) ** 2, 1e-7)
@@ -220,14 +220,14 @@ def test_steps_follow_the_mean_cost_or_each_ones():
 
 
 @pytest.mark.parametrize("cost", [1e-300, 1e-60, 1e60, 1e300])
-def test_steps_of_extreme_costs_are_what_the_format_holds(cost):
+def test_steps_of_extreme_costs_fit_the_format(cost):
     for lagrangian in (1e-20, 1e-3, 10.0):
         step = allocation.equal_step(lagrangian, np.full(4, cost))
         assert 0 < step <= 2.0**32
         assert 0 < allocation.shn_step(lagrangian, np.full(4, cost)) <= 2.0**32
 
 
-def test_limits_leave_no_step_that_loses_a_splat():
+def test_limits_bound_every_step():
     splats, scores = a_scene()
     for lagrangian in (1e-9, 1.0):
         costs = rate_costs.costs(splats, replace(scores, energy=np.full(80, 1e-12)))

@@ -13,7 +13,7 @@ def coarseness(lagrangian, missing_all=0.15):
     return head_coarseness(CONTRIBUTION, lagrangian, RUNS, missing_all)
 
 
-def test_every_head_has_its_own():
+def test_every_head_has_its_own_coarseness():
     found = coarseness(1e-9)
     assert list(found) == [0, 100, 400]
     for one in found.values():
@@ -28,7 +28,7 @@ def test_heads_that_show_more_for_their_bits_are_coarser():
 
 
 @pytest.mark.parametrize("power", range(-10, -5))
-def test_a_quarter_of_lambda_lets_one_more_bit_wait(power):
+def test_a_quarter_of_lambda_moves_one_more_bit_to_the_refinement(power):
     some, more = (coarseness(lagrangian) for lagrangian in (10.0**power, 10.0**power / 4))
     for one, other in zip(some.values(), more.values(), strict=True):
         assert other.means - one.means in ((1,) if one.means > 0 and other.means < 5 else (0, 1))

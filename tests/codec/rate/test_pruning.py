@@ -27,14 +27,14 @@ def seen(peak, covered, opacities=None):
     st.floats(0, 0.99),
     st.integers(1, 8),
 )
-def test_a_visible_splat_goes_only_below_the_peak_and_where_views_cover_it(rows, peak, views):
+def test_a_visible_splat_is_dropped_only_below_the_peak_and_if_covered(rows, peak, views):
     splats, scores = seen([row[0] for row in rows], [row[1] for row in rows])
     kept = keep_mask(splats, scores, PruneConfig(peak=peak, views=views))
     assert kept.dtype == np.bool_
     assert kept.tolist() == [p >= np.float32(peak) or c < views for p, c in rows]
 
 
-def test_only_what_is_not_worth_its_bytes_goes():
+def test_only_splats_not_worth_their_bytes_are_dropped():
     splats, scores = seen([0.01] * 4, [9, 9, 9, 3])
     scores = replace(scores, energy=np.array([1.0, 5.9, 6.0, 1.0]))
     kept = keep_mask(splats, scores, PruneConfig(worth=6.0), lagrangian=1.0)
@@ -43,7 +43,7 @@ def test_only_what_is_not_worth_its_bytes_goes():
     assert keep_mask(splats, scores, PruneConfig(), lagrangian=0.0).all()
 
 
-def test_what_one_view_shows_well_stays():
+def test_splats_that_one_view_shows_well_are_kept():
     splats, scores = seen([0.01] * 2, [9, 9])
     scores = replace(
         scores, energy=np.array([1.0, 1.0]), largest_energy=np.array([1.0, 6.0 * 32.0])
@@ -52,20 +52,20 @@ def test_what_one_view_shows_well_stays():
     assert kept.tolist() == [False, True]
 
 
-def test_what_no_view_covers_stays():
+def test_splats_that_no_view_covers_are_kept():
     splats, scores = seen([0.0] * 5, [0, 1, 2, 3, 4])
     assert keep_mask(splats, scores, PruneConfig()).tolist() == [True] * 4 + [False]
     assert keep_mask(splats, scores, PruneConfig(views=1)).tolist() == [True] + [False] * 4
     assert keep_mask(splats, zero_scores(5), PruneConfig(peak=0.999, views=1)).all()
 
 
-def test_a_peak_at_the_bound_stays():
+def test_a_peak_at_the_limit_is_kept():
     splats, scores = seen([0.25, np.nextafter(np.float32(0.25), np.float32(0))], [9, 9])
     assert keep_mask(splats, scores, PruneConfig(peak=0.25)).tolist() == [True, False]
     assert keep_mask(splats, scores, PruneConfig(peak=0)).tolist() == [True, True]
 
 
-def test_what_can_never_touch_a_pixel_goes_even_unseen():
+def test_transparent_splats_are_dropped_even_unseen():
     edge = -math.log(254)
     logits = [-np.inf, edge - 1e-4, edge + 1e-4, 0.0, np.inf]
     splats, scores = seen([0.0] * 5, [0] * 5, logits)

@@ -26,7 +26,7 @@ def digits_of(stream):
 
 
 @pytest.mark.parametrize("step", [0.003, 0.02, 0.2])
-def test_both_parts_are_as_fine_as_asked_and_the_head_is_coarse(step):
+def test_refined_values_have_the_requested_step_and_the_head_is_coarse(step):
     values = normal()
     grid, parts = split(values, step)
     assert np.abs(parts.fine - values).max() <= 0.5001 * grid.step.max()
@@ -39,7 +39,7 @@ def test_both_parts_are_as_fine_as_asked_and_the_head_is_coarse(step):
     assert np.abs(missed.mean(axis=0)).max() < 0.02 * np.abs(missed).max()
 
 
-def test_the_radix_is_at_most_what_is_asked():
+def test_the_radix_is_limited():
     values = normal()
     for most in ((1, 2, 3), (4, 1, 1), (1, 1, 1)):
         _, parts = split(values, 0.01, most)
@@ -52,13 +52,13 @@ def test_the_radix_is_at_most_what_is_asked():
         assert len(parts.digits.planes) == sum(r > 1 for r in radices)
 
 
-def test_what_is_mostly_zero_is_not_cut():
+def test_values_that_are_mostly_zero_are_not_split():
     values = np.where(normal(seed=2) > 2.5, 3.0, 0.0).astype(np.float32)
     _, parts = split(values, 0.5)
     assert parts.digits is None
 
 
-def test_a_cut_costs_little():
+def test_a_split_costs_few_bytes():
     values = normal(20_000)
     grid, parts = split(values, 0.05, (8, 8, 8))
     whole = records.pack([scalar.write(Attribute.SH0, values, grid)])

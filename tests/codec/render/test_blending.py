@@ -154,7 +154,7 @@ def test_a_tile_equals_brute_force(seed):
     assert stop <= pairs
 
 
-def test_splats_behind_a_closed_tile_are_not_walked():
+def test_splats_behind_a_finished_tile_are_not_blended():
     splats, camera = oracle.scene(5, n=90), oracle.camera(width=16, height=16)
     wall = splats.take(np.zeros(6, np.int64))
     wall.means[:] = camera.position + camera.rotation[2] * np.linspace(0.5, 0.8, 6)[:, None]

@@ -19,7 +19,7 @@ def test_peaks_are_the_largest_weights_of_brute_force(seed):
     assert (np.diff(depths) >= -1e-5).all(), "nearest first"
 
 
-def test_what_closes_the_picture_is_seen_and_what_it_hides_is_not():
+def test_a_splat_that_closes_the_picture_is_seen_and_hidden_splats_are_not():
     splats, camera = empty(0, 3), oracle.camera()
     splats.means[:] = camera.position + camera.rotation[2] * np.array([[0.5], [0.6], [0.7]])
     splats.scales[:] = 3.0

@@ -99,7 +99,7 @@ def test_without_a_kernel_flat_splats_vanish_instead_of_dividing_by_zero():
     assert footprints.index.tolist() == [1]
 
 
-def test_the_visible_rows_are_listed_in_ascending_order():
+def test_visible_rows_are_sorted():
     splats = oracle.scene(6, n=60)
     footprints = project(splats, oracle.camera(), kernel_px=0.3, antialiased=False)
     rows = footprints.sorted_rows()

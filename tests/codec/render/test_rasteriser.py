@@ -175,7 +175,7 @@ def test_no_views_give_no_pictures():
         {"threads": -1},
     ],
 )
-def test_senseless_config_is_refused(options):
+def test_invalid_settings_are_refused(options):
     with pytest.raises(ValueError, match="expected"):
         RenderConfig(**options)
 

@@ -215,6 +215,6 @@ def test_extreme_and_invalid_splats_leave_finite_sums():
             assert not values[:2].any()
 
 
-def test_senseless_config_is_refused():
+def test_invalid_settings_are_refused():
     with pytest.raises(ValueError, match="sensitivity_every -1"):
         ScoreConfig(sensitivity_every=-1)

@@ -24,7 +24,7 @@ def test_shares_are_the_sums_of_blending_weights_by_chunk():
         assert 0.01 < found.sum() < 1.0
 
 
-def test_large_pictures_are_drawn_smaller_and_show_the_same():
+def test_large_pictures_are_reduced_without_changing_the_shares():
     splats = oracle.scene(5, n=200)
     chunks = np.arange(200) // 50
     large = oracle.camera(angle=0.3, width=300, height=200, focal=240.0)

@@ -120,7 +120,7 @@ def test_jitter_adds_the_mean_over_the_copies():
     assert (both.colour_sensitivity >= bound / 2).all()
 
 
-def test_covering_views_count_where_the_best_view_does_and_in_no_mean():
+def test_covering_views_count_in_maxima_and_in_no_mean():
     splats = oracle.scene(8, n=60)
     config = ScoreConfig(jitter=False, sensitivity_every=1)
     given, rest = CAMERAS[:1], CAMERAS[1:]
@@ -211,7 +211,7 @@ def test_progress_is_reported_and_may_cancel():
             score(splats, CAMERAS, ScoreConfig(threads=threads), progress=stop)
 
 
-def test_small_weights_do_not_count_where_all_others_do():
+def test_weights_below_the_minimum_do_not_count():
     splats = oracle.scene(3, n=150)
     seen = [oracle.view(splats, camera) for camera in CAMERAS]
     for least in (0.01, 0.2):
@@ -228,7 +228,7 @@ def test_small_weights_do_not_count_where_all_others_do():
         assert (found < every).any()
 
 
-def test_what_is_not_asked_for_is_not_summed():
+def test_optional_scores_are_not_summed_by_default():
     splats = oracle.scene(3, n=50)
     full, bare = (score(splats, CAMERAS, ScoreConfig(colour_sensitivity=c)) for c in (True, False))
     assert full.colour_sensitivity.any()
@@ -256,7 +256,7 @@ def test_one_jittered_copy_scores_fewer_views():
         {"jitter_copies": 3},
     ],
 )
-def test_senseless_config_is_refused(options):
+def test_invalid_settings_are_refused(options):
     with pytest.raises(ValueError, match="expected"):
         ScoreConfig(**options)
 

@@ -65,7 +65,7 @@ def test_the_spread_is_the_covariance_of_the_bases_over_views():
 
 
 @pytest.mark.parametrize("degree", [0, 2])
-def test_directions_are_of_interest_where_colours_depend_on_them(degree):
+def test_directions_are_summed_only_for_view_dependent_colours(degree):
     splats = oracle.scene(3, n=16, degree=degree)
     totals = ViewSums(splats)
     for view in _views(splats):
@@ -81,7 +81,7 @@ def test_without_views_all_sums_are_zero():
     assert not totals.seen.any()
 
 
-def test_values_of_footprints_are_put_in_the_order_of_their_rows():
+def test_values_of_footprints_are_sorted_by_row():
     splats = oracle.scene(6, n=60)
     footprints = project(splats, oracle.camera(), kernel_px=0.3, antialiased=False)
     values = np.stack([footprints.index, -footprints.index], axis=1).astype(np.float64)

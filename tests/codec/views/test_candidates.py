@@ -18,7 +18,7 @@ def drawing(near_plane=0.2):
     return CandidateInputs(scene, 0.05, Lens(48, 36, 0.6), DOWN, near_plane)
 
 
-def test_what_is_seen_is_what_has_a_weight_in_the_picture():
+def test_seen_splats_have_a_weight_in_the_picture():
     given = drawing()
     pose = Pose(np.array([0.0, 0.0, -4.0]), np.array([0.0, 0.0, 1.0]), 1.0)
     found = draw_candidate(pose, given)
@@ -41,7 +41,7 @@ def test_steep_views_count_less_than_level_ones():
     assert shares[1] < 0.5 * shares[0]
 
 
-def test_it_can_be_drawn_in_another_process():
+def test_a_candidate_can_be_drawn_in_another_process():
     pose = Pose(np.array([0.0, 0.0, -4.0]), np.array([0.0, 0.0, 1.0]), 1.0)
     there = draw_candidate(*pickle.loads(pickle.dumps((pose, drawing()))))
     here = draw_candidate(pose, drawing())

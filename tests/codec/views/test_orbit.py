@@ -11,7 +11,7 @@ DOWN = np.array([0.0, 1.0, 0.0])
 BALL = OrbitTarget(np.array([3.0, -1.0, 2.0]), 1.0, 1.2)
 
 
-def test_a_subject_is_where_most_of_the_scene_is() -> None:
+def test_an_orbit_target_is_the_bulk_of_the_scene() -> None:
     rng = np.random.default_rng(1)
     means = rng.normal(size=(2000, 3))
     means *= rng.uniform(0, 1, (2000, 1)) ** (1 / 3) / np.linalg.norm(means, axis=1, keepdims=True)
@@ -22,7 +22,7 @@ def test_a_subject_is_where_most_of_the_scene_is() -> None:
     assert found.reach > 100.0
 
 
-def test_rows_count_as_often_as_they_say() -> None:
+def test_rows_are_weighted_by_their_counts() -> None:
     means = np.array([[0.0, 0, 0], [1.0, 0, 0], [9.0, 0, 0]])
     found = orbit_target(means, np.array([50.0, 49.0, 1.0]))
     np.testing.assert_allclose(found.centre, [49 / 99, 0.0, 0.0])
@@ -48,7 +48,7 @@ def test_poses_look_at_the_middle_from_rather_above(down: np.ndarray) -> None:
     assert np.linalg.norm(level[:50].mean(axis=0)) < 0.15, "nor the first of them"
 
 
-def test_small_subjects_stay_in_front_of_the_near_plane() -> None:
+def test_small_objects_stay_beyond_the_near_plane() -> None:
     small = OrbitTarget(np.zeros(3), 0.01, 0.02)
     for row, pose in enumerate(orbit(small, 64, DOWN, 0.2)):
         distance = float(np.linalg.norm(pose.position))
@@ -56,7 +56,7 @@ def test_small_subjects_stay_in_front_of_the_near_plane() -> None:
         assert 0.0149 < distance / pose.zoom < 0.0301, "as large in the picture"
 
 
-def test_a_turntable_has_places_of_its_own_that_show_the_whole() -> None:
+def test_turntable_poses_show_the_whole_object_and_differ_from_the_orbit() -> None:
     around = np.array([pose.position for pose in orbit(BALL, 64, DOWN, 0.01)])
     whole = replace(BALL, radius=BALL.reach)
     turned = np.array([pose.position for pose in turntable(whole, 16, DOWN, 0.01)])

@@ -21,7 +21,7 @@ def walls(points: NDArray[np.float64], size: float) -> Splats:
     return splats
 
 
-def test_subsamples_of_small_scenes_are_all_of_it() -> None:
+def test_small_scenes_are_not_thinned() -> None:
     splats = oracle.scene(2)
     whole = subsample(splats, 100)
     order = spatial_order(splats.means)

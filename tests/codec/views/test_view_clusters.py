@@ -29,7 +29,7 @@ def test_every_camera_is_in_one_cluster(count):
     assert sorted(np.concatenate(clusters).tolist()) == list(range(12))
 
 
-def test_cameras_in_one_place_are_told_apart_by_their_directions():
+def test_cameras_at_one_position_are_clustered_by_direction():
     camera = synth_cameras(1)[0]
     turn = np.diag([-1.0, 1.0, -1.0])
     back = replace(camera, rotation=turn @ camera.rotation, translation=turn @ camera.translation)

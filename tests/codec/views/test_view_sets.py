@@ -81,7 +81,7 @@ def test_jitter_is_the_rule_of_roam():
         np.testing.assert_array_equal(first.translation, second.translation)
 
 
-def test_one_jittered_copy_of_each_camera_takes_both_kinds_and_both_sides_by_turns():
+def test_single_jittered_copies_alternate_between_kinds_and_sides():
     splats, cameras = oracle.scene(1), _named(8)
     copies = jitter(splats, cameras, copies=1)
     assert [copy.name for copy in copies] == [

@@ -54,7 +54,8 @@ def table_of(cameras: Sequence[Camera], contributions: F64) -> ViewTable:
     cameras : sequence of Camera
         At most 64.
     contributions : (V, c) float64
-        Of each chunk to each view, px.
+        Contribution of each chunk to each view, px: the shares of `chunk_contributions` times the
+        pixels of the view.
     """
     pixels = np.array([camera.width * camera.height for camera in cameras], np.float64)
     return ViewTable(
