@@ -7,7 +7,7 @@ from cogsplat.codec import errors
 from cogsplat.tools.lab import make_reason_codes
 from cogsplat.tools.lab.make_reason_codes import reason_codes
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 ASSERTED = re.compile(r"""(?:\.code|\["code"\]) == "([a-z0-9-]+)\"""")
 
 # Tests of the machinery raise these themselves.
