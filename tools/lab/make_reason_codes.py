@@ -178,7 +178,7 @@ def _codes_in(tree: ast.Module) -> Iterator[tuple[str, str]]:
 
 
 # Calls that are given a code and no message.
-_TAKING: Final = frozenset({"__init__", "", "refuse", "sibling"})
+_TAKING: Final = frozenset({"__init__", "_print_error", "refuse", "sibling"})
 
 
 def _texts(node: ast.expr | None) -> list[str]:
