@@ -120,7 +120,7 @@ def read_transforms(
     where = os.fspath(path)
     with storage_errors(path), open_for_read(path) as file:
         data = file.read()
-    root, frames_at, count = _scan(data, where, limits or Limits())
+    root, frames_at, count = _parse_without_frames(data, where, limits or Limits())
     if "frames" not in root:
         raise root.wrong("frames", "an array of cameras")
     # Raises if the value is no array.
@@ -151,7 +151,7 @@ def read_transforms(
     return cameras
 
 
-def _scan(data: bytes, where: str, limits: Limits) -> tuple[JsonObject, int, int]:
+def _parse_without_frames(data: bytes, where: str, limits: Limits) -> tuple[JsonObject, int, int]:
     """Parse a file except for its frames, which are only counted.
 
     Keys of the whole file may follow the frames, so the frames are parsed in a second pass.

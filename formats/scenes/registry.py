@@ -218,7 +218,7 @@ def format_of(path: StrPath) -> Format:
     if format_ is None:
         raise FormatError(
             "unknown-format",
-            f"{os.fspath(path)}: is {describe(head)}, expected {_known(FORMATS)}",
+            f"{os.fspath(path)}: is {describe(head)}, expected {_describe_formats(FORMATS)}",
         )
     return format_
 
@@ -297,12 +297,12 @@ def format_to_write(path: StrPath, format_name: str | None = None) -> Format:
         what = "has this extension" if format_name is None else f"is called {format_name!r}"
         raise FormatError(
             "unknown-format",
-            f"{os.fspath(path)}: no format {what}, expected {_known(writable)}",
+            f"{os.fspath(path)}: no format {what}, expected {_describe_formats(writable)}",
         )
     if format_.write is None:
         raise UnsupportedError(
             "read-only-format",
-            f"{os.fspath(path)}: {format_.name} cannot be written, expected {_known(writable)}",
+            f"{os.fspath(path)}: {format_.name} cannot be written, expected {_describe_formats(writable)}",
         )
     return format_
 
@@ -321,6 +321,6 @@ def _by_extension(path: StrPath) -> Format | None:
     return max(matches, key=lambda match: match[0])[1] if matches else None
 
 
-def _known(formats: tuple[Format, ...]) -> str:
+def _describe_formats(formats: tuple[Format, ...]) -> str:
     """Return the names and extensions of formats, for a message."""
     return " or ".join(f"{f.name} ({', '.join(f.extensions + f.names)})" for f in formats)

@@ -15,7 +15,7 @@ from cogsplat.codec.errors import CogsplatError, StorageError
 from cogsplat.formats.cogs.findings import Finding, finding_of, findings
 from cogsplat.formats.cogs.open_file import open_source
 from cogsplat.formats.network.urls import HTTP_SCHEMES, is_url, scheme_of
-from cogsplat.tools.hosting.doctor import Diagnosis, examine
+from cogsplat.tools.hosting.doctor import Diagnosis, diagnose
 from cogsplat.tools.hosting.remedies import HOSTS, host_of, remedies
 from cogsplat.tools.hosting.rules import ERROR, NOTE, SEVERITIES, WARNING, HostFinding
 from cogsplat.tools.terminal.limits import current_limits, limits_option
@@ -169,7 +169,7 @@ def _check_host(
 ) -> bool:
     """Print what is wrong with a host and its scene; return whether that is an error."""
     with Stages(shown=not (quiet or as_json)) as stages:
-        found = examine(url, content=not headers_only, limits=current_limits(), progress=stages)
+        found = diagnose(url, content=not headers_only, limits=current_limits(), progress=stages)
     changes = _changes(found, hosts)
     if as_json:
         print_json(_host_report(found, changes))

@@ -59,7 +59,7 @@ class Diagnosis:
     content_read: bool = False
 
 
-def examine(
+def diagnose(
     url: str,
     *,
     content: bool = True,

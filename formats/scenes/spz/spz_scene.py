@@ -15,7 +15,7 @@ from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read
 from cogsplat.formats.storage.limits import Limits
 
 from .container import FLAG_ANTIALIASED, FLAG_EXTENSIONS, SpzFile, is_spz, pack, unpack
-from .spz_values import PRECISIONS, decode, encode
+from .spz_values import PRECISIONS, dequantise, quantise
 
 __all__ = ["is_spz", "read_spz", "write_spz"]
 
@@ -95,8 +95,8 @@ def read_spz(path: StrPath, *, limits: Limits | None = None) -> Splats:
     antialiased = bool(spz.header.flags & FLAG_ANTIALIASED)
     change = axes_change(axes, _AXES)
     if change.only_flips:
-        return decode(spz, change, SceneInfo(axes=_AXES, antialiased=antialiased))
-    stored = decode(spz, axes_change(axes, axes), SceneInfo(axes=axes, antialiased=antialiased))
+        return dequantise(spz, change, SceneInfo(axes=_AXES, antialiased=antialiased))
+    stored = dequantise(spz, axes_change(axes, axes), SceneInfo(axes=axes, antialiased=antialiased))
     return convert_axes(stored, _AXES)
 
 
@@ -199,7 +199,7 @@ def write_spz(
     if precision not in PRECISIONS:
         raise ValueError(f"precision {precision!r}, expected one of {PRECISIONS}")
     stored = convert_axes(splats.require_valid(), SPZ_AXES)
-    header, streams, clipped = encode(stored, version, sh1_bits, sh_rest_bits, precision)
+    header, streams, clipped = quantise(stored, version, sh1_bits, sh_rest_bits, precision)
     pieces = pack(header, streams)
     with atomic_write(path, force) as file:
         file.writelines(pieces)

@@ -63,7 +63,7 @@ _SMALLEST: Final = (
 ).astype(np.float32)
 
 
-def decode(spz: SpzFile, change: AxesChange, info: SceneInfo) -> Splats:
+def dequantise(spz: SpzFile, change: AxesChange, info: SceneInfo) -> Splats:
     """Dequantise the streams of a file.
 
     Parameters
@@ -97,14 +97,14 @@ def decode(spz: SpzFile, change: AxesChange, info: SceneInfo) -> Splats:
                 splats.means[rows] = positions.view("<f2")
                 splats.means[rows] *= signs
         else:
-            _fixed_point(positions, signs, spz.header.fractional_bits, splats.means[rows])
+            _unpack_fixed_point(positions, signs, spz.header.fractional_bits, splats.means[rows])
         _look_up(BYTE_LOGITS, alphas[:, 0], splats.opacities[rows])
         _look_up(_SH0, colors, splats.sh0[rows])
         _look_up(_SCALES, scales, splats.scales[rows])
         if spz.header.version >= 3:
-            _smallest_three(rotations, quat_signs, splats.quats[rows])
+            _unpack_smallest_three(rotations, quat_signs, splats.quats[rows])
         else:
-            _first_three(rotations, quat_signs, splats.quats[rows])
+            _unpack_first_three(rotations, quat_signs, splats.quats[rows])
         if degree:
             values = splats.shN[rows].reshape(len(sh), -1)
             # Flipping the top bit of a byte subtracts 128 in two's complement, exactly.
@@ -122,7 +122,7 @@ def _look_up(table: F32, index: U8, out: F32) -> None:
     np.take(table, index, out=out, mode="clip")
 
 
-def _fixed_point(positions: U8, signs: F32, fractional_bits: int, out: F32) -> None:
+def _unpack_fixed_point(positions: U8, signs: F32, fractional_bits: int, out: F32) -> None:
     """Write 24-bit fixed-point positions, times `signs`, to `out`, (n, 3)."""
     wide = np.zeros((*out.shape, 4), np.uint8)
     wide[..., 1:] = positions.reshape(*out.shape, 3)
@@ -132,7 +132,7 @@ def _fixed_point(positions: U8, signs: F32, fractional_bits: int, out: F32) -> N
     np.multiply(fixed, signs * np.float32(2.0 ** -(fractional_bits + 8)), out=out, casting="unsafe")
 
 
-def _first_three(rotations: U8, signs: F32, out: F32) -> None:
+def _unpack_first_three(rotations: U8, signs: F32, out: F32) -> None:
     """Write quaternions stored as x, y, z (version 1 and 2), times `signs`, to `out`, (n, 4)."""
     xyz = _FIRST[rotations]
     rest = np.float32(1) - np.square(xyz).sum(axis=1)
@@ -140,7 +140,7 @@ def _first_three(rotations: U8, signs: F32, out: F32) -> None:
     np.multiply(xyz, signs, out=out[:, 1:])
 
 
-def _smallest_three(rotations: U8, signs: F32, out: F32) -> None:
+def _unpack_smallest_three(rotations: U8, signs: F32, out: F32) -> None:
     """Write quaternions stored as their smallest three components to `out`, (n, 4) wxyz."""
     packed = rotations.view("<u4")[:, 0]
     largest = packed >> np.uint32(30)
@@ -181,7 +181,7 @@ def fractional_bits(means: F32, precision: str = "fine") -> int:
     return bits
 
 
-def encode(
+def quantise(
     splats: Splats, version: int, sh1_bits: int, sh_rest_bits: int, precision: str
 ) -> tuple[SpzHeader, list[U8], dict[str, float]]:
     """Quantise a scene to SPZ's streams.

@@ -7,23 +7,23 @@ from running import SmallScene
 
 import cogsplat
 from cogsplat.formats.cogs.folder_writer import unpack_cogs
-from cogsplat.tools.hosting.doctor import examine
+from cogsplat.tools.hosting.doctor import diagnose
 
 
 def codes(url: str, **options: bool) -> tuple[set[str], list[str]]:
-    found = examine(url, **options)  # type: ignore[arg-type]
+    found = diagnose(url, **options)  # type: ignore[arg-type]
     return {x.code for x in found.host}, [x.code for x in found.content]
 
 
 def test_a_file_is_examined_and_read(small: SmallScene) -> None:
     data = small.cogs.read_bytes()
     with serving(FaultServer(data)) as server:
-        found = examine(server.url())
+        found = diagnose(server.url())
         assert (found.folder, found.content, found.content_read) == (False, [], True)
         assert found.first_chunk_s is not None
         assert {x.code for x in found.host} >= {"cors-origin", "cache-missing"}
         asked = len(server.asked)
-        quick = examine(server.url(), content=False)
+        quick = diagnose(server.url(), content=False)
         assert not quick.content_read
         assert len(server.asked) - asked < asked
 
@@ -64,7 +64,7 @@ def test_folders_are_examined_by_an_object(small: SmallScene, tmp_path: Path) ->
         await (right if "range" in exchange.asked.headers else no_ranges)(exchange)
 
     with serving(FaultServer(b"", always=from_disk)) as server:
-        found = examine(server.url("scene/"))
+        found = diagnose(server.url("scene/"))
         assert (found.folder, found.content) == (True, [])
         assert "cache-immutable" in {x.code for x in found.host}
         largest.unlink()

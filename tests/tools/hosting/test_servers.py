@@ -20,7 +20,7 @@ from running import ROOT, SmallScene, program
 
 import cogsplat
 from cogsplat.formats.cogs.folder_writer import unpack_cogs
-from cogsplat.tools.hosting.doctor import Diagnosis, examine
+from cogsplat.tools.hosting.doctor import Diagnosis, diagnose
 
 PAGE = (ROOT / "docs/guides/hosting.md").read_text(encoding="utf-8")
 COMPRESSING = "gzip on; gzip_types application/octet-stream; gzip_proxied any; gzip_min_length 1;"
@@ -89,7 +89,7 @@ def nginx(www: Path, server: str, http: str = "") -> list[str]:
 
 def examined(words: list[str], www: Path) -> tuple[Diagnosis, Diagnosis]:
     with running(words, www.parent) as url:
-        return examine(f"{url}scene.cogs"), examine(f"{url}scene/")
+        return diagnose(f"{url}scene.cogs"), diagnose(f"{url}scene/")
 
 
 def codes(found: Diagnosis) -> set[str]:
