@@ -302,7 +302,8 @@ def format_to_write(path: StrPath, format_name: str | None = None) -> Format:
     if format_.write is None:
         raise UnsupportedError(
             "read-only-format",
-            f"{os.fspath(path)}: {format_.name} cannot be written, expected {_describe_formats(writable)}",
+            f"{os.fspath(path)}: {format_.name} cannot be written, expected "
+            f"{_describe_formats(writable)}",
         )
     return format_
 
