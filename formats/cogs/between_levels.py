@@ -1,4 +1,4 @@
-"""A scene between two of its levels: opacities on the line from one to the other (SPEC 8.11)."""
+"""Decode a scene between two levels of detail, by interpolating opacities (SPEC 8.11)."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from .reader import CogsFile
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-# Logits beyond this are opacities of 0 and 1 in float64.
-_FURTHEST = 700.0
+# Largest magnitude of a logit before its opacity is exactly 0 or 1 in float64.
+_MAX_LOGIT = 700.0
 
 
 def decode_between(
@@ -31,28 +31,28 @@ def decode_between(
     threads: int = 0,
     progress: Progress = silent,
 ) -> Splats:
-    """Decode a scene at a level, or between two levels.
+    """Decode a scene at a level of detail, or between two levels.
 
     Parameters
     ----------
     file : CogsFile
-        With levels.
+        Open file with levels.
     level : float
-        0 is the coarsest; 1.25 is a quarter of the way from level 1 to level 2.
+        Level, 0 the coarsest; 1.25 is a quarter of the way from level 1 to level 2.
     sh_degree, refine, extras, threads, progress
-        As `CogsFile.decode` takes them.
+        As in `CogsFile.decode`.
 
     Returns
     -------
     Splats
-        Of the chunks that one of the two levels draws.
+        Splats of the chunks that either level draws.
 
     Raises
     ------
     CogsplatError
-        As `CogsFile.decode`.
+        The errors of `CogsFile.decode`.
     ValueError
-        A level that the file does not have.
+        `level` is out of range.
     """
     levels = file.root.levels
     if not 0 <= level <= len(levels) - 1:
@@ -83,22 +83,24 @@ def decode_between(
 
 
 def _expected(levels: int) -> str:
+    """Return the expected range of levels, for a message."""
     return f"expected 0 to {levels - 1}" if levels else "expected none: the file has no levels"
 
 
 def interpolate_logits(lower: F32, upper: F32, part: float) -> F32:
-    """Return the logits of opacities on the line between those of two levels.
+    """Interpolate linearly between two opacities given as logits.
 
     Parameters
     ----------
     lower, upper : (n,) float32
-        Logits; -inf where the level does not draw the splat.
+        Opacity logits of the two levels; -inf for a splat that the level does not draw.
     part : float
-        0 gives `lower`, 1 gives `upper`.
+        Interpolation weight: 0 gives `lower`, 1 gives `upper`.
 
     Returns
     -------
     (n,) float32
+        Logits of the interpolated opacities.
 
     Examples
     --------
@@ -113,6 +115,7 @@ def interpolate_logits(lower: F32, upper: F32, part: float) -> F32:
 
 
 def _opacity(logits: F32) -> F64:
-    exact = np.clip(logits.astype(np.float64), -_FURTHEST, _FURTHEST)
+    """Return opacities, 0 to 1, of logits."""
+    exact = np.clip(logits.astype(np.float64), -_MAX_LOGIT, _MAX_LOGIT)
     opacity: F64 = np.where(np.isneginf(logits), 0.0, 1 / (1 + np.exp(-exact)))
     return opacity

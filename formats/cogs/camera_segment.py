@@ -1,4 +1,4 @@
-"""Cameras in a COGS file: one segment, a msgpack map of columns (SPEC 5.8)."""
+"""Encode and decode the segment of cameras: a msgpack map of columns (SPEC 5.8)."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from .msgpack_map import CheckedMap
 _INTRINSICS = ("fx", "fy", "cx", "cy")
 _MAX_NAME_BYTES = 255
 
-# One `Camera` with its two arrays (measured in CPython 3.11 with numpy 2).
+# Memory of a `Camera` with its two arrays, bytes (measured in CPython 3.11 with numpy 2).
 _CAMERA_BYTES = 1024
 
 
 def check_cameras(cameras: Sequence[Camera]) -> None:
-    """Refuse cameras that a file cannot hold.
+    """Refuse cameras that a file cannot store.
 
     Raises
     ------
     DataError
-        ``too-many-cameras``: more than a file holds, or none; ``bad-camera``: a name longer than
-        255 bytes or that is no text.
+        ``too-many-cameras``: none, or more than `MAX_CAMERAS`; ``bad-camera``: a name of more than
+        255 bytes, or one that is not valid Unicode.
     """
     if not 1 <= len(cameras) <= MAX_CAMERAS:
         raise DataError(
@@ -46,13 +46,7 @@ def check_cameras(cameras: Sequence[Camera]) -> None:
 
 
 def pack_cameras(cameras: Sequence[Camera]) -> bytes:
-    """Return the payload of a segment of cameras.
-
-    Raises
-    ------
-    DataError
-        As `check_cameras`.
-    """
+    """Encode cameras as the payload of their segment; raises as `check_cameras`."""
     check_cameras(cameras)
     value: dict[str, canonical_msgpack.Value] = {
         "name": [camera.name for camera in cameras],
@@ -67,16 +61,16 @@ def pack_cameras(cameras: Sequence[Camera]) -> bytes:
 
 
 def unpack_cameras(payload: bytes, where: str, allowed_bytes: int) -> list[Camera]:
-    """Return the cameras of a segment.
+    """Decode the segment of cameras.
 
     Parameters
     ----------
     payload : bytes
-        The segment's bytes, its CRC already checked.
+        Bytes of the segment, whose CRC was checked.
     where : str
-        Names the segment in messages.
+        Name of the segment in messages.
     allowed_bytes : int
-        What the cameras may take in memory.
+        Memory limit of the cameras, bytes.
 
     Raises
     ------
@@ -85,13 +79,13 @@ def unpack_cameras(payload: bytes, where: str, allowed_bytes: int) -> list[Camer
     UnsupportedError
         ``root-must-understand``.
     LimitError
-        ``decoded-size``: more than `allowed_bytes`.
+        ``decoded-size``: the cameras exceed `allowed_bytes`.
     """
     values = canonical_msgpack.unpack(
         payload, where, most_values=MAX_CAMERA_VALUES, allowed_bytes=allowed_bytes
     )
     table = CheckedMap(values, where, "5.8")
-    names = table.take("name", list)
+    names = table.pop("name", list)
     width = table.column("width", "<u2", None).astype(np.int64)
     rows = len(width)
     height = table.column("height", "<u2", rows).astype(np.int64)
@@ -111,7 +105,7 @@ def unpack_cameras(payload: bytes, where: str, allowed_bytes: int) -> list[Camer
             f"{allowed_bytes} (SPEC 9.2)",
         )
     if any(len(text.encode()) > _MAX_NAME_BYTES for text in texts):
-        raise table.error("name", f"expected at most {_MAX_NAME_BYTES} bytes each")
+        raise table.error("name", f"a longer name, expected at most {_MAX_NAME_BYTES} bytes each")
     cameras = []
     for row, (fx, fy, cx, cy) in enumerate(intrinsics.tolist()):
         size = int(width[row]), int(height[row])
@@ -125,4 +119,5 @@ def unpack_cameras(payload: bytes, where: str, allowed_bytes: int) -> list[Camer
 
 
 def _floats(table: CheckedMap, key: str, rows: int, width: int = 1) -> NDArray[np.float64]:
+    """Return a float64 column."""
     return table.column(key, "<f8", rows, width).astype(np.float64)

@@ -1,4 +1,4 @@
-"""The msgpack subset of root, pages, cameras and compensation: canonical, shallow (SPEC 4.1)."""
+"""Encoder and decoder for the canonical msgpack subset of COGS files (SPEC 4.1)."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from cogsplat.codec.errors import FormatError, LimitError
 Value = None | bool | int | float | str | bytes | list["Value"] | dict[str, "Value"]
 
 MAX_DEPTH: Final = 8
-"""Deepest nesting of maps and arrays, the outermost map counted (SPEC 4.1)."""
+"""Maximum nesting depth of maps and arrays, the outermost map included (SPEC 4.1)."""
 
 MAX_INTEGER: Final = (1 << 53) - 1
-"""Largest magnitude of an integer: what a float64 and so a browser holds exactly (SPEC 4.1)."""
+"""Maximum magnitude of an integer: exact in a float64, and so in a browser (SPEC 4.1)."""
 
 MAX_VALUES: Final = 4096
-"""Most values of a map, keys and the maps and arrays themselves counted (SPEC 9.1)."""
+"""Maximum number of values of a map, including keys, maps and arrays (SPEC 9.1)."""
 
 VALUE_BYTES: Final = 64
-"""What one value takes in memory, counted against a caller's limit (SPEC 9.2).
+"""Memory of one value, bytes, counted against a caller's limit (SPEC 9.2).
 
-Measured in CPython 3.11: 24 to 32 bytes for a number, 49 and its characters for a str, 8 for the
-place of either in a list.
+Measured in CPython 3.11: 24 to 32 bytes for a number, 49 and the characters for a str, 8 for an
+entry of a list.
 """
 
 _FLOAT64: Final = struct.Struct(">d")
 
-# Tag to bytes of the length behind it, and the least length that no shorter header holds.
+# By tag: size of the length field, bytes, and the smallest length that needs a field of this size.
 _LENGTHS: Final = {
     0xC4: (1, 0),
     0xC5: (2, 1 << 8),
@@ -45,7 +45,7 @@ _LENGTHS: Final = {
 
 
 def pack(value: dict[str, Value]) -> bytes:
-    """Return the canonical encoding: shortest integers, float64, str keys in the given order."""
+    """Encode a map canonically: shortest integers, float64, str keys in the given order."""
     packed: bytes = msgpack.packb(value, use_bin_type=True)
     return packed
 
@@ -53,33 +53,33 @@ def pack(value: dict[str, Value]) -> bytes:
 def unpack(
     data: bytes, where: str, *, most_values: int = MAX_VALUES, allowed_bytes: int | None = None
 ) -> dict[str, Value]:
-    """Return the map that `data` holds, or refuse it.
+    """Decode a map, and refuse non-canonical or oversized encodings.
 
     Parameters
     ----------
     data : bytes
-        Exactly one msgpack value.
+        Encoding of exactly one map.
     where : str
-        Names the bytes in messages.
+        Name of the data in messages.
     most_values : int
-        Values that the map may hold, itself and its keys counted.
+        Maximum number of values, including the map itself and its keys.
     allowed_bytes : int, optional
-        What the values may take in memory, `VALUE_BYTES` each; not limited by default.
+        Memory limit of the values, bytes, at `VALUE_BYTES` each; by default none.
 
     Raises
     ------
     FormatError
         ``msgpack-truncated``, ``msgpack-trailing``, ``msgpack-invalid``, ``msgpack-depth``,
         ``msgpack-count``, ``msgpack-duplicate-key``, ``msgpack-key``, ``msgpack-utf8``,
-        ``msgpack-type``, ``msgpack-integer``, ``msgpack-canonical``; the first that a reading
-        from front to back meets.
+        ``msgpack-type``, ``msgpack-integer``, ``msgpack-canonical``; the first fault from front to
+        back.
     LimitError
-        ``decoded-size``: more than `allowed_bytes`.
+        ``decoded-size``: the values exceed `allowed_bytes`.
 
     Notes
     -----
-    Our own reader, because msgpack's allocates the lists that a nest of hostile headers claims
-    before it misses their elements, and tells neither float32 nor long integers from short ones.
+    The msgpack library is unsuitable for decoding: it allocates arrays of any length that a header
+    claims, and hides whether an encoding was the shortest.
     """
     reader = _Reader(data, where, most_values, allowed_bytes)
     value = reader.value(0)
@@ -91,7 +91,7 @@ def unpack(
 
 
 class _Reader:
-    """Reads values front to back; nothing is allocated for elements that are not there."""
+    """Decoder that reads values front to back and allocates nothing for missing elements."""
 
     def __init__(
         self, data: bytes, where: str, most_values: int, allowed_bytes: int | None
@@ -105,16 +105,17 @@ class _Reader:
 
     @property
     def left(self) -> int:
-        """Bytes not read yet."""
+        """Number of unread bytes."""
         return len(self._data) - self._position
 
     def error(self, code: str, message: str) -> FormatError:
+        """Return an error at the current position."""
         return FormatError(
             code, f"{self._where}: {message}, at its byte {self._position}", clause="4.1"
         )
 
     def value(self, depth: int) -> Value:
-        """Read one value inside `depth` maps and arrays."""
+        """Read one value at a nesting depth."""
         tag = self._unsigned(1)
         if tag < 0x80:
             return tag
@@ -151,22 +152,28 @@ class _Reader:
         raise self.error("msgpack-type", f"an extension (0x{tag:02x}), expected none")
 
     def _bytes(self, count: int) -> bytes:
+        """Read `count` bytes."""
         if count > self.left:
             raise self.error("msgpack-truncated", f"{self.left} bytes left, expected {count}")
         self._position += count
         return self._data[self._position - count : self._position]
 
     def _unsigned(self, size: int) -> int:
+        """Read an unsigned integer of `size` bytes."""
         return int.from_bytes(self._bytes(size), "big")
 
     def _length(self, tag: int) -> int:
+        """Read the length of a text, byte string, array or map, in its shortest form."""
         size, shortest = _LENGTHS[tag]
         length = self._unsigned(size)
         if length < shortest:
-            raise self.error("msgpack-canonical", f"length {length} in {size} bytes, too many")
+            raise self.error(
+                "msgpack-canonical", f"length {length} in {size} bytes, expected the shortest form"
+            )
         return length
 
     def _integer(self, tag: int) -> int:
+        """Read an integer in its shortest form."""
         size = 1 << (tag & 3)
         value = self._unsigned(size)
         if tag < 0xD0:
@@ -175,24 +182,31 @@ class _Reader:
             value -= 1 << 8 * size if value >> (8 * size - 1) else 0
             shorter = value >= (-0x20 if size == 1 else -(1 << (4 * size - 1)))
         if shorter:
-            raise self.error("msgpack-canonical", f"integer {value} in {size} bytes, too many")
+            raise self.error(
+                "msgpack-canonical", f"integer {value} in {size} bytes, expected the shortest form"
+            )
         if abs(value) > MAX_INTEGER:
-            raise self.error("msgpack-integer", f"{value}, expected at most 2^53 - 1 either way")
+            raise self.error("msgpack-integer", f"{value}, expected a magnitude up to 2^53 - 1")
         return value
 
     def _text(self, length: int) -> str:
+        """Read a text of `length` bytes of UTF-8."""
         try:
             return self._bytes(length).decode("utf-8")
         except UnicodeDecodeError:
-            raise self.error("msgpack-utf8", "a string that is not UTF-8") from None
+            raise self.error(
+                "msgpack-utf8", "a string with invalid bytes, expected UTF-8"
+            ) from None
 
     def _enter(self, values: int, depth: int) -> int:
-        """Check what a map or an array states before its first value is read."""
+        """Check depth and number of values of a map or array before its first value is read."""
         if depth == MAX_DEPTH:
-            raise self.error("msgpack-depth", f"nested deeper than {MAX_DEPTH}")
-        # Every value takes a byte at least.
+            raise self.error("msgpack-depth", f"a deeper nesting, expected at most {MAX_DEPTH}")
+        # Every value takes at least one byte.
         if values > self.left:
-            raise self.error("msgpack-truncated", f"{self.left} bytes left for {values} values")
+            raise self.error(
+                "msgpack-truncated", f"{self.left} bytes left, expected {values} for as many values"
+            )
         self._values += values
         if self._values > self._most:
             raise self.error(
@@ -207,10 +221,12 @@ class _Reader:
         return depth + 1
 
     def _array(self, length: int, depth: int) -> list[Value]:
+        """Read the values of an array."""
         inside = self._enter(length, depth)
         return [self.value(inside) for _ in range(length)]
 
     def _map(self, length: int, depth: int) -> dict[str, Value]:
+        """Read the keys and values of a map."""
         inside = self._enter(2 * length, depth)
         out: dict[str, Value] = {}
         for _ in range(length):

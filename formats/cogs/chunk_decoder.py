@@ -1,4 +1,4 @@
-"""Decode all chunks of an open COGS file, a prefix, or a set of chunks (SPEC 8)."""
+"""Decode chunks of an open COGS file (SPEC 8)."""
 
 from __future__ import annotations
 
@@ -41,36 +41,34 @@ from .index import Index
 from .lazy_index import LazyIndex
 from .stored_file import StoredFile
 
-# Of one splat while compensation is applied: shifts of two layers and the codes' entries.
+# Working memory per splat of compensation, bytes: shifts of two layers, and codebook entries.
 _COMPENSATION_ROW_BYTES: Final = 96
 
 PART_SPLATS: Final = 1 << 18
-"""Splats that are decoded together where a file is decoded in parts: enough for threads to pay."""
+"""Default size of a part in `decode_parts`, splats: enough for threads to save time."""
 
-# Below this, and without compiled kernels, threads wait for the interpreter's lock longer than
-# they save (measured in numpy: a scene of 80,000 splats takes a third longer on two threads).
+# Minimum number of splats for several threads. Below it, and without compiled kernels, the
+# interpreter's lock costs more than threads save (in numpy, 80,000 splats take a third longer on
+# two threads).
 _WORTH_THREADS: Final = 50_000
 
-# A third of the work with kernels is done under that lock: more threads wait for each other.
+# With kernels, a third of the work still holds that lock, so more threads wait for each other.
 _MOST_WORKERS: Final = 4
 
 
 class ChunkDecoder(StoredFile):
-    """An open file whose chunks are decoded on demand; `reader.CogsFile` adds the rest.
+    """Open file whose chunks are decoded on demand. A context manager.
 
-    A context manager; safe to decode from several threads.
+    Safe to decode from several threads. `reader.CogsFile` adds streaming and verification.
 
-    Attributes
+    Parameters
     ----------
-    root : Root
-    segments : SegmentTable
-        Of the root and of all pages that are there.
-    chunks : ChunkTable
-        Likewise.
-    offsets : (s,) int64
-        Byte offset of each segment.
-    missing_bytes : int
-        Bytes that a partial source lacks; 0 for a complete one.
+    source : Source
+        Source of the file, closed with it.
+    index : Index or LazyIndex
+        Index of the file.
+    limits : Limits
+        Memory and size limits.
     """
 
     def __init__(self, source: Source, index: Index | LazyIndex, limits: Limits) -> None:
@@ -80,56 +78,56 @@ class ChunkDecoder(StoredFile):
         self._codebooks: dict[tuple[int, int], Codebook] = {}
 
     def cameras(self) -> list[Camera]:
-        """Return the cameras stored in the file; an empty list where there are none.
+        """Return the cameras stored in the file; an empty list for none.
 
         Raises
         ------
         TruncatedError
-            ``file-truncated``: a partial source does not hold them.
+            ``file-truncated``: a partial source lacks the cameras.
         FormatError, UnsupportedError
-            They break SPEC 5.8.
+            The segment breaks SPEC 5.8.
         LimitError
-            ``decoded-size``: they take more memory than `Limits` allow.
+            ``decoded-size``: the cameras exceed the memory of `Limits`.
         """
         row = self.camera_row
         if row is None:
             return []
         if not self.is_present(row):
-            raise self._not_there("the segment of cameras")
+            raise self._missing_error("the segment of cameras")
         payload = bytes(self.read_segment(row))
         return camera_segment.unpack_cameras(payload, f"{self.name}: cameras", self._allowed)
 
     def view_table(self) -> ViewTable | None:
-        """Return what each chunk adds to the pictures of some viewpoints; None where it is absent.
+        """Return the view table, the contribution of each chunk to some views; None for none.
 
         Raises
         ------
         TruncatedError
-            ``file-truncated``: a partial source does not hold it.
+            ``file-truncated``: a partial source lacks the view table.
         FormatError, UnsupportedError
-            It breaks SPEC 5.12.
+            The segment breaks SPEC 5.12.
         LimitError
-            ``decoded-size``: its codes take more memory than `Limits` allow.
+            ``decoded-size``: the codes exceed the memory of `Limits`.
         """
         row = self.view_table_row
         if row is None:
             return None
         if not self.is_present(row):
-            raise self._not_there("the view table")
+            raise self._missing_error("the view table")
         payload = bytes(self.read_segment(row))
         return view_table_segment.unpack_view_table(
             payload, f"{self.name}: view table", self._pages.all_chunks, self._allowed
         )
 
     def compensation(self) -> Compensation:
-        """Return the compensation of the scene's prefixes: the layers that are there.
+        """Return the compensation of prefixes, from the layers received so far.
 
         Raises
         ------
         FormatError, UnsupportedError
-            They break SPEC 5.9.
+            A layer breaks SPEC 5.9.
         LimitError
-            ``decoded-size``: their codes take more memory than `Limits` allow.
+            ``decoded-size``: the codes exceed the memory of `Limits`.
         """
         counts = self.chunks.splats.astype(np.int64)
         splats = counts.tolist()
@@ -148,7 +146,7 @@ class ChunkDecoder(StoredFile):
                 break
             layers.append(layer)
             allowed -= len(payload) + len(layer.codes)
-        # Chunks of pages that are not there count as one.
+        # The chunks of missing pages count as one chunk.
         rest = self.root.splats - int(counts.sum())
         whole = np.concatenate([counts, [rest]]) if rest else counts
         return Compensation(tuple(layers), whole.astype(np.int64))
@@ -165,54 +163,54 @@ class ChunkDecoder(StoredFile):
         threads: int = 0,
         progress: Progress = silent,
     ) -> Splats:
-        """Decode chunks into one scene, in the order given.
+        """Decode chunks into one scene, in the given order.
 
         Parameters
         ----------
         chunks : iterable of int, optional
-            Chunk numbers; by default those that `level` draws, or all that are complete and have
-            not ended (SPEC 5.10).
+            Chunk numbers. By default the chunks that `level` draws, or all complete chunks without
+            ended preview chunks (SPEC 5.10).
         sh_degree : int, optional
-            Highest SH degree wanted; lower than the file's, bands and perhaps tails are skipped.
+            Highest SH degree to decode; by default the file's.
         refine : bool
-            Whether to read refinements, those that are there; otherwise the coarse values of
-            the heads.
+            Whether to apply the refinements received so far to the coarse values of the heads.
         extras : bool
-            Whether to read extra attributes of the splats.
+            Whether to decode extra attributes.
         compensate : bool
-            Whether to make up for the chunks that are missing (SPEC 8.5). Those asked for must be
-            the first ones of the file, in order; of a file that is cut into cells, also any others,
-            ascending and each with its parent (5.4).
+            Whether to apply the compensation for missing chunks (SPEC 8.5). `chunks` must then be a
+            prefix of the file. In a file cut into cells, `chunks` may also be any ascending numbers
+            that include the parent of each chunk (5.4).
         level : int, optional
-            Level whose opacities the splats have, 0 the coarsest (SPEC 5.11); by default the
-            finest that is there.
+            Level whose opacities to decode, 0 the coarsest (SPEC 5.11); by default the finest
+            received so far.
         threads : int
-            0 uses as many as pay. The result does not depend on it.
+            Number of threads; 0 chooses. The result does not depend on it.
         progress : Progress
+            Callback, called with ``("decode", chunks done, chunks)``.
 
         Returns
         -------
         Splats
-            Stored rows, coarse where a partial file lacks the refinement, shN zero where it lacks
-            the tail. `Splats.extras` are there where every chunk has them.
+            Decoded splats. In a partial file, values without their refinement are coarse, and shN
+            without its tail is zero. `Splats.extras` are present if every chunk has them.
 
         Raises
         ------
         FormatError, UnsupportedError
             The file breaks SPEC.
         TruncatedError
-            A chunk asked for by number is not there.
+            A requested chunk is missing.
         LimitError
-            ``decoded-size``, ``too-many-splats``: more than `Limits` allow.
+            ``decoded-size``, ``too-many-splats``: `Limits` are exceeded.
         """
         if level is not None and not 0 <= level < len(self.root.levels):
             raise ValueError(f"level {level}, expected one of {len(self.root.levels)}")
         count = self.complete_chunks() if level is None else self.root.levels[level].chunks
-        wanted = self._wanted(chunks, count)
+        wanted = self._chunk_list(chunks, count)
         prefixes = np.full(len(wanted), count, np.int64)
         if compensate and chunks is not None:
-            prefixes = self._prefixes_of(wanted)
-        file = self if compensate else self._knowing(wanted, sh_degree, refine, extras)
+            prefixes = self._equivalent_prefixes(wanted)
+        file = self if compensate else self._with_pages_for(wanted, sh_degree, refine, extras)
         decoding_tiers.load_if_worthwhile(int(file.chunks.splats[wanted].sum()))
         shifted = int(self.chunks.splats[wanted].sum()) if compensate else 0
         out = file._decode(
@@ -222,8 +220,8 @@ class ChunkDecoder(StoredFile):
             return out
         return self.compensation().apply_per_chunk(out, np.array(wanted, np.int64), prefixes)
 
-    def _prefixes_of(self, wanted: Sequence[int]) -> NDArray[np.int64]:
-        """Return the prefix that each of some chunks is compensated as (SPEC 8.5)."""
+    def _equivalent_prefixes(self, wanted: Sequence[int]) -> NDArray[np.int64]:
+        """Return the length of the prefix whose compensation applies to each chunk (SPEC 8.5)."""
         count = wanted[-1] + 1 if wanted else 0
         if list(wanted) in (list(range(count)), drawn_chunks(self.chunks, count)):
             return np.full(len(wanted), count, np.int64)
@@ -231,15 +229,15 @@ class ChunkDecoder(StoredFile):
         ascend = all(one < other for one, other in pairwise(wanted))
         if not ascend or not self.chunks.cell.all() or not has_all_parents(wanted, above):
             raise ValueError(
-                f"chunks {wanted[:8]} compensated, expected the first ones of the file in order "
-                "or, in a file that is cut into cells, ascending ones that each have their parent"
+                f"chunks {wanted[:8]} with compensation, expected a prefix of the file or, in a "
+                "file cut into cells, ascending chunks that include their parents"
             )
         return equivalent_prefixes(wanted, above, self.chunks.splats.astype(np.int64))
 
-    def _knowing(
+    def _with_pages_for(
         self, chunks: Sequence[int], sh_degree: int | None, refine: bool, extras: bool
     ) -> ChunkDecoder:
-        """Return the file with as much of its index as chunks take: of a lazy one, not all."""
+        """Return the file with an index that covers some chunks, without reading all pages."""
         if not isinstance(self._pages, LazyIndex):
             return self
         degree = MAX_SH_DEGREE if sh_degree is None else sh_degree
@@ -262,6 +260,7 @@ class ChunkDecoder(StoredFile):
         threads: int,
         progress: Progress = silent,
     ) -> Splats:
+        """Decode chunks after checks of degree and size; see `decode`."""
         if sh_degree is not None and not 0 <= sh_degree <= MAX_SH_DEGREE:
             raise ValueError(f"SH degree {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
         degree = min(self.root.sh_degree, MAX_SH_DEGREE if sh_degree is None else sh_degree)
@@ -270,11 +269,11 @@ class ChunkDecoder(StoredFile):
         scratch = scratch_bytes(max(counts, default=0), degree, self.root)
         size = sum(counts) * row_bytes(degree, kinds) + scratch
         size += shifted_splats * _COMPENSATION_ROW_BYTES
-        # Before codebooks are read, so that a file that is too large is refused at once.
+        # Checked before codebooks are read, so that a file that is too large fails at once.
         self._limits.require_splats(sum(counts), self.name)
         self._check_size(size, f"{sum(counts)} splats")
-        with self._fetching(wanted, degree, refine=refine, extras=bool(kinds), level=level):
-            # Codebooks first, on this thread, so that the workers only read them.
+        with self._prefetch(wanted, degree, refine=refine, extras=bool(kinds), level=level):
+            # Codebooks are loaded on this thread, so that workers only read them.
             for chunk in wanted:
                 self._load_codebooks(chunk, degree)
             self._check_size(size, f"{sum(counts)} splats")
@@ -288,7 +287,7 @@ class ChunkDecoder(StoredFile):
             def decode_one(task: tuple[int, Splats]) -> None:
                 self._decode_chunk(*task, refine=refine, level=level)
 
-            # More workers take the working memory of a chunk each: as many as the limit allows.
+            # Each worker needs the working memory of a chunk; the memory limit caps their number.
             room = 1 + (self._allowed - size) // max(scratch, 1)
             workers = min(thread_count(threads or _workers(sum(counts))), room, len(tasks) or 1)
             for done, _ in enumerate(ordered_map(decode_one, tasks, workers), start=1):
@@ -306,27 +305,28 @@ class ChunkDecoder(StoredFile):
         threads: int = 0,
         progress: Progress = silent,
     ) -> Iterator[Splats]:
-        """Decode chunks as `decode` does, a few at a time: memory does not grow with the file.
+        """Decode a few chunks at a time, in memory that does not grow with the file.
 
         Parameters
         ----------
         chunks, sh_degree, refine, extras, threads, progress
             As in `decode`.
         most_splats : int
-            Splats of a part, at most, unless one chunk has more.
+            Maximum number of splats per part; a larger chunk is a part of its own.
 
         Yields
         ------
         Splats
-            Whole chunks; joined they are what `decode` returns. All have the same extra attributes.
+            Splats of whole chunks; concatenated, the result of `decode`. All parts have the same
+            extra attributes.
 
         Raises
         ------
         CogsplatError
-            As `decode`; a file that is too large as a whole is refused before the first part.
+            The errors of `decode`; limits apply to all parts together, before the first.
         """
-        wanted = self._wanted(chunks, self.complete_chunks())
-        file = self._knowing(wanted, sh_degree, refine, extras)
+        wanted = self._chunk_list(chunks, self.complete_chunks())
+        file = self._with_pages_for(wanted, sh_degree, refine, extras)
         extras = extras and all(map(file.has_extras, wanted))
         degree = min(self.root.sh_degree, MAX_SH_DEGREE if sh_degree is None else sh_degree)
         counts = [int(file.chunks.splats[chunk]) for chunk in wanted]
@@ -335,7 +335,7 @@ class ChunkDecoder(StoredFile):
         self._check_size(sum(counts) * row_bytes(degree, kinds), f"{sum(counts)} splats")
         decoding_tiers.load_if_worthwhile(sum(counts))
         first = 0
-        with file._fetching(wanted, degree, refine=refine, extras=bool(kinds)):
+        with file._prefetch(wanted, degree, refine=refine, extras=bool(kinds)):
             while first < len(wanted):
                 stop, rows = first + 1, counts[first]
                 while stop < len(wanted) and rows + counts[stop] <= most_splats:
@@ -346,22 +346,22 @@ class ChunkDecoder(StoredFile):
                 first = stop
 
     def iter_chunks(self, *, sh_degree: int | None = None, refine: bool = True) -> Iterator[Splats]:
-        """Decode the chunks that are complete and have not ended one by one."""
-        for chunk in self._wanted(None, self.complete_chunks()):
+        """Yield the splats of each complete chunk, without ended preview chunks."""
+        for chunk in self._chunk_list(None, self.complete_chunks()):
             yield self.decode([chunk], sh_degree=sh_degree, refine=refine, threads=1)
 
     def load_codebook(self, book: int) -> Codebook:
-        """Return the rows of a codebook, all of its bands.
+        """Return a codebook with all its SH bands.
 
         Raises
         ------
         FormatError, UnsupportedError, LimitError
-            Its segments break SPEC 7.1 or the limits.
+            The segments break SPEC 7.1 or the limits.
         """
         return self._load_codebook(book, self.root.sh_degree)
 
     def require_size(self) -> None:
-        """Refuse a file of which all splats at full degree take more than the limits allow.
+        """Refuse a file whose splats, decoded at full SH degree, exceed the limits.
 
         Raises
         ------
@@ -373,7 +373,7 @@ class ChunkDecoder(StoredFile):
         scratch = scratch_bytes(max(counts, default=0), self.root.sh_degree, self.root)
         self._check_size(sum(counts) * each + scratch, f"{sum(counts)} splats")
 
-    def _fetching(
+    def _prefetch(
         self,
         chunks: Sequence[int],
         degree: int,
@@ -382,7 +382,7 @@ class ChunkDecoder(StoredFile):
         extras: bool,
         level: int | None = None,
     ) -> AbstractContextManager[Cancel]:
-        """Have what chunks take fetched ahead, in a few requests, as long as the block lasts."""
+        """Prefetch the segments of chunks in a few requests, until the block ends."""
         if not isinstance(self._source, RemoteSource):
             return nullcontext(lambda: None)
         return self._source.prefetch(
@@ -393,51 +393,54 @@ class ChunkDecoder(StoredFile):
                 refine=refine,
                 extras=extras,
                 level=level,
-                is_kept=self.is_kept,
+                is_cached=self.is_cached,
             ),
             any_order=True,
         )
 
-    def _wanted(self, chunks: Iterable[int] | None, count: int) -> list[int]:
-        """Return the chunks asked for, by default those that a prefix of `count` draws."""
+    def _chunk_list(self, chunks: Iterable[int] | None, count: int) -> list[int]:
+        """Check chunk numbers; by default, return the chunks that a prefix of `count` draws."""
         wanted = drawn_chunks(self.chunks, count) if chunks is None else list(chunks)
         for chunk in wanted:
             self._require_chunk(chunk)
         return wanted
 
     def _check_size(self, size: int, what: str) -> None:
-        """Refuse to allocate `size` bytes beside the codebooks that are there already."""
+        """Refuse an allocation of `size` bytes that, with loaded codebooks, exceeds the limit."""
         size += sum(book.nbytes for book in self._codebooks.values())
         if size > self._allowed:
             raise LimitError(
                 "decoded-size",
                 f"{self.name}: {what} and codebooks take {size} bytes, expected at most "
-                f"{self._allowed} from {self._source.size} bytes (SPEC 9.2)",
+                f"{self._allowed} for a source of {self._source.size} bytes (SPEC 9.2)",
             )
 
     def _load_codebooks(self, chunk: int, degree: int) -> None:
+        """Load the codebooks of a chunk that are not loaded yet."""
         tail = int(self._index.tails[chunk])
         with_tail = degree > 0 and tail >= 0 and self.has_tail(chunk, degree)
         books = self._shapes_needed(int(self._index.heads[chunk]))
-        for book in [*books, *(self._needed(tail) if with_tail else ())]:
+        for book in [*books, *(self._needed_codebooks(tail) if with_tail else ())]:
             key = self._codebook_key(book, degree)
             if key not in self._codebooks:
                 self._codebooks[key] = self._load_codebook(book, degree)
 
     def _shapes_needed(self, head: int) -> list[int]:
-        """Return the codebooks that a head uses: those of shapes, whatever it states (SPEC 8.2)."""
+        """Return the numbers of the shape codebooks that a head needs (SPEC 8.2)."""
         books = self.root.codebooks
-        return [book for book in self._needed(head) if books[book].attribute == "shape"]
+        return [book for book in self._needed_codebooks(head) if books[book].attribute == "shape"]
 
     def _codebook_key(self, book: int, degree: int) -> tuple[int, int]:
+        """Return the key of a loaded codebook: its number, and the SH degree of a colour one."""
         return book, degree if self.root.codebooks[book].attribute == "colour" else 0
 
     def _load_codebook(self, book: int, degree: int) -> Codebook:
+        """Read and decode a codebook up to an SH degree."""
         entry = self.root.codebooks[book]
         where = f"{self.name}: codebook {book}"
         rows = self._codebook_rows(book, degree)
         if rows is None:
-            raise self._not_there(f"a segment of codebook {book}")
+            raise self._missing_error(f"a segment of codebook {book}")
         row = 28 if entry.attribute == "shape" else 12 * (sh_coefficients(degree) - 1)
         self._check_size(entry.rows * (row + SCRATCH_ROW_BYTES), where)
         if entry.attribute == "shape":
@@ -446,6 +449,7 @@ class ChunkDecoder(StoredFile):
         return codebooks.decode_colour_codebook(payloads, entry.rows, degree, where)
 
     def _decode_chunk(self, chunk: int, out: Splats, *, refine: bool, level: int | None) -> None:
+        """Decode one chunk into preallocated splats."""
         degree = out.sh_degree
         head = int(self._index.heads[chunk])
         where = f"{self.name}: chunk {chunk}"
@@ -460,9 +464,9 @@ class ChunkDecoder(StoredFile):
         with_tail = degree > 0 and tail >= 0 and self.has_tail(chunk, degree)
         coefficients = self.read_segment(tail) if with_tail else None
         extras = self.read_segment(int(self._index.attributes[chunk])) if out.extras else None
-        # All CRCs were checked before anything is decoded, in the order of SPEC 7.6.
-        shapes = self._books(self._shapes_needed(head), degree)
-        colours = self._books(self._needed(tail), degree) if with_tail else {}
+        # All CRCs have been checked before decoding begins, in the order of SPEC 7.6.
+        shapes = self._loaded_codebooks(self._shapes_needed(head), degree)
+        colours = self._loaded_codebooks(self._needed_codebooks(tail), degree) if with_tail else {}
         most = self.root.sh_degree
         decode_chunk(payload, finer, coefficients, (shapes, colours), out, where, sh_degree=most)
         if logits is not None:
@@ -470,12 +474,13 @@ class ChunkDecoder(StoredFile):
         if extras is not None:
             unpack_attributes(extras, self.root.attributes, out.extras, f"{where} attributes")
 
-    def _books(self, books: Sequence[int], degree: int) -> dict[int, Codebook]:
+    def _loaded_codebooks(self, books: Sequence[int], degree: int) -> dict[int, Codebook]:
+        """Return loaded codebooks by number."""
         keys = {book: self._codebook_key(book, degree) for book in books}
         return {book: self._codebooks[key] for book, key in keys.items()}
 
 
 def _workers(splats: int) -> int:
-    """Return how many threads pay."""
+    """Return the number of threads that decode a number of splats fastest."""
     pays = decoding_tiers.is_compiled() and splats >= _WORTH_THREADS
     return min(thread_count(0), _MOST_WORKERS) if pays else 1

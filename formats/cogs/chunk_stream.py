@@ -1,4 +1,4 @@
-"""Chunks of an open file, decoded one after the other as their bytes come (SPEC 8.3, 8.8)."""
+"""Decode the chunks of an open file as their bytes arrive (SPEC 8.3, 8.8)."""
 
 from __future__ import annotations
 
@@ -21,17 +21,18 @@ from .layout import CODEBOOK_KINDS
 
 @dataclass(frozen=True, eq=False)
 class ChunkUpdate:
-    """What is there of a chunk; a later update of the same chunk takes the place of this one.
+    """Splats of a chunk so far, which replace the previous update of the chunk.
 
     Parameters
     ----------
     chunk : int
+        Chunk number.
     splats : Splats
-        From `ChunkDecoder.decode`: coarse without the refinement, shN zero without the tail.
+        Decoded splats; coarse without the refinement, shN zero without the tail.
     is_refined, has_tail : bool
-        Whether the refinement and the tail are in it, or there are none that were asked for.
+        Whether the refinement and the tail were applied, if the stream includes such segments.
     is_complete : bool
-        Whether no further update of the chunk will come.
+        Whether this is the last update of the chunk.
     """
 
     chunk: int
@@ -42,10 +43,29 @@ class ChunkUpdate:
 
 
 class ChunkStream:
-    """Updates of chunks as their bytes come; see `reader.CogsFile.stream`.
+    """Iterator of `ChunkUpdate` in arrival order; see `reader.CogsFile.stream`.
 
-    An iterator for ``for`` and for ``async for``, which decodes and waits on another thread. One
-    user at a time; `cancel` may be called from any thread.
+    For ``for`` and ``async for``; the latter waits and decodes on another thread. For one consumer
+    at a time; `cancel` may be called from any thread.
+
+    Parameters
+    ----------
+    file : ChunkDecoder
+        Open file.
+    source : Source
+        Source of the file.
+    index : Index
+        Whole index of the file.
+    limits : Limits
+        Memory and size limits.
+    chunks : sequence of int
+        Chunk numbers by descending priority.
+    in_file_order : bool
+        Whether to fetch segments in file order instead of chunk by chunk.
+    sh_degree : int
+        Highest SH degree to decode.
+    refine : bool
+        Whether to fetch refinements.
     """
 
     def __init__(
@@ -104,23 +124,24 @@ class ChunkStream:
         return update
 
     def _next(self) -> ChunkUpdate | None:
+        """Return the next update, or None at the end."""
         with self._running:
             return next(self._updates, None)
 
     def cancel(self) -> None:
-        """End the stream from any thread: whoever waits for the next update gets `Cancelled`."""
+        """End the stream from any thread: a pending ``next`` raises `Cancelled`."""
         self._cancelled = True
         self._cancel()
 
     def close(self) -> None:
-        """End the requests; no update comes any more."""
+        """Cancel all requests and end the iteration."""
         self.cancel()
-        # A task that was cancelled may leave a thread in the middle of the last update.
+        # A cancelled task may leave a thread in the middle of the last update.
         with self._running:
             self._updates.close()
 
     def _plan(self, chunks: Sequence[int]) -> dict[int, list[int]]:
-        """Return the rows of each wanted chunk, chunks in the order in which they are wanted."""
+        """Return the rows to fetch for each chunk, chunks by descending priority."""
         wanted = {}
         for chunk in chunks:
             rows = rows_of_chunk(
@@ -134,7 +155,7 @@ class ChunkStream:
         return wanted
 
     def _order(self) -> list[int]:
-        """Return the rows to fetch, codebooks before what needs them."""
+        """Return the rows to fetch in order, each codebook before the segments that need it."""
         every = [row for rows in self._wanted.values() for row in rows]
         if self._in_file_order:
             books = codebook_rows(self._index, every, self._degree)
@@ -147,6 +168,7 @@ class ChunkStream:
         return list(ordered)
 
     def _run(self) -> Generator[ChunkUpdate, None, None]:
+        """Read segments in fetch order and yield updates of their chunks."""
         index, arrived = self._index, self._arrived
         order = self._order()
         owners = {row: chunk for chunk, rows in self._wanted.items() for row in rows}
@@ -154,13 +176,13 @@ class ChunkStream:
         ranges = [(int(index.offsets[row]), int(index.segments.length[row])) for row in order]
         shown: dict[int, tuple[bool, bool, bool]] = {}
         coarse: dict[int, None] = {}
-        kept = {row for row in order if self._file.is_kept(row)}
-        ahead = [span for row, span in zip(order, ranges, strict=True) if row not in kept]
+        cached = {row for row in order if self._file.is_cached(row)}
+        ahead = [span for row, span in zip(order, ranges, strict=True) if row not in cached]
         with prefetching(self._source, ahead) as self._cancel:
             for row, (offset, length) in zip(order, ranges, strict=True):
-                is_here = row in kept or has_arrived(self._source, offset, length)
+                is_here = row in cached or has_arrived(self._source, offset, length)
                 if coarse and not is_here:
-                    # While the next segment is on its way there is time to show what came.
+                    # Decode coarse updates while the next segment is in flight.
                     yield from self._changed(coarse, shown, missing)
                     coarse.clear()
                 if self._cancelled:
@@ -184,20 +206,20 @@ class ChunkStream:
         shown: dict[int, tuple[bool, bool, bool]],
         missing: dict[int, set[int]],
     ) -> Iterator[ChunkUpdate]:
-        """Yield an update of each chunk of which more has come than was shown."""
+        """Yield an update of each chunk whose state differs from its last update."""
         for chunk in list(chunks):
             state = self._state(chunk, last=not missing[chunk])
             if state is None or state == shown.get(chunk):
                 continue
             shown[chunk] = state
-            yield self._decoded(chunk, *state)
+            yield self._update(chunk, *state)
             if state[2]:
                 del missing[chunk]
                 for row in self._wanted[chunk]:
                     del self._arrived.held[row]
 
     def _state(self, chunk: int, *, last: bool) -> tuple[bool, bool, bool] | None:
-        """Return whether a chunk is refined, has its tail, and is complete; None without a head."""
+        """Return whether a chunk is refined, has its tail, is complete; None without its head."""
         arrived = self._arrived
         head = int(self._index.heads[chunk])
         if not arrived.is_ready(head, 0):
@@ -207,7 +229,8 @@ class ChunkStream:
         complete = last and all(arrived.is_ready(row, self._degree) for row in self._wanted[chunk])
         return refined, tail, complete
 
-    def _decoded(self, chunk: int, refined: bool, tail: bool, complete: bool) -> ChunkUpdate:
+    def _update(self, chunk: int, refined: bool, tail: bool, complete: bool) -> ChunkUpdate:
+        """Decode the received segments of a chunk into an update."""
         splats = self._arrived.decode(
             [chunk],
             sh_degree=self._degree,
@@ -219,7 +242,7 @@ class ChunkStream:
 
 
 class _ArrivedFile(ChunkDecoder):
-    """A file of which the segments that were received are there, and no others."""
+    """File with only the segments received so far, kept in memory."""
 
     def __init__(self, source: Source, index: Index, limits: Limits) -> None:
         super().__init__(_Unread(source.name, source.size), index, limits)
@@ -230,24 +253,25 @@ class _ArrivedFile(ChunkDecoder):
         return row in self.held
 
     def is_ready(self, row: int, degree: int) -> bool:
-        """Whether a segment was received, and the codebooks it needs up to an SH degree."""
-        return self._complete(row, degree)
+        """Whether a segment and its codebooks, up to an SH degree, were received."""
+        return self._is_decodable(row, degree)
 
     def read_segment(self, row: int) -> memoryview:
-        """Return a segment that was received; its CRC is checked already."""
+        """Return a received segment, whose CRC was checked on arrival."""
         return self.held[row]
 
 
 class _Unread:
-    """Stands for the source of a file whose segments are all received: nothing is read of it."""
+    """Source that refuses reads: placeholder for a file whose segments are in memory."""
 
     def __init__(self, name: str, size: int) -> None:
         self.name = name
         self.size = size
 
     def read(self, offset: int, length: int) -> bytes:
-        """Refuse: see the class."""
-        raise AssertionError(f"{self.name}: bytes {offset} to {offset + length - 1} are read")
+        """Refuse every read."""
+        end = offset + length
+        raise AssertionError(f"{self.name}: read of bytes {offset} to {end - 1}, expected none")
 
     def close(self) -> None:
-        """Do nothing: it holds nothing."""
+        """Do nothing: no resources are held."""

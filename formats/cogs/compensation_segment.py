@@ -1,4 +1,4 @@
-"""Compensation in a COGS file: a segment for each layer, a msgpack map of columns (SPEC 5.9)."""
+"""Encode and decode the segment of a compensation layer: a msgpack map of columns (SPEC 5.9)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _CLAUSE = "5.9"
 
 
 def pack_layer(layer: Layer) -> bytes:
-    """Return the payload of a layer's segment."""
+    """Encode a compensation layer as the payload of its segment."""
     value: dict[str, canonical_msgpack.Value] = {
         "scales": layer.scales.astype("i1").tobytes(),
         "opacities": layer.opacities.astype("i1").tobytes(),
@@ -42,22 +42,22 @@ def unpack_layer(
     all_chunks: int,
     allowed_bytes: int,
 ) -> Layer | None:
-    """Return the layer of a segment, None where it is about chunks whose page is not there.
+    """Decode the segment of a compensation layer; None if pages of its chunks are missing.
 
     Parameters
     ----------
     payload : bytes
-        The segment's bytes, its CRC already checked.
+        Bytes of the segment, whose CRC was checked.
     where : str
-        Names the segment in messages.
+        Name of the segment in messages.
     before : int
-        Chunks of the layer before, 0 for the first.
+        Number of chunks up to the end of the previous layer; 0 for the first.
     chunk_splats : sequence of int
-        Splats of the chunks that are known.
+        Splats per chunk, for the chunks listed so far.
     all_chunks : int
-        Chunks of the whole file.
+        Number of chunks of the whole file.
     allowed_bytes : int
-        What the layer's codes may take in memory, one byte each.
+        Memory limit of the layer's codes, bytes, at one byte each.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def unpack_layer(
     UnsupportedError
         ``root-must-understand``.
     LimitError
-        ``decoded-size``: more than `allowed_bytes`.
+        ``decoded-size``: the codes exceed `allowed_bytes`.
     """
     table = CheckedMap(canonical_msgpack.unpack(payload, where), where, _CLAUSE)
     scales = table.column("scales", "i1", None).astype(np.int8)
@@ -74,7 +74,7 @@ def unpack_layer(
     opacities = table.column("opacities", "i1", chunks).astype(np.int8)
     strengths = table.column("strengths", "u1", chunks, 2).astype(np.uint8)
     book = table.column("book", "i1", None, 2).astype(np.int8)
-    packed = table.take("codes", bytes)
+    packed = table.pop("codes", bytes)
     table.finish()
     if not before < chunks <= all_chunks:
         raise table.error("scales", f"{chunks} chunks, expected {before + 1} to {all_chunks}")
@@ -94,12 +94,12 @@ def unpack_layer(
     if bits and count > allowed_bytes:
         raise LimitError(
             "decoded-size",
-            f"{where}: {count} codes, expected at most {allowed_bytes} bytes of them (SPEC 9.2)",
+            f"{where}: {count} codes of a byte each, expected at most {allowed_bytes} (SPEC 9.2)",
         )
     codes = unpack_codes(packed, bits, count)
     spare = 8 * len(packed) - count * bits
     if spare and packed[-1] >> (8 - spare):
-        raise table.error("codes", "the bits behind the last code are set, expected zeros")
+        raise table.error("codes", "padding bits behind the last code are set, expected zeros")
     if bits and len(codes) and int(codes.max()) >= len(book):
         raise table.error("codes", f"code {int(codes.max())}, expected below {len(book)}")
     return Layer(scales, opacities, strengths, book, codes)

@@ -1,4 +1,4 @@
-"""Which chunks a prefix or a level draws, and how many levels draw each (SPEC 5.10, 5.11)."""
+"""Chunks that a prefix or a level draws (SPEC 5.10, 5.11)."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ I64 = NDArray[np.int64]
 
 
 def drawn_chunks(chunks: ChunkTable, count: int) -> list[int]:
-    """Return the numbers of the chunks that a prefix draws: those that have not ended in it.
+    """Return the numbers of the chunks that a prefix draws, without ended preview chunks.
 
     Parameters
     ----------
     chunks : ChunkTable
-        At least the first `count` chunks.
+        Table of at least the first `count` chunks.
     count : int
-        Chunks of the prefix.
+        Number of chunks of the prefix.
     """
     until = chunks.until[:count]
     return [int(chunk) for chunk in np.flatnonzero((until == 0) | (until > count))]
 
 
 def first_level(levels: Sequence[Level], chunk: int) -> int:
-    """Return the first level that has a chunk."""
+    """Return the number of the first level that contains a chunk."""
     return sum(level.chunks <= chunk for level in levels)
 
 
 def later_levels(levels: Sequence[Level], chunks: ChunkTable) -> I64:
-    """Return how many levels draw each chunk behind the first that has it."""
+    """Return the number of levels that draw each chunk, not counting its first level."""
     ends = [level.chunks for level in levels]
     stops = np.searchsorted(ends, chunks.until, side="left")
     stops[chunks.until == 0] = len(ends)

@@ -1,4 +1,4 @@
-"""Which segments a part of a scene takes, and in which order they are fetched (SPEC 8.8)."""
+"""Segments needed to decode chunks, and the order in which to fetch the segments (SPEC 8.8)."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from .index import Index, codebook_kinds
 if TYPE_CHECKING:
     from .root import SegmentTable
 
-# Segments of chunks that are decoded one after the other are fetched in the order of the file, in
-# groups of so many bytes: few requests, and little that waits in memory.
+# Segments of consecutive chunks are fetched in file order within groups of this size: few requests,
+# and few bytes that wait in memory.
 _GROUP_BYTES: Final = 8 << 20
 
 
@@ -25,9 +25,16 @@ def needed_codebooks(table: SegmentTable, row: int, books: int) -> list[int]:
 
 
 def opacity_rows(index: Index, chunk: int, level: int | None) -> list[int]:
-    """Return the segments that a chunk has of opacities up to a level, the last one's at the end.
+    """Return the rows of a chunk's opacity segments up to a level, in level order (SPEC 5.11).
 
-    Without a level those of all levels (SPEC 5.11).
+    Parameters
+    ----------
+    index : Index
+        Index of the file.
+    chunk : int
+        Chunk number.
+    level : int or None
+        Last level; None for the finest.
     """
     rows = list(index.opacities.get(chunk, ()))
     if level is None or not rows:
@@ -44,9 +51,20 @@ def rows_of_chunk(
     extras: bool,
     level: int | None = None,
 ) -> list[int]:
-    """Return the rows of the segments that a chunk takes at a level, by default at the finest.
+    """Return the rows of the segments needed to decode a chunk.
 
-    They are its head, refinement, opacities, tail and extra attributes.
+    Parameters
+    ----------
+    index : Index
+        Index of the file.
+    chunk : int
+        Chunk number.
+    sh_degree : int
+        Highest SH degree; 0 leaves out the tail.
+    refine, extras : bool
+        Whether to include the refinement and the extra attributes.
+    level : int, optional
+        Level whose opacities to include; by default the finest.
     """
     rows = [int(index.heads[chunk])]
     if refine:
@@ -60,7 +78,7 @@ def rows_of_chunk(
 
 
 def codebook_rows(index: Index, rows: Iterable[int], sh_degree: int) -> list[int]:
-    """Return the rows of the codebooks that segments need up to an SH degree, each once."""
+    """Return the rows of all codebook segments that some segments need, up to an SH degree."""
     books = index.root.codebooks
     needed = {book for row in rows for book in needed_codebooks(index.segments, row, len(books))}
     found: list[int] = []
@@ -79,29 +97,30 @@ def ranges_to_decode(
     refine: bool,
     extras: bool,
     level: int | None = None,
-    is_kept: Callable[[int], bool] = lambda row: False,
+    is_cached: Callable[[int], bool] = lambda row: False,
 ) -> list[tuple[int, int]]:
-    """Return the ranges that decoding chunks takes, in the order in which to fetch them.
+    """Return the byte ranges to fetch for decoding chunks, in fetch order.
 
     Parameters
     ----------
     index : Index
+        Index of the file.
     chunks : sequence of int
-        In the order in which they are decoded.
+        Chunk numbers in decoding order.
     sh_degree : int
-        Up to which tails and bands of codebooks are read.
+        Highest SH degree of tails and codebooks.
     refine, extras : bool
-        Whether refinements and extra attributes are read.
+        Whether to include refinements and extra attributes.
     level : int, optional
-        Whose opacities are read; by default the finest.
-    is_kept : callable
-        Whether a segment, by its row, need not be fetched.
+        Level whose opacities to include; by default the finest.
+    is_cached : callable
+        Function that says of a row whether its segment is cached and need not be fetched.
 
     Returns
     -------
     list of (int, int)
-        Offset and length: in the order of the file codebooks and the segments of the first chunks,
-        then those of a few further chunks at a time.
+        Offset and length of each segment, bytes. Codebooks and the first chunks come first, then
+        groups of further chunks; within a group, in file order.
     """
     each = [
         rows_of_chunk(index, chunk, sh_degree=sh_degree, refine=refine, extras=extras, level=level)
@@ -115,11 +134,12 @@ def ranges_to_decode(
     return [
         (int(index.offsets[row]), int(index.segments.length[row]))
         for row in ordered
-        if not is_kept(row)
+        if not is_cached(row)
     ]
 
 
 def _groups(index: Index, each: Sequence[Sequence[int]]) -> Iterator[list[int]]:
+    """Join the rows of consecutive chunks into groups of at least `_GROUP_BYTES`."""
     group: list[int] = []
     size = 0
     for rows in each:

@@ -1,4 +1,4 @@
-"""All broken rules of a file, each as a finding."""
+"""Report all broken rules of a file (``cogsplat validate``)."""
 
 from __future__ import annotations
 
@@ -20,34 +20,33 @@ from cogsplat.formats.storage.source import Source
 from .reader import open_cogs
 from .verification import checks
 
-# A message that names its clause, where the error has no field for it.
+# Clause in the message of an error without a `clause` field.
 _CLAUSE: Final = re.compile(r"\(SPEC (\d+(?:\.\d+)?)\)")
 
 
-# What a source that has not arrived whole lacks: its end, or objects of a folder.
-_NOT_THERE: Final = ("file-truncated", "segment-missing")
+# Codes of a source that is still being received: a missing end, or missing objects of a folder.
+_INCOMPLETE: Final = ("file-truncated", "segment-missing")
 
-
-# Segments whose bytes are not those that were written.
+# Codes of a segment whose bytes changed since it was written.
 _DAMAGED: Final = ("segment-crc", "segment-hash")
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One broken rule.
+    """One broken rule of a file.
 
     Parameters
     ----------
     code : str
         Reason code (SPEC 12).
     kind : str
-        ``format``, ``truncated``, ``unsupported`` or ``limit``, as SPEC 12 classes the code.
+        Class of the code in SPEC 12: ``format``, ``truncated``, ``unsupported`` or ``limit``.
     clause : str
-        SPEC clause that the file breaks.
+        Broken clause of SPEC.
     offset : int or None
-        Byte offset of what breaks it, where known.
+        Byte offset of the error, if known.
     message : str
-        What was found, where, and what was expected.
+        Fault, its place, and the expected value.
     """
 
     code: str
@@ -64,25 +63,26 @@ def findings(
     limits: Limits | None = None,
     progress: Progress = silent,
 ) -> list[Finding]:
-    """Return every broken rule of a file, none where it conforms.
+    """Check a file and return its broken rules, in the order of the checks.
 
     Parameters
     ----------
     source : Source
+        Source of the file.
     partial : bool
-        Whether a file that is still being received is no finding.
+        Whether to accept a file that is still being received.
     limits : Limits, optional
-        What may be allocated for it.
+        Memory and size limits.
     progress : Progress
-        Called with ``("validate", checks done, checks)``.
+        Callback, called with ``("validate", checks done, checks)``.
 
     Returns
     -------
     list of Finding
-        In the order in which the checks find them. A file whose preamble, root or tables break a
-        rule gives the first such rule alone, because nothing behind them has a meaning then. A file
-        that is short gives ``file-truncated`` and what is wrong with the part that is there, one
-        that is long ``file-trailing`` and what is wrong with the part before that.
+        Broken rules; empty for a conforming file. A broken preamble, root or table is the only
+        finding, because the rest of the file depends on it. A short file gives ``file-truncated``
+        and the findings of its received part. A long file gives ``file-trailing`` and the findings
+        of the part up to its stated end.
 
     Raises
     ------
@@ -99,34 +99,34 @@ def findings(
     try:
         file = open_cogs(source, limits=limits)
     except CogsplatError as error:
-        # What is short breaks its rule where it ends.
+        # The offset of a truncation is the end of the source.
         short = isinstance(error, TruncatedError) and error.code != "segment-missing"
         first = finding_of(error, source.size if short else None)
-        if error.code not in (*_NOT_THERE, "file-trailing"):
+        if error.code not in (*_INCOMPLETE, "file-trailing"):
             return [first]
         if error.code == "file-trailing" or not partial:
             found.append(first)
-        # A file that is long is checked up to where it should end.
+        # A file that is too long is checked up to its stated end.
         end = first.offset if error.code == "file-trailing" else None
         try:
             file = open_cogs(source, partial=True, size_bytes=end, limits=limits)
         except CogsplatError as second:
             return [*found, finding_of(second)]
-    # What a local folder lacks was counted when it was opened; over a network each is met here.
-    counted = partial or any(finding.code == "segment-missing" for finding in found)
-    passed_over = _NOT_THERE if counted else _NOT_THERE[:1]
+    # Opening reports missing segments of a local folder; on a network, reading reports each one.
+    reported = partial or any(finding.code == "segment-missing" for finding in found)
+    skipped = _INCOMPLETE if reported else _INCOMPLETE[:1]
     steps = list(checks(file))
     for done, check in enumerate(steps, start=1):
         try:
             check.run()
         except CogsplatError as error:
             finding = finding_of(error, check.offset)
-            # A broken segment fails again wherever it is used, and so does what is not there.
-            follows = finding.code in passed_over
+            # A missing or damaged segment fails again wherever it is used: report it once.
+            is_repeated = finding.code in skipped
             if finding.code == "object-hash":
-                # The object of a damaged segment has another hash because of it.
-                follows = any(other.code in _DAMAGED for other in found)
-            if not follows and all(
+                # A damaged segment also changes the hash of its object.
+                is_repeated = any(other.code in _DAMAGED for other in found)
+            if not is_repeated and all(
                 (finding.code, finding.offset) != (other.code, other.offset) for other in found
             ):
                 found.append(finding)
@@ -135,12 +135,19 @@ def findings(
 
 
 def finding_of(error: CogsplatError, offset: int | None = None) -> Finding:
-    """Return a refusal as a finding; `offset` is where the file breaks the rule, if that is known.
+    """Convert an error into a finding.
+
+    Parameters
+    ----------
+    error : CogsplatError
+        Error of a check.
+    offset : int or None
+        Byte offset of the error, for errors without one.
 
     Raises
     ------
     StorageError
-        `error` itself where it says nothing about the file.
+        `error` itself, if it is about storage and not about the file.
     """
     if isinstance(error, StorageError):
         raise error
@@ -157,6 +164,7 @@ def finding_of(error: CogsplatError, offset: int | None = None) -> Finding:
 
 
 def _kind(error: CogsplatError) -> str:
+    """Return the class of an error in SPEC 12."""
     if isinstance(error, TruncatedError):
         return "truncated"
     if isinstance(error, FormatError):

@@ -1,6 +1,6 @@
-"""Where the bytes of a file lie in the folder that stands for it: manifest and objects (SPEC 3.4).
+"""Map from byte ranges of a file to its folder's manifest and objects (SPEC 3.4).
 
-Nothing is read here, so that folders on disk, over HTTP and in object stores share these rules.
+Nothing is read here: folders on disk, over HTTP and in object stores share this module.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from .folder_places import Places, object_name, places_bytes, unpack_places
 from .root import Root, SegmentTable
 
 MANIFEST_NAME: Final = "manifest.cogsm"
-"""The manifest's name where a folder is named and no manifest in it."""
+"""Default file name of a manifest."""
 
 MANIFEST_SUFFIX: Final = ".cogsm"
 
 
 @dataclass(frozen=True)
 class ObjectRange:
-    """A run of bytes of a file, within one object of its folder.
+    """Byte range of one object of a folder, or of its manifest.
 
     Parameters
     ----------
     name : str
-        The object, relative to the manifest's folder; empty for the manifest itself.
+        Path of the object relative to the manifest's folder; empty for the manifest.
     offset, length : int
-        The bytes within the object.
+        Range within the object, bytes.
     object_bytes : int
-        Bytes of the whole object.
+        Length of the object, bytes.
     """
 
     name: str
@@ -51,13 +51,14 @@ class ObjectRange:
 
 @dataclass(frozen=True)
 class PageRange:
-    """An index page that must be known before pieces can be named.
+    """Byte range of an index page and its table of places within the manifest.
 
     Parameters
     ----------
     page : int
+        Page number.
     offset, length : int
-        Its bytes and those of its table of places, within the manifest.
+        Range within the manifest, bytes.
     """
 
     page: int
@@ -67,16 +68,16 @@ class PageRange:
 
 @dataclass(frozen=True)
 class IndexPlace:
-    """Where one index and its segments lie in the file.
+    """Position of one index, root or page, and its segments in the file.
 
     Parameters
     ----------
     start : int
-        First byte of the index: of the preamble for the root, of the page for a page.
+        Byte offset of the index; 0 for the root, which includes the preamble.
     segments : int
-        First byte behind it, where its segments begin.
+        Byte offset of its first segment, where the index ends.
     end : int
-        First byte behind its segments.
+        Byte offset behind its last segment.
     """
 
     start: int
@@ -85,12 +86,12 @@ class IndexPlace:
 
 
 def is_manifest(head: bytes) -> bool:
-    """Tell by its first bytes whether a file is a manifest."""
+    """Whether a file with the first bytes `head` is a manifest."""
     return head.startswith(MANIFEST_MAGIC)
 
 
-def places(root_end: int, root: Root) -> list[IndexPlace]:
-    """Return where the root and each page lie in the file, with their segments (SPEC 5.1, 5.6)."""
+def index_places(root_end: int, root: Root) -> list[IndexPlace]:
+    """Return the positions of the root and of each page in the file (SPEC 5.1, 5.6)."""
     end = root_end + int(root.segments.length.sum(dtype=np.uint64))
     found = [IndexPlace(0, root_end, end)]
     for page in root.pages:
@@ -101,7 +102,7 @@ def places(root_end: int, root: Root) -> list[IndexPlace]:
 
 
 def with_magic(preamble: bytes, magic: bytes) -> bytes:
-    """Return a preamble with another magic, its CRC made to fit."""
+    """Return a preamble with another magic and a matching CRC."""
     head = magic + preamble[len(magic) : layout.PREAMBLE_BYTES - 4]
     return head + struct.pack("<I", zlib.crc32(head))
 
@@ -112,9 +113,9 @@ def file_preamble(manifest_head: bytes, name: str) -> bytes:
     Parameters
     ----------
     manifest_head : bytes
-        First bytes of the manifest, 64 or more.
+        First bytes of the manifest, at least 64.
     name : str
-        Names the manifest in messages.
+        Name of the manifest in messages.
 
     Raises
     ------
@@ -148,40 +149,40 @@ def file_preamble(manifest_head: bytes, name: str) -> bytes:
             "preamble-crc", f"{name}: the preamble's CRC does not match", clause="3.4", offset=60
         )
     preamble = with_magic(head, layout.MAGIC)
-    # Checks all that a file's preamble is checked for.
+    # The other checks are those of a file's preamble.
     layout.unpack_preamble(preamble, name)
     return preamble
 
 
 class FolderMap:
-    """The bytes of a file, mapped to the objects of its folder.
+    """Map from byte ranges of a file to ranges of the objects of its folder.
 
     Parameters
     ----------
     manifest_head : bytes
-        First bytes of the manifest: preamble, root and the root's table of places, or more; the
-        first 64 KiB hold them (SPEC 8.8).
+        First bytes of the manifest, at least up to the end of the root's table of places; 64 KiB
+        always suffice (SPEC 8.8).
     name : str
-        Names the manifest in messages.
+        Name of the manifest in messages.
 
     Attributes
     ----------
     preamble : bytes
-        The 64 bytes that the file begins with; the manifest's differ in magic and CRC.
+        Preamble of the file, 64 bytes, which differs from the manifest's in magic and CRC.
     file_length : int
-        Bytes of the file.
+        Length of the file, bytes.
     manifest_bytes : int
-        Bytes of the manifest.
+        Length of the manifest, bytes.
     root_end : int
-        First byte behind the root, in the file and in the manifest.
+        End of the root in the file and in the manifest, byte offset.
     head_end : int
-        First byte of the manifest behind the root's table of places.
+        End of the root's table of places in the manifest, byte offset.
 
     Raises
     ------
     FormatError, TruncatedError, UnsupportedError
-        As `file_preamble`; ``root-truncated``, ``root-crc``, what breaks SPEC 4 and 5,
-        ``file-truncated``, ``places-crc`` and ``places-range``.
+        The errors of `file_preamble`; ``root-truncated``, ``root-crc``, ``file-truncated``,
+        ``places-crc``, ``places-range``; the codes of SPEC 4 and 5 for the root.
     """
 
     def __init__(self, manifest_head: bytes, name: str) -> None:
@@ -210,22 +211,22 @@ class FolderMap:
         table = self._root.segments
         self.head_end = self.root_end + places_bytes(len(table))
         if len(manifest_head) < self.head_end:
-            raise self._short(len(manifest_head), self.head_end)
+            raise self._truncated_error(len(manifest_head), self.head_end)
         found = unpack_places(manifest_head[self.root_end : self.head_end], table.length, where)
-        self._places = places(self.root_end, self._root)
+        self._places = index_places(self.root_end, self._root)
         self._starts = [place.start for place in self._places]
         pages = [page.length + places_bytes(page.segments) for page in self._root.pages]
-        # First byte of each page in the manifest, and the end of the last.
+        # Byte offset of each page in the manifest, then the end of the last page.
         self._page_offsets = list(accumulate(pages, initial=self.head_end))
         self._tables = {0: _Segments(table, found, self._places[0].segments)}
 
     @property
     def manifest_bytes(self) -> int:
-        """Bytes of the manifest: preamble, root, pages and their tables of places."""
+        """Length of the manifest: preamble, root, pages and their tables of places; bytes."""
         return self._page_offsets[-1]
 
     def check_manifest_size(self, size: int) -> None:
-        """Refuse a manifest of another length than its root states.
+        """Refuse a manifest whose length contradicts its root.
 
         Raises
         ------
@@ -235,7 +236,7 @@ class FolderMap:
             ``file-trailing``.
         """
         if size < self.manifest_bytes:
-            raise self._short(size, self.manifest_bytes)
+            raise self._truncated_error(size, self.manifest_bytes)
         if size > self.manifest_bytes:
             raise FormatError(
                 "file-trailing",
@@ -245,7 +246,7 @@ class FolderMap:
             )
 
     def pages_for(self, offset: int, length: int) -> list[PageRange]:
-        """Return the pages that `pieces` needs for a range of the file and does not know yet."""
+        """Return the pages to add before `object_ranges` can map a range of the file."""
         return [
             self.page_range(number - 1)
             for number, place in self._within(offset, length)
@@ -253,12 +254,12 @@ class FolderMap:
         ]
 
     def page_range(self, page: int) -> PageRange:
-        """Return where a page and its table of places are in the manifest."""
+        """Return the range of a page and its table of places in the manifest."""
         start, end = self._page_offsets[page : page + 2]
         return PageRange(page, start, end - start)
 
     def page_at(self, offset: int) -> int | None:
-        """Return the page that has a byte of the manifest, None for the root and its places."""
+        """Return the page at a byte offset of the manifest; None for the root and its places."""
         page = bisect_right(self._page_offsets, offset) - 1
         return None if page < 0 else page
 
@@ -267,12 +268,20 @@ class FolderMap:
         return page + 1 in self._tables
 
     def add_page(self, page: int, data: bytes) -> None:
-        """Take the bytes of an index page and of its table of places.
+        """Add an index page and its table of places.
+
+        Parameters
+        ----------
+        page : int
+            Page number.
+        data : bytes
+            Bytes of its range in the manifest; see `page_range`.
 
         Raises
         ------
         FormatError, UnsupportedError
-            ``page-crc``, ``page-entry``, what breaks SPEC 5, ``places-crc`` and ``places-range``.
+            ``page-crc``, ``page-entry``, ``places-crc``, ``places-range``; the codes of SPEC 5 for
+            a page.
         """
         where = f"{self.name}: index page {page}"
         entry = self._root.pages[page]
@@ -289,12 +298,12 @@ class FolderMap:
         self._tables[page + 1] = _Segments(table, found, self._places[page + 1].segments)
 
     def tables(self) -> list[tuple[SegmentTable, Places]]:
-        """Return segments and places of the root and of each page; all pages have been added."""
+        """Return segment table and places of the root and each page, after all pages were added."""
         every = (self._tables[number] for number in range(len(self._places)))
         return [(segments.table, segments.places) for segments in every]
 
     def objects(self) -> dict[str, int]:
-        """Return the bytes of all objects by their names; all pages have been added."""
+        """Return the length of each object by name, bytes, after all pages were added."""
         return {
             object_name(key.tobytes()): int(size)
             for _, found in self.tables()
@@ -302,19 +311,19 @@ class FolderMap:
         }
 
     def object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
-        """Return where the bytes of a range of the file lie, in order.
+        """Return the ranges of manifest and objects that make up a range of the file, in order.
 
-        The first 64 bytes of the file are `preamble`, not what the manifest begins with.
+        The first 64 bytes of the file are `preamble`, which the manifest does not contain.
 
         Parameters
         ----------
         offset, length : int
-            Within the file. The pages that `pages_for` returns for it have been added.
+            Range of the file, bytes, after the pages of `pages_for` were added.
 
         Returns
         -------
         list of ObjectRange
-            Their lengths sum to `length`.
+            Ranges with a total length of `length`.
 
         Raises
         ------
@@ -326,8 +335,8 @@ class FolderMap:
         if end > self._places[-1].end:
             raise FormatError(
                 "segments-length",
-                f"{self.name}: index and segments end at byte {self._places[-1].end}, the file "
-                f"at {self.file_length}",
+                f"{self.name}: index and segments end at byte {self._places[-1].end}, expected "
+                f"{self.file_length}",
                 clause="5.1",
             )
         for number, place in self._within(offset, length):
@@ -340,7 +349,8 @@ class FolderMap:
                 found += self._tables[number].object_ranges(first, last)
         return found
 
-    def _short(self, size: int, expected: int) -> TruncatedError:
+    def _truncated_error(self, size: int, expected: int) -> TruncatedError:
+        """Return the error for a manifest that is too short."""
         return TruncatedError(
             "file-truncated",
             f"{self.name}: {size} bytes, expected {expected}",
@@ -350,7 +360,7 @@ class FolderMap:
         )
 
     def _within(self, offset: int, length: int) -> list[tuple[int, IndexPlace]]:
-        """Return the indexes that have bytes in a range, themselves or their segments."""
+        """Return the indexes, with their numbers, that overlap a range including their segments."""
         first = max(0, bisect_right(self._starts, offset) - 1)
         end = offset + length
         return [
@@ -361,7 +371,7 @@ class FolderMap:
 
 
 class _Segments:
-    """The segments of one index, by their places in the file and in objects."""
+    """Segments of one index with their positions in the file and in objects."""
 
     def __init__(self, table: SegmentTable, found: Places, start: int) -> None:
         self.table, self.places = table, found
@@ -369,7 +379,7 @@ class _Segments:
         self._ends: NDArray[np.int64] = start + np.cumsum(self._lengths)
 
     def object_ranges(self, first: int, last: int) -> list[ObjectRange]:
-        """Return the parts of segments between two bytes of the file."""
+        """Return the object ranges of the segments between two byte offsets of the file."""
         found = []
         row = int(np.searchsorted(self._ends, first, side="right"))
         while first < last:

@@ -1,4 +1,4 @@
-"""Where the segments of one index lie in the objects of a folder: a table of places (SPEC 3.4)."""
+"""Table of places: position of each segment of an index in a folder's objects (SPEC 3.4)."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from .root import HASH_BYTES
 
 SEGMENT_FOLDER: Final = "segments"
 
-# What servers call application/octet-stream without being told.
+# Servers send files with this suffix as application/octet-stream without configuration.
 _OBJECT_SUFFIX: Final = ".bin"
 
-# Of one segment: the object's name, its bytes, and where the segment begins in it (SPEC 3.4).
+# Bytes of a row: hash and length of the object, and offset of the segment in it (SPEC 3.4).
 _ROW_BYTES: Final = HASH_BYTES + 4 + 4
 _CRC_BYTES: Final = 4
 
 
 def key_of(data: bytes | memoryview) -> bytes:
-    """Return what names these bytes: the first 16 bytes of their SHA-256 (SPEC 5.3)."""
+    """Return the first 16 bytes of the SHA-256 of an object or segment (SPEC 5.3)."""
     return hashlib.sha256(data).digest()[:HASH_BYTES]
 
 
 def object_name(key: bytes) -> str:
-    """Return the name of an object by the first 16 bytes of the SHA-256 of its bytes.
+    """Return the name of an object from the first 16 bytes of its SHA-256.
 
     Examples
     --------
@@ -42,7 +42,16 @@ def object_name(key: bytes) -> str:
 
 
 def check_object(name: str, data: bytes, where: str) -> None:
-    """Refuse an object of a folder whose name does not stand for its bytes.
+    """Refuse an object whose name is not its hash.
+
+    Parameters
+    ----------
+    name : str
+        Name of the object.
+    data : bytes
+        Bytes of the object.
+    where : str
+        Name of the folder in messages.
 
     Raises
     ------
@@ -52,29 +61,29 @@ def check_object(name: str, data: bytes, where: str) -> None:
     if object_name(key_of(data)) != name:
         raise FormatError(
             "object-hash",
-            f"{where}: {name}: its bytes have another SHA-256, and belong to "
-            f"{object_name(key_of(data))}",
+            f"{where}: {name}: the SHA-256 of its bytes is that of {object_name(key_of(data))}, "
+            "expected that of its name",
             clause="3.4",
         )
 
 
 def places_bytes(segments: int) -> int:
-    """Return the bytes of a table of places of so many segments."""
+    """Return the length of a table of places for a number of segments, bytes."""
     return _ROW_BYTES * segments + _CRC_BYTES
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """A table of places: one row for each segment of an index, in the order of its table.
+    """Table of places: one row per segment of an index, in the order of its segment table.
 
     Parameters
     ----------
     objects : (s, 16) uint8
-        First bytes of the SHA-256 of the object that a segment lies in.
+        First 16 bytes of the SHA-256 of the segment's object.
     sizes : (s,) uint32
-        Bytes of that object.
+        Length of the object, bytes.
     offsets : (s,) uint32
-        First byte of the segment within it.
+        Offset of the segment within the object, bytes.
     """
 
     objects: NDArray[np.uint8]
@@ -85,12 +94,12 @@ class Places:
         return len(self.sizes)
 
     def rows(self, part: slice) -> Places:
-        """Return the rows of a slice, without copying them."""
+        """Return a slice of the table, without copying."""
         return Places(self.objects[part], self.sizes[part], self.offsets[part])
 
 
 def pack_places(places: Places) -> bytes:
-    """Return a table of places as it stands in a manifest; the inverse of `unpack_places`."""
+    """Encode a table of places for a manifest; the inverse of `unpack_places`."""
     data = (
         places.objects.astype(np.uint8).tobytes()
         + places.sizes.astype("<u4").tobytes()
@@ -100,16 +109,16 @@ def pack_places(places: Places) -> bytes:
 
 
 def unpack_places(data: bytes, lengths: NDArray[np.uint32], where: str) -> Places:
-    """Read a table of places.
+    """Decode and check a table of places.
 
     Parameters
     ----------
     data : bytes
-        As long as `places_bytes` says.
+        Encoded table, of the length `places_bytes`.
     lengths : (s,) uint32
-        Bytes of the segments.
+        Lengths of the segments, bytes.
     where : str
-        Names the index in messages.
+        Name of the index in messages.
 
     Raises
     ------
@@ -119,7 +128,10 @@ def unpack_places(data: bytes, lengths: NDArray[np.uint32], where: str) -> Place
     body, crc = data[:-_CRC_BYTES], data[-_CRC_BYTES:]
     if zlib.crc32(body) != int.from_bytes(crc, "little"):
         raise FormatError(
-            "places-crc", f"{where}: the CRC of its places does not match", clause="3.4"
+            "places-crc",
+            f"{where}: the CRC of its table of places does not match, expected "
+            f"0x{int.from_bytes(crc, 'little'):08x}",
+            clause="3.4",
         )
     count = len(lengths)
     columns = np.frombuffer(body, "<u4", 2 * count, HASH_BYTES * count)
@@ -135,7 +147,7 @@ def unpack_places(data: bytes, lengths: NDArray[np.uint32], where: str) -> Place
         raise FormatError(
             "places-range",
             f"{where}: segment {row} ends at byte {int(ends[row])} of an object of "
-            f"{int(places.sizes[row])} bytes, expected it inside",
+            f"{int(places.sizes[row])} bytes, expected an end within the object",
             clause="3.4",
         )
     return places

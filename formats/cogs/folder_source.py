@@ -1,4 +1,4 @@
-"""A folder of a manifest and objects on disk, read as the file that it stands for (SPEC 3.4)."""
+"""Source over a folder of manifest and objects on disk (SPEC 3.4)."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ from .folder_map import MANIFEST_NAME, FolderMap, ObjectRange, is_manifest
 from .folder_places import SEGMENT_FOLDER
 from .object_source import ObjectSource
 
-# Not there on Windows, where links need rights that few have.
+# Missing on Windows, where creating links needs special rights.
 _NO_LINKS: Final = getattr(os, "O_NOFOLLOW", 0)
 
 
 def _open_no_link(path: str, flags: int) -> int:
+    """Open a file, but not through a symbolic link."""
     return os.open(path, flags | _NO_LINKS)
 
 
 def manifest_path(path: StrPath) -> Path:
-    """Return the manifest that a path names: itself, or the one in a folder."""
+    """Return the path of a manifest from its own path or that of its folder."""
     given = Path(path)
     return given / MANIFEST_NAME if given.is_dir() else given
 
 
 def names_folder(path: StrPath) -> bool:
-    """Tell whether a path is a folder, or a file that begins as a manifest.
+    """Whether a path is a folder or a manifest.
 
     Raises
     ------
@@ -47,17 +48,17 @@ def names_folder(path: StrPath) -> bool:
 
 
 class FolderSource(ObjectSource):
-    """A source whose bytes are those of the file that a folder stands for.
+    """Source over a folder on disk, with the bytes of the file that it stands for.
 
     Parameters
     ----------
     path : path
-        The folder, of which `folder_map.MANIFEST_NAME` is read, or a manifest in it.
+        Folder with a ``manifest.cogsm``, or the path of a manifest.
 
     Attributes
     ----------
     size : int
-        Bytes of that file, whether or not all of its segments are there.
+        Length of the file, bytes, missing segments included.
 
     Raises
     ------
@@ -68,7 +69,7 @@ class FolderSource(ObjectSource):
 
     Notes
     -----
-    Safe to read from several threads. An object is opened for each read, links are not followed.
+    Safe to read from several threads. Each read opens its objects anew and follows no links.
     """
 
     def __init__(self, path: StrPath) -> None:
@@ -87,7 +88,7 @@ class FolderSource(ObjectSource):
 
     @property
     def stored_bytes(self) -> int:
-        """Bytes of the manifest and of all objects beside it, at most the size of the file."""
+        """Total length of the manifest and all objects, bytes, capped at `size`."""
         return min(self.size, self._map.manifest_bytes + sum(self._objects.values()))
 
     def read(self, offset: int, length: int) -> bytes:
@@ -96,10 +97,11 @@ class FolderSource(ObjectSource):
         Raises
         ------
         TruncatedError
-            ``file-truncated``: the file ends before; ``segment-missing``: an object is not there.
+            ``file-truncated``: the range ends behind the file; ``segment-missing``: an object is
+            missing.
         FormatError
-            ``segment-object``: an object has another length than stated, or is no file;
-            ``page-crc``, ``places-crc`` and what else breaks SPEC 3.4 and 5 in a page.
+            ``segment-object``: an object has another length, or is not a file; ``page-crc``,
+            ``places-crc`` and the other codes of SPEC 3.4 and 5 for a page.
         StorageError
             ``permission`` or ``io``.
         """
@@ -108,7 +110,7 @@ class FolderSource(ObjectSource):
         return parts[0] if len(parts) == 1 else b"".join(parts)
 
     def holds(self, offset: int, length: int) -> bool:
-        """Whether the objects of a range were there when this was first asked."""
+        """Whether the objects of a range existed at the first call."""
         return all(
             not piece.name or piece.name in self._objects
             for piece in self._object_ranges(offset, length)
@@ -120,7 +122,7 @@ class FolderSource(ObjectSource):
 
     @cached_property
     def _objects(self) -> dict[str, int]:
-        """Bytes of all objects when they were first looked at, by name; 0 of what is no file."""
+        """Length of each existing object by name, bytes, listed once; 0 for a link or folder."""
         folder = self._folder / SEGMENT_FOLDER
         if not folder.is_dir():
             return {}
@@ -139,11 +141,12 @@ class FolderSource(ObjectSource):
             return self._map.object_ranges(offset, length)
 
     def _bytes_of(self, piece: ObjectRange) -> bytes:
+        """Read a range of the manifest or of an object."""
         if piece.name:
             return self._object_bytes(piece)
         data = self._manifest.read(piece.offset, piece.length)
         if piece.offset < layout.PREAMBLE_BYTES:
-            # The file's own preamble stands in the place of the manifest's.
+            # The manifest's preamble is replaced by the file's.
             own = self._map.preamble[piece.offset : piece.offset + piece.length]
             data = own + data[len(own) :]
         return data
@@ -158,11 +161,11 @@ class FolderSource(ObjectSource):
             except (FileNotFoundError, NotADirectoryError):
                 raise TruncatedError(
                     "segment-missing",
-                    f"{self.name}: {piece.name} is not there, expected an object of "
+                    f"{self.name}: {piece.name} is missing, expected an object of "
                     f"{piece.object_bytes} bytes",
                     clause="3.4",
                 ) from None
-            # Asked before opening, because opening a pipe waits for its other end.
+            # Checked before opening, because opening a pipe blocks until its other end is open.
             if not stat.S_ISREG(status.st_mode):
                 raise self._refused(piece, "is a link, a folder or a device")
             if status.st_size != piece.object_bytes:
@@ -175,6 +178,7 @@ class FolderSource(ObjectSource):
         return data
 
     def _refused(self, piece: ObjectRange, what: str) -> FormatError:
+        """Return the error for an object with another type or length."""
         return FormatError(
             "segment-object",
             f"{self.name}: {piece.name} {what}, expected a file of {piece.object_bytes} bytes",

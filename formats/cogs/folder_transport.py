@@ -1,4 +1,4 @@
-"""Ranges of the objects of a folder on a network, all in one space of addresses (SPEC 3.4)."""
+"""Transport for the objects of a folder on a network, in one address space (SPEC 3.4)."""
 
 from __future__ import annotations
 
@@ -14,38 +14,39 @@ from cogsplat.formats.network.range_responses import RangeResponse, ResponseHead
 
 from .folder_map import FolderMap, ObjectRange
 
-# Objects, of at most 2^32 bytes, lie so far apart that no request joins ranges of two.
+# Address bits per object. Objects have at most 2^32 bytes, so no request joins ranges of two.
 _SPACE_BITS: Final = 33
 
-# Where addresses end: of as many objects as a file may have segments (SPEC 9.1), and the manifest.
+# End of the address space: the manifest, and one object for each segment at most (SPEC 9.1).
 _END: Final = ((1 << 20) + 1) << _SPACE_BITS
 
-# What is kept of objects that a server without ranges has sent whole.
+# Memory for whole objects from a server without range requests, bytes.
 _KEPT_BYTES: Final = 32 << 20
 
 
 def address_of(number: int, offset: int) -> int:
-    """Return the address of a byte of an object by the number that the transport gave it."""
+    """Return the address of a byte of an object, by the object's number."""
     return (number << _SPACE_BITS) + offset
 
 
 class FolderTransport:
-    """Asks for bytes of a manifest and of objects beside it by addresses; see `Transport`.
+    """Transport for a manifest and its objects, addressed in one space; see `Transport`.
 
-    The manifest has number 0, so that its bytes are addressed as they stand in it. A range is of
-    one object.
+    The manifest has number 0, so its addresses are its byte offsets. A range lies in one object.
 
     Parameters
     ----------
     manifest : SiblingTransport
+        Transport for the manifest.
     folder : FolderMap
+        Map of the folder.
     head : bytes
-        What is there of the manifest already, from its first byte on.
+        First bytes of the manifest, received before.
 
     Attributes
     ----------
     requests, received_bytes : int
-        As in `Traffic`, of all objects.
+        Requests and received bytes of all objects; see `Traffic`.
     """
 
     def __init__(self, manifest: SiblingTransport, folder: FolderMap, head: bytes) -> None:
@@ -62,7 +63,7 @@ class FolderTransport:
         self.requests = self.received_bytes = 0
 
     def number_of(self, piece: ObjectRange) -> int:
-        """Return the number of an object; the same for the same name."""
+        """Return the number of an object, assigned by name."""
         with self._guard:
             number = self._numbers.setdefault(piece.name, len(self._numbers))
             self._sizes.setdefault(number, piece.object_bytes)
@@ -73,21 +74,21 @@ class FolderTransport:
     async def get(
         self, first: int, end: int, *, fresh: bool = False
     ) -> AsyncIterator[RangeResponse]:
-        """Ask for a range of one object; see `Transport.get`.
+        """Request a range of one object by its address; see `Transport.get`.
 
         Raises
         ------
         TruncatedError
-            ``segment-missing``: the object is not there; ``file-truncated``, of the manifest.
+            ``segment-missing``: the object is missing; ``file-truncated``: the manifest is short.
         FormatError
-            ``segment-object``: it has another length than stated; ``file-trailing``, of the
-            manifest.
+            ``segment-object``: the object has another length; ``file-trailing``: the manifest is
+            too long.
         """
         number = first >> _SPACE_BITS
         base = number << _SPACE_BITS
         start, stop = first - base, min(end - base, self._sizes[number])
         stated = ResponseHead(first, base + stop, _END, None, is_whole=False)
-        # From a server without ranges an object comes once, and the next range is of what is kept.
+        # A server without range requests sends an object once; later ranges are read from memory.
         turn = nullcontext() if self._has_ranges else self._turns.setdefault(number, asyncio.Lock())
         async with turn:
             kept = self._here(number, stop, fresh=fresh)
@@ -115,7 +116,7 @@ class FolderTransport:
                     raise
                 raise TruncatedError(
                     "segment-missing",
-                    f"{self._map.name}: {name} is not there, expected an object of "
+                    f"{self._map.name}: {name} is missing, expected an object of "
                     f"{self._sizes[number]} bytes",
                     clause="3.4",
                 ) from error
@@ -125,7 +126,7 @@ class FolderTransport:
         await self._manifest.close()
 
     def _here(self, number: int, stop: int, *, fresh: bool) -> bytes | None:
-        """Return an object from its first byte on, where so much of it is here."""
+        """Return the received bytes of an object if `stop` lies within; None otherwise."""
         if number == 0 and stop <= len(self._head):
             return self._head
         return None if fresh else self._kept.get(number)
@@ -133,7 +134,7 @@ class FolderTransport:
     async def _parts(
         self, number: int, answer: RangeResponse, start: int, stop: int
     ) -> AsyncGenerator[bytes, None]:
-        """Yield the bytes from `start` to `stop` of an answer; what comes whole is kept first."""
+        """Yield the bytes from `start` to `stop` of a response; keep a whole object in memory."""
         size, whole = self._sizes[number], answer.head.is_whole
         keep = whole and (number == 0 or size <= _KEPT_BYTES)
         self._has_ranges = self._has_ranges and not whole
@@ -143,7 +144,7 @@ class FolderTransport:
             received += len(part)
             self.received_bytes += len(part)
             if received > size:
-                # However much more would come.
+                # Checked early, because the response may be endless.
                 self._check(number, received)
             if keep:
                 body.append(part)
@@ -157,7 +158,7 @@ class FolderTransport:
         if received < size:
             raise TransientError(
                 "connection-broken",
-                f"{self._map.name}: {self._names[number] or 'the manifest'}: the answer ended "
+                f"{self._map.name}: {self._names[number] or 'the manifest'}: the response ended "
                 f"after {received} bytes, expected {size}",
             )
         if keep:
@@ -165,14 +166,14 @@ class FolderTransport:
             yield self._kept[number][start:stop]
 
     def _keep(self, number: int, data: bytes) -> None:
+        """Keep a whole object in memory; evict the oldest objects, but never the manifest."""
         self._kept[number] = data
-        # The manifest stays; of objects, those that came first go.
         others = [other for other in self._kept if other]
         while sum(len(self._kept[other]) for other in others) > _KEPT_BYTES:
             del self._kept[others.pop(0)]
 
     def _check(self, number: int, size: int) -> None:
-        """Refuse an object of another length than stated."""
+        """Refuse an object or manifest of an unexpected length."""
         if number == 0:
             self._map.check_manifest_size(size)
         elif size != self._sizes[number]:
@@ -185,4 +186,5 @@ class FolderTransport:
 
 
 async def _of_memory(data: bytes) -> AsyncIterator[bytes]:
+    """Yield bytes as the single part of a body."""
     yield data

@@ -1,4 +1,4 @@
-"""One file into a folder of a manifest and objects, and back, byte for byte (SPEC 3.4)."""
+"""Unpack an open file into a folder of manifest and objects, and pack it again (SPEC 3.4)."""
 
 from __future__ import annotations
 
@@ -15,31 +15,33 @@ from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_
 from cogsplat.formats.storage.magic import MANIFEST_MAGIC
 
 from . import layout
-from .folder_map import MANIFEST_NAME, MANIFEST_SUFFIX, places, with_magic
+from .folder_map import MANIFEST_NAME, MANIFEST_SUFFIX, index_places, with_magic
 from .folder_places import SEGMENT_FOLDER, Places, key_of, object_name, pack_places
 from .object_groups import SegmentPlace, StoredSegments, group_segments, has_object
 from .reader import CogsFile
 from .root import HASH_BYTES
 from .verification import read_verified
 
-# Sizes of objects are 32 bits (SPEC 3.4).
+# Lengths of objects have 32 bits (SPEC 3.4).
 _MOST_OBJECT_BYTES: Final = (1 << 32) - 1
 
 
 @dataclass(frozen=True)
 class Unpacked:
-    """What was written into a folder.
+    """Counts of an unpacked file.
 
     Parameters
     ----------
     manifest : Path
+        Written manifest.
     manifest_bytes : int
+        Length of the manifest, bytes.
     segments : int
-        Of the file, those that are there.
+        Number of segments present in the file.
     written, written_bytes : int
-        Objects that were not in the folder before, and their bytes.
+        Number and total length of written objects.
     shared : int
-        Objects that were there already, from another version of the scene.
+        Number of existing objects used, from another version of the scene.
     """
 
     manifest: Path
@@ -51,13 +53,14 @@ class Unpacked:
 
 
 def build_manifest(file: CogsFile, found: Sequence[SegmentPlace]) -> bytes:
-    """Return the manifest of a file: preamble, root and pages, and where the segments lie.
+    """Return the manifest of a file: preamble, root and pages, with their tables of places.
 
     Parameters
     ----------
     file : CogsFile
+        Open file.
     found : sequence of SegmentPlace
-        Of each segment, in the order of the file.
+        Position of each segment, in file order.
 
     Raises
     ------
@@ -74,9 +77,9 @@ def build_manifest(file: CogsFile, found: Sequence[SegmentPlace]) -> bytes:
     )
     counts = [len(file.root.segments), *(page.segments for page in file.root.pages)]
     row = 0
-    for place, count in zip(places(root_end, file.root), counts, strict=True):
+    for place, count in zip(index_places(root_end, file.root), counts, strict=True):
         start = max(place.start, layout.PREAMBLE_BYTES)
-        parts.append(_exactly(file, start, place.segments - start))
+        parts.append(_read_exactly(file, start, place.segments - start))
         parts.append(pack_places(table.rows(slice(row, row + count))))
         row += count
     return b"".join(parts)
@@ -90,31 +93,32 @@ def unpack_cogs(
     force: bool = False,
     progress: Progress = silent,
 ) -> Unpacked:
-    """Write a file as a folder: its objects first, then the manifest.
+    """Write a file as a folder: objects first, then the manifest.
 
     Parameters
     ----------
     file : CogsFile
-        Of a partial one, the segments that are there are written; all pages must be there.
+        Open file. A partial one must have all pages; its present segments are written.
     folder : Path
-        Made where it is not there. Objects that it has already are kept.
+        Output folder, created if missing. Existing objects are kept and shared.
     name : str
-        Of the manifest; several in one folder are versions that share segments.
+        File name of the manifest. Several manifests in one folder are versions that share objects.
     force : bool
-        Replace an existing manifest.
+        Whether to replace an existing manifest.
     progress : Progress
-        Called with ``("unpack", segments done, segments)``.
+        Callback, called with ``("unpack", segments done, segments)``.
 
     Returns
     -------
     Unpacked
+        Manifest, and counts of written and shared objects.
 
     Raises
     ------
     ValueError
-        A name that is no file name or does not end in ``.cogsm``.
+        `name` is not a file name that ends in ``.cogsm``.
     TargetExistsError
-        ``exists``: the manifest is there and `force` is not set.
+        ``exists``: the manifest exists and `force` is not set.
     StorageError
         The folder cannot be written; ``not-a-folder``: ``segments`` is a link.
     FormatError
@@ -122,10 +126,10 @@ def unpack_cogs(
 
     Notes
     -----
-    The segments of a chunk are joined in one object, and those of all codebooks, but a segment that
-    another manifest of the folder has is left in its object. An object that is there is compared
-    with what it should hold, and replaced where it differs: it is damaged, or half-written from
-    before. A manifest beside that cannot be read gives a `CogsplatWarning`.
+    The segments of a chunk form one object, and those of all codebooks another. A segment that
+    another manifest of the folder lists stays in its existing object. Existing objects are compared
+    with their hash, and damaged or half-written ones replaced. Another manifest that cannot be read
+    gives a `CogsplatWarning`.
     """
     check_manifest_name(name)
     objects = folder / SEGMENT_FOLDER
@@ -134,12 +138,12 @@ def unpack_cogs(
     if objects.is_symlink():
         raise StorageError("not-a-folder", f"{objects}: is a link, expected a folder")
     check_output(folder / name, force=force)
-    # What is missing of a part lies in an object of its own, wherever that is.
+    # Missing segments of a partial file get an object of their own.
     found = [
         SegmentPlace(key.tobytes(), int(length), 0)
         for key, length in zip(file.segments.hash, file.segments.length, strict=True)
     ]
-    # Refused before anything is written where pages are not there.
+    # Fails for missing pages before anything is written.
     build_manifest(file, found)
     stored = StoredSegments(folder)
     present = [row for row in range(len(found)) if file.is_present(row)]
@@ -157,7 +161,7 @@ def unpack_cogs(
             else:
                 found[row] = place
                 used.add(place.key)
-        for part in _objects(file, new):
+        for part in _split_objects(file, new):
             data = b"".join(bytes(read_verified(file, row)) for row in part)
             key, offset = key_of(data), 0
             for row in part:
@@ -172,7 +176,7 @@ def unpack_cogs(
             progress("unpack", done, len(present))
     sync_all([folder / object_name(key) for key in written])
     manifest = build_manifest(file, found)
-    # Last, so that no manifest names what is not there.
+    # Written last, so that a manifest never lists a missing object.
     with atomic_write(folder / name, force=force) as out:
         out.write(manifest)
     return Unpacked(
@@ -185,8 +189,8 @@ def unpack_cogs(
     )
 
 
-def _objects(file: CogsFile, rows: Sequence[int]) -> list[list[int]]:
-    """Cut segments that are joined where an object would become larger than one may be."""
+def _split_objects(file: CogsFile, rows: Sequence[int]) -> list[list[int]]:
+    """Split the segments of an object into several objects of at most 4 GiB."""
     parts: list[list[int]] = []
     size = _MOST_OBJECT_BYTES
     for row in rows:
@@ -201,22 +205,23 @@ def _objects(file: CogsFile, rows: Sequence[int]) -> list[list[int]]:
 def pack_cogs(
     file: CogsFile, path: Path, *, force: bool = False, progress: Progress = silent
 ) -> int:
-    """Write one file of what an open one holds, of a folder above all, byte for byte.
+    """Write an open file, usually of a folder, as one COGS file with the same bytes.
 
     Parameters
     ----------
     file : CogsFile
-        Of a partial one, what stands before the first segment that is missing is written.
+        Open file. A partial one is written up to its first missing segment.
     path : Path
+        Output file.
     force : bool
-        Replace an existing file.
+        Whether to replace an existing file.
     progress : Progress
-        Called with ``("pack", segments done, segments)``.
+        Callback, called with ``("pack", segments done, segments)``.
 
     Returns
     -------
     int
-        Bytes written.
+        Length of the written file, bytes.
 
     Raises
     ------
@@ -231,31 +236,32 @@ def pack_cogs(
             offset = int(file.offsets[row])
             if not file.is_present(row):
                 return position
-            # What lies between segments is the root or a page.
-            out.write(_exactly(file, position, offset - position))
+            # The root or a page lies between segments.
+            out.write(_read_exactly(file, position, offset - position))
             out.write(read_verified(file, row))
             position = offset + int(file.segments.length[row])
             progress("pack", row + 1, len(file.segments))
         if not file.missing_bytes:
-            out.write(_exactly(file, position, file.file_length - position))
+            out.write(_read_exactly(file, position, file.file_length - position))
             position = file.file_length
     return position
 
 
 def check_manifest_name(name: str) -> None:
-    """Refuse the name of a manifest that could lead elsewhere or stand for something else.
+    """Refuse a manifest name that is not a plain file name ending in ``.cogsm``.
 
     Raises
     ------
     ValueError
-        It has a separator, a drive or characters that no name has, or does not end in ``.cogsm``.
+        The name has a separator, a drive letter or forbidden characters, or another ending.
     """
     plain = name.isprintable() and not {*name} & {*'/\\:*?"<>|'}
     if not plain or not name.endswith(MANIFEST_SUFFIX) or name == MANIFEST_SUFFIX:
         raise ValueError(f"manifest {name!r}, expected a file name that ends in {MANIFEST_SUFFIX}")
 
 
-def _exactly(file: CogsFile, offset: int, length: int) -> bytes:
+def _read_exactly(file: CogsFile, offset: int, length: int) -> bytes:
+    """Return `length` stored bytes of a file, or raise ``file-truncated``."""
     data = file.read_bytes(offset, length)
     if len(data) != length:
         raise TruncatedError(
@@ -269,8 +275,9 @@ def _exactly(file: CogsFile, offset: int, length: int) -> bytes:
 
 
 def _write_object(path: Path, data: bytes) -> None:
+    """Write an object of a folder, in place of an existing file or link."""
     with storage_errors(path):
-        # What a link leads to is not of this folder and stays as it is.
+        # A link is removed instead of followed: its target is not part of the folder.
         if path.is_symlink():
             path.unlink()
     with atomic_write(path, force=True, durable=False) as out:

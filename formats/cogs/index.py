@@ -1,6 +1,6 @@
-"""The index of a file: root and pages read, checked against one another, segments located.
+"""Read the index of a file: root and pages, checked together, with the offset of each segment.
 
-SPEC 3 to 5 say what is checked, SPEC 8.1 in which order.
+SPEC 3 to 5 list the checks, SPEC 8.1 their order.
 """
 
 from __future__ import annotations
@@ -27,36 +27,39 @@ I64 = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Index:
-    """What is known of a file before any segment is read.
+    """Tables of a file: root, segments and chunks, and the segments of each chunk.
+
+    A row is an index into `segments`; -1 stands for a segment that is absent, or whose page was not
+    read.
 
     Parameters
     ----------
     root : Root
+        Root of the file.
     file_length : int
-        Bytes the preamble states.
+        Length of the file according to the preamble, bytes.
     segments : SegmentTable
-        Of the root and of all pages that are there.
+        Segments of the root and of all pages that were read.
     chunks : ChunkTable
-        Likewise.
+        Chunks of the root and of all pages that were read.
     offsets : (s,) int64
         Byte offset of each segment.
     heads, tails, refinements : (c,) int64
-        Row of each chunk's head, tail and refinement in `segments`; -1 where there is none.
+        Row of each chunk's head, tail and refinement.
     opacities : mapping of int to sequence of int
-        Rows of the segments of opacities of each chunk that has some, in the order of the levels.
+        Rows of the opacity segments by chunk, in level order.
     attributes : (c,) int64
-        Row of each chunk's extra attributes; -1 where it has none, or its page is not there.
+        Row of each chunk's extra attributes.
     cameras : int
-        Row of the cameras; -1 where there are none, or their page is not there.
+        Row of the cameras.
     layers : sequence of int
-        Rows of the layers of compensation, in the order of the layers; those of pages that are not
-        there are left out.
+        Rows of the compensation layers, in order.
     view_table : int
-        Row of the view table; -1 where there is none, or its page is not there.
+        Row of the view table.
     codebooks : sequence of mapping of SegmentKind to int
-        For each codebook, the rows of its segments by kind; a page that is not there may lack some.
+        Rows of each codebook's segments, by kind.
     all_chunks : int
-        Chunks of the whole file, those of missing pages counted.
+        Number of chunks of the whole file, missing pages included.
     """
 
     root: Root
@@ -86,13 +89,21 @@ class Index:
 
 
 def codebook_kinds(attribute: str, degree: int) -> tuple[SegmentKind, ...]:
-    """Return the kinds of segment that a codebook has up to an SH degree (SPEC 5.5)."""
+    """Return the segment kinds of a codebook up to an SH degree (SPEC 5.5).
+
+    Parameters
+    ----------
+    attribute : str
+        ``shape`` or ``colour``.
+    degree : int
+        SH degree, 0 to 3.
+    """
     return (SegmentKind.SHAPE_CODEBOOK,) if attribute == "shape" else layout.COLOUR_BANDS[:degree]
 
 
 @dataclass(frozen=True)
 class RootExtent:
-    """The root of a file, and where it and the file end, bytes."""
+    """Root of a file with the end of the root and of the file, byte offsets."""
 
     root: Root
     root_end: int
@@ -101,24 +112,32 @@ class RootExtent:
 
 @dataclass(frozen=True)
 class Page:
-    """The tables of an index page."""
+    """Tables of an index page."""
 
     segments: SegmentTable
     chunks: ChunkTable
 
 
 def read_index(source: Source, *, partial: bool) -> Index:
-    """Read preamble, root and pages; raises as `reader.open_cogs` says."""
+    """Read and check preamble, root and all pages; raises as `reader.open_cogs`.
+
+    Parameters
+    ----------
+    source : Source
+        Source of the file.
+    partial : bool
+        Whether to accept a source that ends before the file does.
+    """
     place = read_root(source, partial=partial)
     positions = page_positions(place)
     entries = list(enumerate(zip(place.root.pages, positions, strict=True)))
     there = [number for number, (e, at) in entries if at + e.length <= source.size]
     pages: dict[int, Page] = {}
-    # Faults are found in the order of the file (SPEC 8.1): each page's place, then its content.
+    # Errors are reported in file order (SPEC 8.1): each page's position, then its content.
     with prefetching(source, page_ranges(place, positions, there)):
         for number, (entry, position) in entries:
             if position + entry.length > place.file_length:
-                raise _leaves(source, position + entry.length, place.file_length)
+                raise _end_error(source, position + entry.length, place.file_length)
             if position + entry.length > source.size:
                 break
             pages[number] = read_page(source, place.root, number, position)
@@ -128,7 +147,7 @@ def read_index(source: Source, *, partial: bool) -> Index:
 
 
 def read_root(source: Source, *, partial: bool) -> RootExtent:
-    """Read preamble and root; raises as `reader.open_cogs` says."""
+    """Read and check preamble and root; raises as `reader.open_cogs`."""
     name = source.name
     first = source.read(0, first_request_bytes(source, layout.FIRST_READ))
     preamble = layout.unpack_preamble(first[: layout.PREAMBLE_BYTES], name)
@@ -144,7 +163,7 @@ def read_root(source: Source, *, partial: bool) -> RootExtent:
     if zlib.crc32(data) != preamble.root_crc:
         raise FormatError(
             "root-crc",
-            f"{name}: the root's CRC does not match",
+            f"{name}: the root's CRC does not match, expected {preamble.root_crc:#010x}",
             clause="3.3",
             offset=layout.PREAMBLE_BYTES,
         )
@@ -176,7 +195,7 @@ def read_root(source: Source, *, partial: bool) -> RootExtent:
 
 
 def page_positions(place: RootExtent) -> list[int]:
-    """Return the byte offset of each index page as the root states it (SPEC 5.6)."""
+    """Return the byte offset of each index page according to the root (SPEC 5.6)."""
     position = _root_segments_end(place)
     positions = []
     for entry in place.root.pages:
@@ -186,7 +205,16 @@ def page_positions(place: RootExtent) -> list[int]:
 
 
 def require_end(source: Source, place: RootExtent, positions: Sequence[int]) -> None:
-    """Refuse a root whose pages and segments do not end where the file does.
+    """Refuse a root whose pages and segments end before or behind the end of the file.
+
+    Parameters
+    ----------
+    source : Source
+        Source of the file, for messages.
+    place : RootExtent
+        Root of the file.
+    positions : sequence of int
+        Byte offsets of all pages.
 
     Raises
     ------
@@ -198,27 +226,39 @@ def require_end(source: Source, place: RootExtent, positions: Sequence[int]) -> 
         last = place.root.pages[-1]
         end = positions[-1] + last.length + last.span
     if end != place.file_length:
-        raise _leaves(source, end, place.file_length)
+        raise _end_error(source, end, place.file_length)
 
 
 def _root_segments_end(place: RootExtent) -> int:
+    """Return the byte offset behind the segments of the root."""
     return place.root_end + int(place.root.segments.length.sum(dtype=np.uint64))
 
 
 def page_ranges(
     place: RootExtent, positions: Sequence[int], pages: Iterable[int]
 ) -> list[tuple[int, int]]:
-    """Return offset and length of index pages."""
+    """Return offset and length of index pages by their numbers, bytes."""
     return [(positions[number], place.root.pages[number].length) for number in pages]
 
 
 def read_page(source: Source, root: Root, number: int, position: int) -> Page:
     """Read and check one index page.
 
+    Parameters
+    ----------
+    source : Source
+        Source of the file.
+    root : Root
+        Root of the file.
+    number : int
+        Page number.
+    position : int
+        Byte offset of the page.
+
     Raises
     ------
     FormatError, UnsupportedError
-        It breaks SPEC 5.6, or its tables 5.3 and 5.4.
+        The page breaks SPEC 5.6, or its tables 5.3 and 5.4.
     """
     entry = root.pages[number]
     where = f"{source.name}: index page {number}"
@@ -228,7 +268,10 @@ def read_page(source: Source, root: Root, number: int, position: int) -> Page:
         data = source.reread(position, entry.length)
     if zlib.crc32(data) != entry.crc:
         raise FormatError(
-            "page-crc", f"{where}: its CRC does not match", clause="5.6", offset=position
+            "page-crc",
+            f"{where}: its CRC does not match, expected {entry.crc:#010x}",
+            clause="5.6",
+            offset=position,
         )
     page = Page(*cogs_root.parse_page(canonical_msgpack.unpack(data, where), entry, where))
     _check_own_heads(page.segments, page.chunks, where)
@@ -247,7 +290,7 @@ _CHUNK_COLUMNS: Final = (
     "until",
 )
 
-# Stands in a joined table for the kind of a segment that a page not read lists: one to skip.
+# Kind of the placeholder rows of pages that were not read: a kind that readers skip.
 _UNREAD_KIND: Final = 255
 
 
@@ -259,20 +302,21 @@ def join_pages(
     *,
     keep_numbers: bool = False,
 ) -> Index:
-    """Join the tables of the root and of pages that were read, and check them together.
+    """Join the tables of root and pages into a checked index.
 
     Parameters
     ----------
     source : Source
-        Names the file.
+        Source of the file, for messages.
     place : RootExtent
+        Root of the file.
     positions : sequence of int
-        Of all pages.
+        Byte offsets of all pages.
     pages : mapping of int to Page
+        Pages that were read, by number.
     keep_numbers : bool
-        Whether rows of pages that were not read are there, without any content, so that segments
-        and chunks have the numbers that they have in the whole index. Otherwise the pages are the
-        first ones, and what follows is left out.
+        Whether to insert placeholder rows for pages that were not read, so that segments and chunks
+        keep their numbers. Otherwise the index ends before the first page that was not read.
     """
     root = place.root
     tables = [Page(root.segments, root.chunks)]
@@ -321,12 +365,12 @@ def join_pages(
 
 
 def _all_chunks(root: Root) -> int:
-    """Return how many chunks the root and all pages list."""
+    """Return the number of chunks in the root and all pages."""
     return len(root.chunks) + sum(page.chunks for page in root.pages)
 
 
 def _unread(entry: PageEntry) -> Page:
-    """Return tables as long as those of a page, without content."""
+    """Return placeholder tables with the row counts of a page."""
     segments, chunks = entry.segments, entry.chunks
     nothing = np.zeros(segments, np.uint32)
     zeros = np.zeros(chunks, np.uint32)
@@ -353,37 +397,40 @@ def _unread(entry: PageEntry) -> Page:
 
 
 def _offsets(table: SegmentTable, start: int) -> I64:
+    """Return the byte offsets of consecutive segments, the first at `start`."""
     lengths = table.length.astype(np.int64)
     offsets: I64 = start + np.cumsum(lengths) - lengths
     return offsets
 
 
-def _leaves(source: Source, end: int, file_length: int) -> FormatError:
+def _end_error(source: Source, end: int, file_length: int) -> FormatError:
+    """Return the error for segments that end elsewhere than the file."""
     return FormatError(
         "segments-length",
-        f"{source.name}: index and segments end at byte {end}, the file at {file_length}",
+        f"{source.name}: index and segments end at byte {end}, expected {file_length}",
         clause="5.1",
     )
 
 
 def _check_own_heads(table: SegmentTable, chunks: ChunkTable, where: str) -> None:
+    """Refuse a root or page whose numbers of heads and chunks differ (SPEC 5.4)."""
     heads = int((table.kind == SegmentKind.HEAD).sum())
     if heads != len(chunks):
         raise FormatError(
             "chunk-heads",
-            f"{where}: {heads} heads and {len(chunks)} chunks, expected as many",
+            f"{where}: {heads} heads, expected {len(chunks)}, one per chunk",
             clause="5.4",
         )
 
 
 def _head_rows(source: Source, table: SegmentTable, known: NDArray[np.bool_]) -> I64:
-    """Return each chunk's head (SPEC 5.4), -1 where the page that lists it was not read."""
+    """Return the row of each chunk's head (SPEC 5.4); -1 if its page was not read."""
     heads = np.flatnonzero(table.kind == SegmentKind.HEAD).astype(np.int64)
     if not np.array_equal(table.owner[heads], np.flatnonzero(known)):
         raise FormatError(
             "chunk-heads",
-            f"{source.name}: heads of chunks {table.owner[heads].tolist()[:8]} and on, "
-            "expected all in order",
+            f"{source.name}: heads of chunks {table.owner[heads].tolist()[:8]} …, expected those "
+            "of all chunks in order",
             clause="5.4",
         )
     found = np.full(len(known), -1, np.int64)
@@ -392,14 +439,14 @@ def _head_rows(source: Source, table: SegmentTable, known: NDArray[np.bool_]) ->
 
 
 def _tail_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I64:
-    """Return each chunk's tail, -1 where it has none (SPEC 5.4)."""
+    """Return the row of each chunk's tail (SPEC 5.4); -1 for none."""
     if root.sh_degree == 0 and bool((table.kind == SegmentKind.TAIL).any()):
         raise FormatError(
             "chunk-tails",
             f"{source.name}: a tail in a scene of SH degree 0, expected none",
             clause="5.4",
         )
-    rows = _rows_behind(table, heads, SegmentKind.TAIL)
+    rows = _rows_by_chunk(table, heads, SegmentKind.TAIL)
     if rows is None:
         raise FormatError(
             "chunk-tails", _misplaced(source, table, heads, SegmentKind.TAIL), clause="5.4"
@@ -408,8 +455,8 @@ def _tail_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I
 
 
 def _refinement_rows(source: Source, table: SegmentTable, heads: I64) -> I64:
-    """Return each chunk's refinement, -1 where it has none (SPEC 5.4)."""
-    rows = _rows_behind(table, heads, SegmentKind.REFINEMENT)
+    """Return the row of each chunk's refinement (SPEC 5.4); -1 for none."""
+    rows = _rows_by_chunk(table, heads, SegmentKind.REFINEMENT)
     if rows is None:
         raise FormatError(
             "chunk-refinements",
@@ -420,7 +467,7 @@ def _refinement_rows(source: Source, table: SegmentTable, heads: I64) -> I64:
 
 
 def _check_levels(source: Source, root: Root, all_chunks: int) -> None:
-    """Refuse levels of which the last is not the whole file (SPEC 5.11)."""
+    """Refuse levels of which the last has fewer or more chunks than the file (SPEC 5.11)."""
     if root.levels and root.levels[-1].chunks != all_chunks:
         raise FormatError(
             "level-chunks",
@@ -433,7 +480,7 @@ def _check_levels(source: Source, root: Root, all_chunks: int) -> None:
 def _opacity_rows(
     source: Source, root: Root, table: SegmentTable, chunks: ChunkTable, heads: I64
 ) -> dict[int, list[int]]:
-    """Return the segments of opacities of each chunk that has some (SPEC 5.11)."""
+    """Return the rows of each chunk's opacity segments (SPEC 5.11)."""
     rows = np.flatnonzero(table.kind == SegmentKind.OPACITIES)
     owners = table.owner[rows].astype(np.int64)
     known = bool((owners < len(heads)).all()) and bool((heads[owners] < rows).all())
@@ -443,8 +490,8 @@ def _opacity_rows(
     if not known:
         raise FormatError(
             "chunk-opacities",
-            f"{source.name}: segments of opacities of chunks {owners.tolist()[:8]}, expected one "
-            f"at most for each later level that draws one of {len(heads)} chunks, behind its head",
+            f"{source.name}: opacity segments of chunks {owners.tolist()[:8]}, expected at most "
+            f"one per later level that draws one of {len(heads)} chunks, behind its head",
             clause="5.11",
         )
     found: dict[int, list[int]] = {}
@@ -454,28 +501,28 @@ def _opacity_rows(
 
 
 def _check_ends(source: Source, chunks: ChunkTable, all_chunks: int) -> None:
-    """Refuse chunks that end before they are there, or not before the file does (SPEC 5.10)."""
+    """Refuse a nonzero `until` outside the chunks behind its own (SPEC 5.10)."""
     until = chunks.until.astype(np.int64)
     wrong = (until > 0) & ((until < np.arange(len(until)) + 2) | (until > all_chunks))
     if wrong.any():
         chunk = int(np.argmax(wrong))
         raise FormatError(
             "chunk-until",
-            f"{source.name}: chunk {chunk} is drawn until there are {until[chunk]} chunks, "
-            f"expected 0 or {chunk + 2} to {all_chunks}",
+            f"{source.name}: chunk {chunk}: until is {until[chunk]}, expected 0 or {chunk + 2} to "
+            f"{all_chunks}",
             clause="5.10",
         )
 
 
 def _attribute_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I64:
-    """Return each chunk's extra attributes, -1 where it has none (SPEC 5.7)."""
+    """Return the row of each chunk's extra attributes (SPEC 5.7); -1 for none."""
     if not root.attributes and bool((table.kind == SegmentKind.ATTRIBUTES).any()):
         raise FormatError(
             "attribute-segments",
-            f"{source.name}: a segment of attributes and none in the root, expected some there",
+            f"{source.name}: a segment of attributes, expected none: the root lists no attributes",
             clause="5.7",
         )
-    rows = _rows_behind(table, heads, SegmentKind.ATTRIBUTES)
+    rows = _rows_by_chunk(table, heads, SegmentKind.ATTRIBUTES)
     if rows is None:
         raise FormatError(
             "attribute-segments",
@@ -485,11 +532,11 @@ def _attribute_rows(source: Source, root: Root, table: SegmentTable, heads: I64)
     return rows
 
 
-def _rows_behind(table: SegmentTable, heads: I64, kind: SegmentKind) -> I64 | None:
-    """Return each chunk's segment of a kind, -1 where it has none; None where that is wrong."""
+def _rows_by_chunk(table: SegmentTable, heads: I64, kind: SegmentKind) -> I64 | None:
+    """Return the row of each chunk's segment of a kind, -1 for none; None if one is misplaced."""
     rows = np.flatnonzero(table.kind == kind)
     owners = table.owner[rows]
-    # A chunk whose head is in a page not read yet cannot have more of it before that page.
+    # The head comes first, so a chunk whose page was not read has no segment before that page.
     once = len(np.unique(owners)) == len(owners) and bool((owners < len(heads)).all())
     if not once or bool((heads[owners] > rows).any()):
         return None
@@ -499,7 +546,7 @@ def _rows_behind(table: SegmentTable, heads: I64, kind: SegmentKind) -> I64 | No
 
 
 def _misplaced(source: Source, table: SegmentTable, heads: I64, kind: SegmentKind) -> str:
-    """Return the message where `_rows_behind` finds something wrong."""
+    """Return the message for misplaced segments of a kind."""
     owners = table.owner[table.kind == kind].tolist()
     return (
         f"{source.name}: {kind.name.lower()} segments of chunks {owners[:8]}, expected at most one "
@@ -508,12 +555,12 @@ def _misplaced(source: Source, table: SegmentTable, heads: I64, kind: SegmentKin
 
 
 def _camera_segment(source: Source, table: SegmentTable) -> int:
-    """Return the row of the cameras (SPEC 5.8); -1 where there is none."""
-    row, owners = _only_row(table, SegmentKind.CAMERAS)
+    """Return the row of the cameras (SPEC 5.8); -1 for none."""
+    row, owners = _single_row(table, SegmentKind.CAMERAS)
     if owners:
         raise FormatError(
             "camera-segments",
-            f"{source.name}: cameras of the owners {owners}, expected one segment at most, of "
+            f"{source.name}: cameras with owners {owners}, expected at most one segment, with "
             "owner 0",
             clause="5.8",
         )
@@ -521,20 +568,20 @@ def _camera_segment(source: Source, table: SegmentTable) -> int:
 
 
 def _view_table_row(source: Source, table: SegmentTable) -> int:
-    """Return the row of the view table (SPEC 5.12); -1 where there is none."""
-    row, owners = _only_row(table, SegmentKind.VIEW_TABLE)
+    """Return the row of the view table (SPEC 5.12); -1 for none."""
+    row, owners = _single_row(table, SegmentKind.VIEW_TABLE)
     if owners:
         raise FormatError(
             "view-table-segments",
-            f"{source.name}: view tables of the owners {owners}, expected one segment at most, of "
+            f"{source.name}: view tables with owners {owners}, expected at most one segment, with "
             "owner 0",
             clause="5.12",
         )
     return row
 
 
-def _only_row(table: SegmentTable, kind: SegmentKind) -> tuple[int, list[int]]:
-    """Return the row of a segment that a file has once, and the first owners of several."""
+def _single_row(table: SegmentTable, kind: SegmentKind) -> tuple[int, list[int]]:
+    """Return the row of a segment kind that occurs once, and the owners if that rule is broken."""
     rows = np.flatnonzero(table.kind == kind)
     owners = table.owner[rows]
     strange = owners.tolist()[:8] if len(rows) > 1 or owners.any() else []
@@ -542,7 +589,7 @@ def _only_row(table: SegmentTable, kind: SegmentKind) -> tuple[int, list[int]]:
 
 
 def _layer_rows(source: Source, table: SegmentTable) -> list[int]:
-    """Return the rows of the layers of compensation (SPEC 5.9)."""
+    """Return the rows of the compensation layers (SPEC 5.9)."""
     rows = np.flatnonzero(table.kind == SegmentKind.COMPENSATION)
     owners = table.owner[rows]
     if not np.array_equal(owners, np.arange(len(rows))):
@@ -557,18 +604,20 @@ def _layer_rows(source: Source, table: SegmentTable) -> list[int]:
 def _check_counts(
     source: Source, root: Root, table: SegmentTable, chunks: ChunkTable, *, whole: bool
 ) -> None:
+    """Check the number of splats (SPEC 5.4) and the codebook numbers (SPEC 5.3)."""
     total = int(chunks.splats.sum(dtype=np.uint64))
     if total > root.splats or (whole and total != root.splats):
         raise FormatError(
             "splat-count",
-            f"{source.name}: chunks of {total} splats, expected {root.splats} as the root states",
+            f"{source.name}: chunks of {total} splats, expected {root.splats} as in the root",
             clause="5.4",
         )
     books = len(root.codebooks)
     if len(table) and int(table.needs.max()) >> books:
         raise FormatError(
             "needs-range",
-            f"{source.name}: a segment needs a codebook above the {books} there are",
+            f"{source.name}: a segment needs codebook {int(table.needs.max()).bit_length() - 1}, "
+            f"expected a number below {books}",
             clause="5.3",
         )
 
@@ -594,7 +643,7 @@ def _codebook_segments(
                 f"for {root.codebooks[owner].attribute}"
             )
         if kind in found[owner]:
-            raise refuse(f"{label}: a second time, expected one")
+            raise refuse(f"{label}: a second one, expected one")
         found[owner][kind] = row
     for number, kinds in enumerate(expected):
         missing = [kind.name.lower() for kind in kinds if kind not in found[number]]

@@ -1,4 +1,4 @@
-"""The fixed part of a COGS file: preamble, limits and segment kinds (SPEC 3, 5, 9)."""
+"""Preamble, limits and segment kinds of a COGS file (SPEC 3, 5, 9)."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _PREAMBLE: Final = struct.Struct("<8sHHIQII28xI")
 PREAMBLE_BYTES: Final = _PREAMBLE.size
 
 MAX_ROOT_END: Final = 16384
-"""Preamble and root end here at the latest: one request for 16 KiB opens a file (SPEC 3.3)."""
+"""Maximum end of the root, byte offset: one request for 16 KiB opens a file (SPEC 3.3)."""
 
 FIRST_READ: Final = 65536
-"""What a reader asks for first (SPEC 8.1)."""
+"""Size of the first read of a file, bytes (SPEC 8.1)."""
 
 MAX_FILE_BYTES: Final = (1 << 53) - 1
-"""Lengths up to here are exact in a float64, and so in a browser (SPEC 9.1)."""
+"""Maximum length of a file, bytes: exact in a float64, and so in a browser (SPEC 9.1)."""
 
 MAX_PAGE_BYTES: Final = 1 << 20
 MAX_PAGES: Final = 128
@@ -35,11 +35,11 @@ MAX_LEVELS: Final = 16
 MAX_SPLATS: Final = (1 << 31) - 1
 MAX_CAMERAS: Final = 1 << 16
 MAX_CAMERA_VALUES: Final = 1 << 17
-"""Values of a segment of cameras: a name for each, and room for what later versions add."""
+"""Maximum number of msgpack values of the cameras: a name each, and room for later versions."""
 
 
 class SegmentKind(IntEnum):
-    """Kinds of segments (SPEC 5.2); readers may skip those from 128 on."""
+    """Segment kinds (SPEC 5.2); readers may skip kinds from 128 on."""
 
     HEAD = 1
     TAIL = 2
@@ -68,16 +68,16 @@ SKIPPABLE_KIND: Final = 128
 
 @dataclass(frozen=True)
 class Preamble:
-    """The first 64 bytes (SPEC 3.1).
+    """First 64 bytes of a file (SPEC 3.1).
 
     Parameters
     ----------
     major, minor : int
         Format version.
     root_length : int
-        Bytes of the root behind the preamble.
+        Length of the root, bytes.
     file_length : int
-        Bytes of the whole file.
+        Length of the file, bytes.
     root_crc : int
         CRC-32 of the root.
     """
@@ -110,9 +110,9 @@ def unpack_preamble(data: bytes, where: str) -> Preamble:
     Parameters
     ----------
     data : bytes
-        The file's first bytes, as many of the 64 as there are.
+        First 64 bytes of the file, or all bytes of a shorter one.
     where : str
-        Names the file in messages.
+        Name of the file in messages.
 
     Raises
     ------
@@ -142,14 +142,17 @@ def unpack_preamble(data: bytes, where: str) -> Preamble:
     _, major, minor, root_length, file_length, root_crc, reserved, crc = fields
     if zlib.crc32(data[: PREAMBLE_BYTES - 4]) != crc:
         raise FormatError(
-            "preamble-crc", f"{where}: the preamble's CRC does not match", clause="3.1", offset=60
+            "preamble-crc",
+            f"{where}: the preamble's CRC does not match, expected {crc:#010x}",
+            clause="3.1",
+            offset=60,
         )
     if major != MAJOR:
         raise UnsupportedError(
             "version-major",
             f"{where}: version {major}.{minor}, expected {MAJOR}.{MINOR} (SPEC 3.2)",
         )
-    # Before 1.0 every minor version may change what bytes mean.
+    # Before 1.0, minor versions are not compatible with each other.
     if minor != MINOR:
         raise UnsupportedError(
             "version-minor",
@@ -173,8 +176,8 @@ def unpack_preamble(data: bytes, where: str) -> Preamble:
     if not PREAMBLE_BYTES + root_length <= file_length <= MAX_FILE_BYTES:
         raise FormatError(
             "file-length",
-            f"{where}: states {file_length} bytes, expected at least "
-            f"{PREAMBLE_BYTES + root_length} and at most {MAX_FILE_BYTES}",
+            f"{where}: a file length of {file_length} bytes, expected "
+            f"{PREAMBLE_BYTES + root_length} to {MAX_FILE_BYTES}",
             clause="3.3",
             offset=16,
         )

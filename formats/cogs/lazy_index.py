@@ -1,4 +1,4 @@
-"""The index of a file on a network: pages are read when what they list is asked for."""
+"""Index of a file on a network, which reads pages on demand."""
 
 from __future__ import annotations
 
@@ -26,20 +26,21 @@ from .index import (
 
 
 class LazyIndex:
-    """An index of which the root is there and pages are read on demand; else as `Index`.
+    """Index that reads pages on demand.
 
-    Asking for a table reads all pages, at once; `for_chunks` reads those that chunks take.
+    `for_chunks` reads the pages of some chunks, `whole` reads all pages.
 
     Parameters
     ----------
     source : Source
-        Complete.
+        Source of the complete file.
     place : RootExtent
+        Root of the file.
 
     Raises
     ------
     FormatError
-        ``segments-length``: the pages do not end where the file does.
+        ``segments-length``: the pages end elsewhere than the file.
     """
 
     def __init__(self, source: Source, place: RootExtent) -> None:
@@ -51,7 +52,7 @@ class LazyIndex:
         self._positions = page_positions(place)
         require_end(source, place, self._positions)
         counts = [len(place.root.chunks), *(page.chunks for page in place.root.pages)]
-        # First chunk behind the root and behind each page.
+        # First chunk number behind the root and behind each page.
         self._ends = np.array(list(accumulate(counts)), np.int64)
         self._pages: dict[int, Page] = {}
         self._joined: Index | None = None
@@ -59,21 +60,24 @@ class LazyIndex:
 
     @property
     def num_chunks(self) -> int:
-        """Chunks that all pages list together."""
+        """Number of chunks of the file."""
         return self.all_chunks
 
     def for_chunks(
         self, chunks: Sequence[int], *, sh_degree: int, refine: bool, extras: bool
     ) -> Index:
-        """Return an index that has what decoding chunks takes; of others it may have nothing.
+        """Return an index with every segment that decoding some chunks takes.
+
+        Rows of other chunks may be placeholders.
 
         Parameters
         ----------
         chunks : sequence of int
+            Chunk numbers.
         sh_degree : int
-            Up to which tails and bands of codebooks are read.
+            Highest SH degree of tails and codebooks.
         refine, extras : bool
-            Whether refinements and extra attributes are read.
+            Whether to include refinements and extra attributes.
 
         Raises
         ------
@@ -83,10 +87,10 @@ class LazyIndex:
         every = set(range(len(self.root.pages)))
         with self._lock:
             if self.root.levels:
-                # Any page may list opacities of a later level.
+                # Any page may list opacity segments of a later level.
                 return self._with(every)
             index = self._with({int(page) for page in self._pages_of(chunks)})
-            # What a chunk lacks may be listed in any later page, or be nowhere.
+            # Missing segments of a chunk may be in any later page, or not exist.
             lacking = [
                 chunk
                 for chunk in chunks
@@ -104,22 +108,23 @@ class LazyIndex:
                     index, chunk, sh_degree=sh_degree, refine=refine, extras=extras
                 )
             ]
-            if len(codebook_rows(index, rows, sh_degree)) < self._books(index, rows, sh_degree):
+            expected = self._count_codebook_segments(index, rows, sh_degree)
+            if len(codebook_rows(index, rows, sh_degree)) < expected:
                 index = self._with(every)
             return index
 
-    def _books(self, index: Index, rows: Iterable[int], sh_degree: int) -> int:
-        """Return how many segments the codebooks have that segments need."""
+    def _count_codebook_segments(self, index: Index, rows: Iterable[int], sh_degree: int) -> int:
+        """Return the number of segments of all codebooks that some segments need."""
         books = self.root.codebooks
         needed = {x for row in rows for x in needed_codebooks(index.segments, row, len(books))}
         return sum(len(codebook_kinds(books[x].attribute, sh_degree)) for x in needed)
 
     def _pages_of(self, chunks: Iterable[int]) -> I64:
-        """Return the pages that list chunks; -1 for the root."""
+        """Return the page of each chunk; -1 for the root."""
         return np.searchsorted(self._ends, np.array(list(chunks), np.int64), side="right") - 1
 
     def _with(self, pages: set[int]) -> Index:
-        """Return an index with further pages, which are read."""
+        """Read missing pages among `pages` and return an index of all pages read so far."""
         new = sorted(pages - {-1} - self._pages.keys())
         if new or self._joined is None:
             ranges = page_ranges(self._place, self._positions, new)
@@ -133,6 +138,6 @@ class LazyIndex:
         return self._joined
 
     def whole(self) -> Index:
-        """Read the pages that were not read, and return an index of all."""
+        """Read all missing pages and return the whole index."""
         with self._lock:
             return self._with(set(range(len(self.root.pages))))

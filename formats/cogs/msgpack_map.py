@@ -1,4 +1,4 @@
-"""Maps of a COGS file's msgpack: keys taken one by one, each with its type (SPEC 4.2, 4.3)."""
+"""Typed access to the msgpack maps of a COGS file (SPEC 4.2, 4.3)."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ _T = TypeVar("_T")
 
 
 class CheckedMap:
-    """A map whose keys are taken one by one, each with its type.
+    """Msgpack map whose methods remove one key each and check the type of its value.
 
     Parameters
     ----------
     value : Value
-        What should be a map.
+        Unpacked msgpack value.
     where : str
-        Names it in messages.
+        Name of the map in messages.
     clause : str
-        Of SPEC, that says what it holds.
+        Clause of SPEC that defines the map.
 
     Raises
     ------
     FormatError
-        ``root-type``, ``root-missing``, ``root-value`` or ``root-columns``, by this and by every
-        method.
+        ``root-type``, ``root-missing``, ``root-value`` or ``root-columns``, by the constructor and
+        by every method.
     """
 
     def __init__(self, value: Value, where: str, clause: str) -> None:
@@ -45,53 +45,53 @@ class CheckedMap:
         self._clause = clause
 
     def error(self, key: str, message: str, code: str = "root-value") -> FormatError:
-        """Return an error about a key, to be raised."""
+        """Return an error about the value of a key."""
         return FormatError(code, f"{self._where}, {key}: {message}", clause=self._clause)
 
     def has(self, key: str) -> bool:
-        """Tell whether a key is there and was not taken."""
+        """Whether the map still contains a key."""
         return key in self._value
 
-    def take(self, key: str, kind: type[_T]) -> _T:
-        """Return a value of a type; every other method takes by this one."""
+    def pop(self, key: str, kind: type[_T]) -> _T:
+        """Remove a key and return its value, which must have the given type."""
         if key not in self._value:
             raise FormatError(
                 "root-missing", f"{self._where}: no key {key!r}, expected one", clause=self._clause
             )
         value = self._value.pop(key)
-        # bool is an int in Python, and never one here.
+        # In Python, bool is a subclass of int.
         if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
             raise self.error(key, f"{type(value).__name__}, expected {kind.__name__}", "root-type")
         return value
 
     def integer(self, key: str, low: int, high: int) -> int:
-        """Return an integer from `low` to `high`."""
-        value = self.take(key, int)
+        """Remove a key and return its integer, from `low` to `high`."""
+        value = self.pop(key, int)
         if not low <= value <= high:
             raise self.error(key, f"{value}, expected {low} to {high}")
         return value
 
     def text(self, key: str) -> str:
-        """Return a text of at most 255 bytes."""
-        value = self.take(key, str)
+        """Remove a key and return its text, of at most 255 bytes."""
+        value = self.pop(key, str)
         if len(value.encode()) > _MAX_TEXT:
             raise self.error(key, f"{len(value)} characters, expected at most {_MAX_TEXT} bytes")
         return value
 
     def word(self, key: str) -> str:
-        """Return a text that the caller compares with those it knows, however long it is."""
-        return self.take(key, str)
+        """Remove a key and return its text of any length, which the caller looks up."""
+        return self.pop(key, str)
 
     def number(self, key: str) -> float:
-        """Return a finite number."""
-        value = self.take(key, float)
+        """Remove a key and return its finite number."""
+        value = self.pop(key, float)
         if not math.isfinite(value):
             raise self.error(key, f"{value}, expected a finite number")
         return value
 
     def numbers(self, key: str, count: int) -> list[float]:
-        """Return an array of so many finite numbers."""
-        values = self.take(key, list)
+        """Remove a key and return its array of `count` finite numbers."""
+        values = self.pop(key, list)
         if len(values) != count or not all(
             isinstance(v, float) and math.isfinite(v) for v in values
         ):
@@ -99,8 +99,25 @@ class CheckedMap:
         return [float(v) for v in values if isinstance(v, float)]
 
     def column(self, key: str, dtype: str, rows: int | None, width: int = 1) -> NDArray[np.generic]:
-        """Return a column of `rows` rows, of any number for None: (r,), or (r, `width`)."""
-        data = self.take(key, bytes)
+        """Remove a key and return its column of numbers.
+
+        Parameters
+        ----------
+        key : str
+            Key of the column.
+        dtype : str
+            numpy type of the stored values.
+        rows : int or None
+            Required number of rows; None for any.
+        width : int
+            Values per row.
+
+        Returns
+        -------
+        (r,) or (r, width) array
+            One-dimensional for a width of 1.
+        """
+        data = self.pop(key, bytes)
         item = np.dtype(dtype).itemsize * width
         if len(data) % item or (rows is not None and len(data) != rows * item):
             expected = f"{rows} rows" if rows is not None else "whole rows"
@@ -111,10 +128,11 @@ class CheckedMap:
         return flat.reshape(-1, width) if width > 1 else flat
 
     def finish(self) -> None:
-        """Refuse what must be understood and is not: unknown keys that end in ``!`` (SPEC 4.3)."""
+        """Refuse remaining keys that end in ``!``, which readers must know (SPEC 4.3)."""
         for key in self._value:
             if key.endswith("!"):
                 raise UnsupportedError(
                     "root-must-understand",
-                    f"{self._where}: the key {key!r} must be understood (SPEC 4.3)",
+                    f"{self._where}: the key {key!r} is unknown and required (SPEC 4.3), expected "
+                    "known ones; a newer cogsplat may read the file",
                 )

@@ -1,4 +1,4 @@
-"""A folder of a manifest and objects on a network, read as the file it stands for (SPEC 3.4)."""
+"""Source over a folder of manifest and objects on a network (SPEC 3.4)."""
 
 from __future__ import annotations
 
@@ -20,47 +20,47 @@ from .folder_map import FolderMap, ObjectRange
 from .folder_transport import FolderTransport, address_of
 from .object_source import ObjectSource
 
-# Bytes of so many index pages are kept.
+# Number of index pages kept in memory.
 _PAGES_KEPT: Final = 8
 
 
 class NetworkFolder(ObjectSource):
-    """A folder on a network as a `Source`, whose bytes are those of the file that it stands for.
+    """Source over a folder on a network, with the bytes of the file that it stands for.
 
     Parameters
     ----------
     url : str
-        Of the manifest.
+        URL of the manifest.
     head : bytes
-        First bytes of the manifest, its root and the places of the root's segments among them; all
-        of a small one.
+        First bytes of the manifest, at least up to the end of the root's table of places.
     options : NetworkOptions, optional
+        Timeouts, retries, request sizes and cache.
     fresh : bool
-        Go around caches.
+        Whether to bypass HTTP caches.
     manifest_bytes : int, optional
-        Bytes that the server states of the manifest.
+        Length of the manifest according to the server, bytes.
 
     Attributes
     ----------
     name : str
-        Names the folder in messages.
+        Name of the folder in messages.
     cache : SegmentCache or None
-        Segments on disk, where the options name a folder for them.
+        Disk cache of segments, if the options name a folder for it.
 
     Raises
     ------
     StorageError
-        As `RangeSource`.
+        The errors of `RangeSource`.
     FormatError, TruncatedError, UnsupportedError
-        The manifest breaks SPEC 3.4, or its root SPEC 4 and 5. An object that is not there is
-        refused when it is read (``segment-missing``), one of another length likewise
-        (``segment-object``).
+        The manifest breaks SPEC 3.4, or its root SPEC 4 and 5. Missing objects
+        (``segment-missing``) and objects of another length (``segment-object``) are refused on
+        reading.
 
     Notes
     -----
-    Safe to read from several threads. Of an object, what lies close together is asked for with one
-    request; a server without ranges sends all of it, which is kept. A request is of one object, so
-    that one that is missing or damaged spoils no other.
+    Safe to read from several threads. Close ranges of one object share a request. A request covers
+    one object, so a missing or damaged object affects no other. From a server without range
+    requests, whole objects are received and kept in memory.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class NetworkFolder(ObjectSource):
 
     @property
     def traffic(self) -> Traffic:
-        """What was asked for and what came, object by object; the request for `head` counted."""
+        """Requests and received bytes of all objects, including the request for `head`."""
         found, objects = self._ranges.traffic, self._objects
         return replace(
             found,
@@ -108,12 +108,13 @@ class NetworkFolder(ObjectSource):
         Raises
         ------
         TruncatedError
-            ``file-truncated``: the file ends before; ``segment-missing``: an object is not there.
+            ``file-truncated``: the range ends behind the file; ``segment-missing``: an object is
+            missing.
         FormatError
-            ``segment-object``; ``page-crc``, ``places-crc`` and what else breaks SPEC 3.4 and 5 in
-            a page.
+            ``segment-object``; ``page-crc``, ``places-crc`` and the other codes of SPEC 3.4 and 5
+            for a page.
         StorageError
-            As `RangeSource.read`.
+            The errors of `RangeSource.read`.
         """
         pieces = self._object_ranges(offset, length)
         ahead = (
@@ -126,28 +127,28 @@ class NetworkFolder(ObjectSource):
         return parts[0] if len(parts) == 1 else b"".join(parts)
 
     def arrived(self, offset: int, length: int) -> bool:
-        """Whether bytes that are fetched ahead are here."""
+        """Whether a prefetched range was received."""
         return all(
             self._is_here(piece) or self._ranges.arrived(*self._range_of(piece))
             for piece in self._object_ranges(offset, length)
         )
 
     def reread(self, offset: int, length: int) -> bytes:
-        """Return bytes of segments that came damaged, asked for once more around caches.
+        """Request damaged bytes of segments again, around HTTP caches.
 
-        Raises as `read`, and ValueError where there are other bytes among them.
+        Raises as `read`, and ValueError for a range with bytes of the manifest.
         """
         pieces = self._object_ranges(offset, length)
         if not all(piece.name for piece in pieces):
-            raise ValueError(f"{length} bytes from byte {offset}, expected those of segments")
+            raise ValueError(f"{length} bytes at byte {offset}, expected a range of segments")
         return b"".join(self._ranges.reread(*self._range_of(piece)) for piece in pieces)
 
     def prefetch(
         self, ranges: Sequence[tuple[int, int]], *, any_order: bool = False
     ) -> AbstractContextManager[Cancel]:
-        """Fetch ranges ahead of reading them, as long as the block lasts; see `RemoteSource`.
+        """Prefetch ranges until the block ends; see `RemoteSource.prefetch`.
 
-        In any order, what lies in one object is asked for together.
+        With `any_order`, ranges of one object are requested together.
         """
         pieces = [
             piece
@@ -164,7 +165,7 @@ class NetworkFolder(ObjectSource):
         return self._ranges.prefetch([self._range_of(piece) for piece in pieces])
 
     def close(self) -> None:
-        """End all requests; reading is over."""
+        """Cancel all requests; later reads fail."""
         self._ranges.close()
 
     def _object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
@@ -178,7 +179,7 @@ class NetworkFolder(ObjectSource):
             return self._map.object_ranges(offset, length)
 
     def _is_here(self, piece: ObjectRange) -> bool:
-        """Whether bytes of the manifest came with its first, or with a page."""
+        """Whether a range of the manifest is in memory, in its head or in a kept page."""
         if piece.name:
             return False
         page = self._map.page_at(piece.offset)
@@ -189,7 +190,7 @@ class NetworkFolder(ObjectSource):
             return self._object_bytes(piece)
         page = self._map.page_at(piece.offset)
         if page is None:
-            # The file's own preamble stands in the place of the manifest's.
+            # The manifest's preamble is replaced by the file's.
             data = self._map.preamble + self._head[layout.PREAMBLE_BYTES :]
             return data[piece.offset : piece.offset + piece.length]
         with self._lock:
@@ -200,7 +201,7 @@ class NetworkFolder(ObjectSource):
         return self._ranges.read(*self._range_of(piece))
 
     def _page(self, page: int) -> bytes:
-        """Return a page and its places; those of the last pages are kept, and all are known."""
+        """Return the bytes of a page and its table of places; add a new page to the map."""
         data = self._pages.get(page)
         if data is None:
             place = self._map.page_range(page)
@@ -213,7 +214,7 @@ class NetworkFolder(ObjectSource):
         return data
 
     def _range_of(self, piece: ObjectRange) -> tuple[int, int]:
-        """Return the address and length by which a piece is asked for; of a page, all."""
+        """Return the address and length to request for a range; the whole page for a page."""
         page = None if piece.name else self._map.page_at(piece.offset)
         if page is not None:
             place = self._map.page_range(page)

@@ -1,4 +1,4 @@
-"""Which segments share an object of a folder, and which are in one already (SPEC 3.4)."""
+"""Grouping of segments into objects of a folder, and reuse of existing objects (SPEC 3.4)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .folder_source import FolderSource
 from .layout import CODEBOOK_KINDS, SegmentKind
 from .root import SegmentTable
 
-# What decoding a chunk may take of its own.
+# Segment kinds that belong to one chunk.
 _CHUNK_KINDS: Final = (
     SegmentKind.HEAD,
     SegmentKind.REFINEMENT,
@@ -28,16 +28,16 @@ _CHUNK_KINDS: Final = (
 
 @dataclass(frozen=True)
 class SegmentPlace:
-    """Where a segment lies.
+    """Position of a segment within an object.
 
     Parameters
     ----------
     key : bytes
-        Of the object: the first 16 bytes of the SHA-256 of its bytes.
+        First 16 bytes of the object's SHA-256.
     size : int
-        Bytes of the object.
+        Length of the object, bytes.
     offset : int
-        First byte of the segment within it.
+        Offset of the segment within the object, bytes.
     """
 
     key: bytes
@@ -46,20 +46,19 @@ class SegmentPlace:
 
 
 def group_segments(table: SegmentTable) -> list[list[int]]:
-    """Return the rows of the segments of each object, in the order of the file.
+    """Group segments into objects: one per chunk, one for all codebooks.
 
-    The segments of a chunk are one object, and those of all codebooks another, so that a chunk
-    takes two objects at most; every other segment is an object of its own.
+    Every other segment is an object of its own. Decoding a chunk takes at most two objects.
 
     Parameters
     ----------
     table : SegmentTable
-        Of the root and of all pages.
+        Segments of the root and of all pages.
 
     Returns
     -------
     list of list of int
-        Each row once.
+        Rows of each object's segments, in file order.
     """
     groups: dict[object, list[int]] = {}
     books, chunks = set(CODEBOOK_KINDS), set(_CHUNK_KINDS)
@@ -76,11 +75,12 @@ def group_segments(table: SegmentTable) -> list[list[int]]:
 
 
 class StoredSegments:
-    """Segments that the objects of a folder hold already, as the manifests there say.
+    """Segments in the existing objects of a folder, according to its manifests.
 
     Parameters
     ----------
     folder : Path
+        Folder with manifests and objects.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -93,11 +93,12 @@ class StoredSegments:
             self._add(manifest)
 
     def place_of(self, key: bytes) -> SegmentPlace | None:
-        """Return where a segment lies, by its hash, in an object that is whole."""
+        """Return the position of a segment, by its hash, in an undamaged object; None for none."""
         place = self._places.get(key)
         return place if place is not None and self._is_intact(place) else None
 
     def _add(self, manifest: Path) -> None:
+        """Add the segments of a manifest; warn and skip a manifest that cannot be read."""
         try:
             source = FolderSource(manifest)
             try:
@@ -106,7 +107,7 @@ class StoredSegments:
                 source.close()
         except CogsplatError as error:
             warnings.warn(
-                f"{manifest}: cannot be read, so that nothing is shared with it: {error.message}",
+                f"{manifest}: cannot be read, so no object is shared with it: {error.message}",
                 CogsplatWarning,
                 stacklevel=4,
             )
@@ -119,6 +120,7 @@ class StoredSegments:
                 self._places.setdefault(table.hash[row].tobytes(), place)
 
     def _is_intact(self, place: SegmentPlace) -> bool:
+        """Whether the object of a segment is undamaged; checked once per object."""
         name = place.key.hex()
         if name not in self._intact:
             self._intact[name] = has_object(self._folder, place.key, place.size)
@@ -126,7 +128,17 @@ class StoredSegments:
 
 
 def has_object(folder: Path, key: bytes, size: int) -> bool:
-    """Whether a folder has the object of a key, of so many bytes, and it is not damaged."""
+    """Whether a folder has an object with a hash and a length, undamaged.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the manifest.
+    key : bytes
+        First 16 bytes of the object's SHA-256.
+    size : int
+        Length of the object, bytes.
+    """
     path = folder / object_name(key)
     with storage_errors(path):
         try:

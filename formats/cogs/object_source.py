@@ -1,4 +1,4 @@
-"""What sources of folders have in common, wherever their manifest and objects are (SPEC 3.4)."""
+"""Base class of the sources of folders, on disk or on a network (SPEC 3.4)."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from .root import SegmentTable
 
 
 class ObjectSource(ABC):
-    """A source that reads a folder: what it has beside the bytes of the file.
+    """Base class of sources that read a folder as the file that it stands for.
 
     Parameters
     ----------
     folder_map : FolderMap
-        Pages are added to it as ranges are asked for that need them.
+        Map of the folder; reads add index pages to it as needed.
     """
 
     def __init__(self, folder_map: FolderMap) -> None:
@@ -25,37 +25,38 @@ class ObjectSource(ABC):
 
     @property
     def size(self) -> int:
-        """Bytes of the file that the folder stands for."""
+        """Length of the file that the folder stands for, bytes."""
         return self._map.file_length
 
     @property
     def first_request_bytes(self) -> int:
-        """Bytes of preamble and root, which no segment is needed for."""
+        """End of the root, byte offset: reads up to here need no object."""
         return self._map.root_end
 
     def tables(self) -> list[tuple[SegmentTable, Places]]:
-        """Return segments and their places, of the root and of each page; raises as `read`."""
+        """Return the segment table and places of the root and of each page; raises as `read`."""
         self._object_ranges(0, self.size)
         return self._map.tables()
 
     def objects(self) -> Mapping[str, int]:
-        """Return the bytes of all objects that the manifest names; raises as `read`."""
+        """Return the length of each object of the manifest, bytes, by name; raises as `read`."""
         return self._named
 
     def read_object(self, name: str) -> bytes:
-        """Return the bytes of an object, as `objects` names it; raises as `read`."""
+        """Return the bytes of an object by a name of `objects`; raises as `read`."""
         size = self._named[name]
         return self._object_bytes(ObjectRange(name, 0, size, size))
 
     @cached_property
     def _named(self) -> dict[str, int]:
+        """Lengths of all objects by name, bytes."""
         self._object_ranges(0, self.size)
         return self._map.objects()
 
     @abstractmethod
     def _object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
-        """Return where bytes of the file lie; pages that say so are read."""
+        """Return the ranges of objects that make up a range of the file; read missing pages."""
 
     @abstractmethod
     def _object_bytes(self, piece: ObjectRange) -> bytes:
-        """Return bytes of an object."""
+        """Return the bytes of a range of an object."""

@@ -1,4 +1,4 @@
-"""A file into a folder and back, from wherever it is: `cogsplat.unpack` and `cogsplat.pack`."""
+"""Convert a COGS file into a folder and back: `cogsplat.unpack` and `cogsplat.pack`."""
 
 from __future__ import annotations
 
@@ -29,35 +29,39 @@ def unpack(
     network: NetworkOptions | None = None,
     progress: Progress = silent,
 ) -> Unpacked:
-    """Write a COGS file as a folder: a manifest, and objects named by their content (SPEC 3.4).
+    """Write a COGS file as a folder: a manifest, and objects named by their hash (SPEC 3.4).
 
     Parameters
     ----------
     path : path, URL, bytes, binary file object or Source
-        As in `cogsplat.open`, as are `limits` and `network`.
-    partial : bool
-        Accept a file that is still being received: the segments that are there are written.
+        COGS file to read, as in `cogsplat.open`.
     folder : path
-        Made where it is not there. Objects that it has already are kept.
+        Output folder, created if missing. Existing objects are kept and shared.
     name : str
-        Of the manifest, a file name that ends in ``.cogsm``; several in one folder are versions
-        that share segments.
+        File name of the manifest, ending in ``.cogsm``. Several manifests in one folder are
+        versions that share objects.
+    partial : bool
+        Whether to accept a file that is still being received, and write its present segments.
     force : bool
-        Replace an existing manifest.
+        Whether to replace an existing manifest.
+    limits : Limits, optional
+        Memory and size limits.
+    network : NetworkOptions, optional
+        Options for a URL.
     progress : Progress
-        Called with ``("unpack", segments done, segments)``.
+        Callback, called with ``("unpack", segments done, segments)``.
 
     Returns
     -------
     Unpacked
-        What was written, and what was there.
+        Manifest, and counts of written and shared objects.
 
     Raises
     ------
     CogsplatError
         The file cannot be read or breaks SPEC, or the folder cannot be written.
     ValueError
-        A name that no manifest may have.
+        `name` is not a valid manifest name.
 
     Examples
     --------
@@ -85,34 +89,36 @@ def pack(
     network: NetworkOptions | None = None,
     progress: Progress = silent,
 ) -> int:
-    """Write a folder as one COGS file, byte for byte the one that it was unpacked from.
+    """Write a folder as one COGS file, identical to the file that was unpacked.
 
     Parameters
     ----------
     folder : path, URL or Source
-        As in `cogsplat.open`, as are `limits` and `network`; one of several manifests by its own
-        path.
-    partial : bool
-        Accept a folder that lacks segments: the file ends before the first that is missing.
+        Folder or manifest to read, as in `cogsplat.open`.
     path : path
-        The file to write; it appears once it is complete.
+        Output file; it appears once it is complete.
+    partial : bool
+        Whether to accept a folder with missing segments; the file ends before the first of them.
     force : bool
-        Replace an existing file.
+        Whether to replace an existing file.
+    limits : Limits, optional
+        Memory and size limits.
+    network : NetworkOptions, optional
+        Options for a URL.
     progress : Progress
-        Called with ``("pack", segments done, segments)``.
+        Callback, called with ``("pack", segments done, segments)``.
 
     Returns
     -------
     int
-        Bytes written.
+        Length of the written file, bytes.
 
     Raises
     ------
     OutputIsInputError
         ``output-is-input``: `path` is a file of the folder.
     CogsplatError
-        The folder cannot be read, a segment is not what its hash says, or the file cannot be
-        written.
+        The folder cannot be read, a segment has another hash, or the file cannot be written.
 
     Examples
     --------
@@ -134,7 +140,7 @@ def pack(
 
 
 def folder_files(folder: Readable) -> Iterator[Path]:
-    """Yield the files of a folder on disk, or a manifest and its objects: no output may be one."""
+    """Yield the files of a local folder or manifest, which an output must not overwrite."""
     if not isinstance(folder, str | os.PathLike):
         return
     place = Path(folder)

@@ -1,4 +1,4 @@
-"""Open a COGS file: decode it, stream its chunks as their bytes arrive, or verify it (SPEC 8)."""
+"""Open a COGS file to decode, stream or verify it (SPEC 8)."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from .verification import checks
 
 
 class CogsFile(ChunkDecoder):
-    """An open file: its root, its tables, and its chunks on demand.
+    """Open COGS file: tables, decoding, streaming and verification. A context manager.
 
-    Opened by `open_cogs`. A context manager; safe to decode from several threads.
+    Opened by `open_cogs`. Safe to decode from several threads.
     """
 
     def __repr__(self) -> str:
@@ -37,23 +37,23 @@ class CogsFile(ChunkDecoder):
         sh_degree: int | None = None,
         refine: bool = True,
     ) -> ChunkStream:
-        """Decode chunks as their bytes come, each at first as coarse as what is there of it.
+        """Decode chunks as their bytes arrive, first coarse, then refined.
 
         Parameters
         ----------
         priority : callable, optional
-            Of the number of a chunk: chunks of larger values come first, those below 0 not at all.
-            By default segments come in the order of the file, which shows most for its bytes.
+            Function of a chunk number. Chunks with higher values come first; negative ones are
+            skipped. By default segments come in file order, which is by quality gained per byte.
         sh_degree : int, optional
-            Highest SH degree wanted.
+            Highest SH degree to decode; by default the file's.
         refine : bool
-            Whether to read refinements.
+            Whether to fetch refinements.
 
         Returns
         -------
         ChunkStream
-            An iterator, with ``for`` and with ``async for``, of `ChunkUpdate`; a context manager
-            that ends its requests.
+            Iterator of `ChunkUpdate` for ``for`` and ``async for``. As a context manager, it
+            cancels its requests at the end of the block.
 
         Examples
         --------
@@ -82,12 +82,17 @@ class CogsFile(ChunkDecoder):
         )
 
     def verify(self, progress: Progress = silent) -> None:
-        """Check all of the file, as a verifier does, and stop at the first broken rule.
+        """Check the whole file against SPEC and raise the error of the first broken rule.
+
+        Parameters
+        ----------
+        progress : Progress
+            Callback, called with ``("verify", checks done, checks)``.
 
         Raises
         ------
-        FormatError
-            ``segment-crc``, ``segment-hash``, ``chunk-box``, or what decoding finds.
+        CogsplatError
+            ``segment-crc``, ``segment-hash``, ``chunk-box``, or an error of decoding.
         """
         steps = list(checks(self))
         for done, check in enumerate(steps, start=1):
@@ -102,31 +107,35 @@ def open_cogs(
     size_bytes: int | None = None,
     limits: Limits | None = None,
 ) -> CogsFile:
-    """Read the index of a file and check it.
+    """Open a COGS file: read and check its index.
 
     Parameters
     ----------
     source : Source
+        Source of the file, closed with it.
     partial : bool
-        Accept a source that ends before the file does; its complete chunks can be decoded.
+        Whether to accept a source that ends before the file does. Its complete chunks can be
+        decoded.
     size_bytes : int, optional
-        Take the source as if it ended after so many bytes, which makes it a partial one.
+        Length at which to cut the source, bytes; implies `partial`.
     limits : Limits, optional
+        Memory and size limits.
 
     Returns
     -------
     CogsFile
+        Open file.
 
     Raises
     ------
     FormatError
         The preamble, the root, a page or their tables break SPEC 3 to 5.
     TruncatedError
-        The file is short (strict), or its root is not complete (partial).
+        The source ends before the file; with `partial`, before the end of the root.
     UnsupportedError
-        Another version, or something that must be understood and is not.
+        The version of the file, or a required feature, is not supported.
     ValueError
-        A negative size.
+        `size_bytes` is negative.
     """
     if size_bytes is not None:
         if size_bytes < 0:

@@ -1,4 +1,4 @@
-"""The root and the index pages: what a reader must know before any chunk (SPEC 4, 5)."""
+"""Root and index pages of a file: their tables, encoding and parsing (SPEC 4, 5)."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from .msgpack_map import CheckedMap
 U32 = NDArray[np.uint32]
 
 HASH_BYTES: Final = 16
-"""First bytes of a segment's SHA-256 (SPEC 5.3)."""
+"""Bytes of a segment's SHA-256 that are stored (SPEC 5.3)."""
 
-# Characters of a word that is not known, in messages.
+# Maximum length of an unknown word in messages, characters.
 _SHOWN: Final = 40
 
 CODEBOOK_ATTRIBUTES: Final = ("shape", "colour")
@@ -40,22 +40,22 @@ COLOUR_SPACES: Final = ("srgb", "linear")
 
 @dataclass(frozen=True, eq=False)
 class SegmentTable:
-    """Rows in file order (SPEC 5.3).
+    """Segments of an index in file order, one row each (SPEC 5.3).
 
     Parameters
     ----------
     kind : (s,) uint8
-        `SegmentKind`, or 128 and above.
+        `SegmentKind`, or an unknown kind from 128 on.
     owner : (s,) uint32
-        Chunk or codebook the segment belongs to.
+        Number of the chunk or codebook that the segment belongs to.
     length : (s,) uint32
-        Bytes in the file.
+        Length of the segment, bytes.
     crc : (s,) uint32
-        CRC-32 of those bytes.
+        CRC-32 of the segment.
     hash : (s, 16) uint8
-        First 16 bytes of their SHA-256.
+        First 16 bytes of the segment's SHA-256.
     needs : (s,) uint32
-        Bit i: codebook i is needed to decode the segment.
+        Bit mask of the codebooks needed to decode the segment.
     """
 
     kind: NDArray[np.uint8]
@@ -78,22 +78,22 @@ def no_segments() -> SegmentTable:
 
 @dataclass(frozen=True, eq=False)
 class ChunkTable:
-    """Rows in chunk order (SPEC 5.4).
+    """Chunks of an index in order, one row each (SPEC 5.4).
 
     Parameters
     ----------
     splats : (c,) uint32
-        Rows of each chunk.
+        Number of splats.
     box : (c, 6) float32
-        Minimum then maximum corner of what its splats reach, scene units.
+        Bounding box of the splats with their extents: minimum corner, maximum corner; scene units.
     contribution : (c,) float64
-        Sum of its splats' contributions; zeros where the scene was not scored.
+        Sum of the splats' contributions; 0 in a scene without scores.
     layer, cell, object : (c,) uint32
-        Zeros where the scene has none.
+        Layer, cell and object number; 0 in a scene without them.
     quality : (c,) float32
-        Predicted PSNR, dB, of a scene that ends with the chunk; 0 where nothing was predicted.
+        Predicted PSNR of the prefix that ends with the chunk, dB; 0 for no prediction.
     until : (c,) uint32
-        The chunk is drawn in prefixes of fewer chunks than this; 0 in all (SPEC 5.10).
+        Number of chunks from which on prefixes do not draw the chunk; 0 for never (SPEC 5.10).
     """
 
     splats: U32
@@ -111,7 +111,7 @@ class ChunkTable:
 
 @dataclass(frozen=True)
 class CodebookEntry:
-    """One codebook: what its rows are and how many (SPEC 5.5)."""
+    """Codebook: attribute of its rows (``shape`` or ``colour``) and their number (SPEC 5.5)."""
 
     attribute: str
     rows: int
@@ -119,16 +119,18 @@ class CodebookEntry:
 
 @dataclass(frozen=True)
 class PageEntry:
-    """One index page (SPEC 5.6).
+    """Root's entry of an index page (SPEC 5.6).
 
     Parameters
     ----------
-    length, crc : int
-        Of the page's bytes.
+    length : int
+        Length of the page, bytes.
+    crc : int
+        CRC-32 of the page.
     segments, chunks : int
-        Rows in the page.
+        Numbers of segments and chunks in the page.
     span : int
-        Bytes of the page's segments, which stand right behind it.
+        Total length of the page's segments, which follow the page, bytes.
     """
 
     length: int
@@ -140,14 +142,14 @@ class PageEntry:
 
 @dataclass(frozen=True)
 class Level:
-    """One level of a scene that is made for pictures of several scales (SPEC 5.11).
+    """Level of detail of a scene (SPEC 5.11).
 
     Parameters
     ----------
     chunks : int
-        First chunks of the file that make it up.
+        Number of leading chunks of the file that the level consists of.
     scale : float
-        Its pictures are the full ones divided by this in width and height.
+        Divisor of the full picture's width and height at which the level is shown.
     """
 
     chunks: int
@@ -156,28 +158,34 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class Root:
-    """Everything the root states.
+    """Root of a file (SPEC 4).
 
     Parameters
     ----------
     writer : str
-        Name and version of what wrote the file.
+        Name and version of the program that wrote the file.
     splats : int
+        Number of splats.
     sh_degree : int
+        SH degree, 0 to 3.
     info : SceneInfo
+        Conventions of the scene: origin, axes, colour space, kernel.
     box : (6,) float64
-        Minimum then maximum corner of what the scene's splats reach, scene units.
+        Bounding box of the splats with their extents: minimum corner, maximum corner; scene units.
     codebooks : sequence of CodebookEntry
+        Codebooks of the file.
     first_view : Camera or None
+        Camera where a viewer starts.
     segments : SegmentTable
-        Of the root alone; pages add theirs.
+        Segments listed in the root; pages list the others.
     chunks : ChunkTable
-        Likewise.
+        Chunks listed in the root; pages list the others.
     pages : sequence of PageEntry
+        Index pages.
     attributes : sequence of AttributeType
-        Extra attributes of the splats, of which chunks have segments of their own.
+        Types of the splats' extra attributes.
     levels : sequence of Level
-        Coarsest first; none where the scene has no levels.
+        Levels of detail, coarsest first; may be empty.
     """
 
     writer: str
@@ -195,6 +203,7 @@ class Root:
 
 
 def _column(values: NDArray[np.generic], dtype: str) -> bytes:
+    """Return a table column as little-endian bytes."""
     return np.ascontiguousarray(values).astype(dtype).tobytes()
 
 
@@ -211,7 +220,7 @@ def segment_columns(table: SegmentTable) -> dict[str, Value]:
 
 
 def chunk_columns(table: ChunkTable) -> dict[str, Value]:
-    """Return a chunk table as msgpack columns; columns of zeros are left out."""
+    """Return a chunk table as msgpack columns; optional columns of zeros are left out."""
     value: dict[str, Value] = {
         "splats": _column(table.splats, "<u4"),
         "box": _column(table.box, "<f4"),
@@ -268,6 +277,7 @@ def root_map(root: Root) -> dict[str, Value]:
 
 
 def _attribute_value(kind: AttributeType) -> dict[str, Value]:
+    """Return the type of an extra attribute as a msgpack map (SPEC 5.7)."""
     value: dict[str, Value] = {"name": kind.name, "type": kind.dtype}
     if kind.components:
         value["components"] = kind.components
@@ -275,6 +285,7 @@ def _attribute_value(kind: AttributeType) -> dict[str, Value]:
 
 
 def _camera_value(camera: Camera) -> dict[str, Value]:
+    """Return the first view as a msgpack map (SPEC 4.4)."""
     return {
         "width": camera.width,
         "height": camera.height,
@@ -288,7 +299,14 @@ def _camera_value(camera: Camera) -> dict[str, Value]:
 
 
 def parse_segments(value: Value, where: str) -> SegmentTable:
-    """Read a segment table.
+    """Parse and check a segment table.
+
+    Parameters
+    ----------
+    value : Value
+        Unpacked msgpack map.
+    where : str
+        Name of the root or page in messages.
 
     Raises
     ------
@@ -327,7 +345,7 @@ def parse_segments(value: Value, where: str) -> SegmentTable:
 
 
 def parse_chunks(value: Value, where: str) -> ChunkTable:
-    """Read a chunk table; raises as `parse_segments` does."""
+    """Parse and check a chunk table; raises as `parse_segments`."""
     table = CheckedMap(value, f"{where}, chunks", "5.4")
     splats = table.column("splats", "<u4", None).astype(np.uint32)
     rows = len(splats)
@@ -355,16 +373,16 @@ def parse_chunks(value: Value, where: str) -> ChunkTable:
             f"expected 1 to {MAX_CHUNK_SPLATS}",
         )
     if not (np.isfinite(box).all() and (box[:, :3] <= box[:, 3:]).all()):
-        raise table.error("box", "corners not finite or in the wrong order")
+        raise table.error("box", "corners not finite or not ordered, expected minimum, maximum")
     if not (np.isfinite(contribution).all() and (contribution >= 0).all()):
-        raise table.error("contribution", "not finite or negative")
+        raise table.error("contribution", "not finite or negative, expected 0 or more")
     if not ((quality >= 0) & (quality <= PSNR_CAP_DB)).all():
-        raise table.error("quality", f"expected 0 to {PSNR_CAP_DB:g} dB")
+        raise table.error("quality", f"out of range, expected 0 to {PSNR_CAP_DB:g} dB")
     return ChunkTable(splats, box, contribution, **optional, quality=quality, until=until)
 
 
 def parse_root(value: Value, where: str) -> Root:
-    """Read the root map (SPEC 4.2); raises as `parse_segments` does."""
+    """Parse and check the root (SPEC 4.2); raises as `parse_segments`."""
     root = CheckedMap(value, where, "4.2")
     writer = root.text("writer")
     splats = root.integer("splats", 0, layout.MAX_SPLATS)
@@ -375,24 +393,24 @@ def parse_root(value: Value, where: str) -> Root:
         axes=_axes(root),
         colour_space=_colour_space(root),
         kernel_px=root.number("kernel_px"),
-        antialiased=root.take("antialiased", bool),
+        antialiased=root.pop("antialiased", bool),
     )
     if info.kernel_px < 0:
         raise root.error("kernel_px", f"{info.kernel_px}, expected 0 or more")
     box = np.array(root.numbers("box", 6))
     if not (box[:3] <= box[3:]).all():
-        raise root.error("box", "corners in the wrong order")
-    codebooks = [_codebook(v, where) for v in root.take("codebooks", list)]
+        raise root.error("box", "corners not ordered, expected minimum, maximum")
+    codebooks = [_codebook(v, where) for v in root.pop("codebooks", list)]
     if len(codebooks) > layout.MAX_CODEBOOKS:
         raise root.error("codebooks", f"{len(codebooks)}, expected at most {layout.MAX_CODEBOOKS}")
-    first_view = _camera(root.take("first_view", dict), where) if root.has("first_view") else None
+    first_view = _camera(root.pop("first_view", dict), where) if root.has("first_view") else None
     attributes = _attributes(root, where)
     levels = _levels(root, where)
-    pages = [_page(v, where) for v in root.take("pages", list)] if root.has("pages") else []
+    pages = [_page(v, where) for v in root.pop("pages", list)] if root.has("pages") else []
     if len(pages) > layout.MAX_PAGES:
         raise root.error("pages", f"{len(pages)}, expected at most {layout.MAX_PAGES}")
-    segments = parse_segments(root.take("segments", dict), where)
-    chunks = parse_chunks(root.take("chunks", dict), where)
+    segments = parse_segments(root.pop("segments", dict), where)
+    chunks = parse_chunks(root.pop("chunks", dict), where)
     root.finish()
     return Root(
         writer=writer,
@@ -411,10 +429,10 @@ def parse_root(value: Value, where: str) -> Root:
 
 
 def parse_page(value: Value, entry: PageEntry, where: str) -> tuple[SegmentTable, ChunkTable]:
-    """Read an index page and check it against the root's entry (SPEC 5.6)."""
+    """Parse an index page and check it against the root's entry (SPEC 5.6)."""
     page = CheckedMap(value, where, "5.6")
-    segments = parse_segments(page.take("segments", dict), where)
-    chunks = parse_chunks(page.take("chunks", dict), where)
+    segments = parse_segments(page.pop("segments", dict), where)
+    chunks = parse_chunks(page.pop("chunks", dict), where)
     page.finish()
     span = int(segments.length.sum(dtype=np.uint64))
     found = (len(segments), len(chunks), span)
@@ -429,6 +447,7 @@ def parse_page(value: Value, entry: PageEntry, where: str) -> tuple[SegmentTable
 
 
 def _axes(root: CheckedMap) -> str:
+    """Return the checked axis letters, such as ``RDF``."""
     axes = root.text("axes")
     pairs = ["RL", "UD", "FB"]
     if len(axes) != 3 or {next((p for p in pairs if a in p), "") for a in axes} != set(pairs):
@@ -437,6 +456,7 @@ def _axes(root: CheckedMap) -> str:
 
 
 def _colour_space(root: CheckedMap) -> str:
+    """Return the checked name of the colour space."""
     name = root.word("colour_space")
     if name not in COLOUR_SPACES:
         raise UnsupportedError(
@@ -449,6 +469,7 @@ def _colour_space(root: CheckedMap) -> str:
 
 
 def _codebook(value: Value, where: str) -> CodebookEntry:
+    """Parse the entry of a codebook (SPEC 5.5)."""
     book = CheckedMap(value, f"{where}, codebooks", "5.5")
     entry = CodebookEntry(book.word("attribute"), book.integer("rows", 1, MAX_CODEBOOK_ROWS))
     book.finish()
@@ -462,18 +483,20 @@ def _codebook(value: Value, where: str) -> CodebookEntry:
 
 
 def _attributes(root: CheckedMap, where: str) -> list[AttributeType]:
+    """Parse the types of the extra attributes (SPEC 5.7)."""
     if not root.has("attributes"):
         return []
-    values = root.take("attributes", list)
+    values = root.pop("attributes", list)
     if len(values) > MAX_EXTRAS:
         raise root.error("attributes", f"{len(values)}, expected at most {MAX_EXTRAS}")
     found = [_attribute(value, where) for value in values]
     if len({kind.name for kind in found}) < len(found):
-        raise root.error("attributes", "a name twice, expected each once")
+        raise root.error("attributes", "a name occurs twice, expected unique names")
     return found
 
 
 def _attribute(value: Value, where: str) -> AttributeType:
+    """Parse the type of one extra attribute (SPEC 5.7)."""
     entry = CheckedMap(value, f"{where}, attributes", "5.7")
     name, dtype = entry.text("name"), entry.word("type")
     components = 0
@@ -481,7 +504,7 @@ def _attribute(value: Value, where: str) -> AttributeType:
         components = entry.integer("components", 1, MAX_EXTRA_COMPONENTS)
     entry.finish()
     if not name:
-        raise entry.error("name", "no characters, expected some")
+        raise entry.error("name", "empty, expected a name")
     if dtype not in EXTRA_DTYPES:
         raise UnsupportedError(
             "attribute-type-unknown",
@@ -492,9 +515,10 @@ def _attribute(value: Value, where: str) -> AttributeType:
 
 
 def _levels(root: CheckedMap, where: str) -> list[Level]:
+    """Parse the levels of detail (SPEC 5.11)."""
     if not root.has("levels"):
         return []
-    values = root.take("levels", list)
+    values = root.pop("levels", list)
     if not 1 <= len(values) <= layout.MAX_LEVELS:
         raise root.error("levels", f"{len(values)}, expected 1 to {layout.MAX_LEVELS}")
     found: list[Level] = []
@@ -514,6 +538,7 @@ def _levels(root: CheckedMap, where: str) -> list[Level]:
 
 
 def _page(value: Value, where: str) -> PageEntry:
+    """Parse the entry of an index page (SPEC 5.6)."""
     page = CheckedMap(value, f"{where}, pages", "5.6")
     entry = PageEntry(
         length=page.integer("length", 1, layout.MAX_PAGE_BYTES),
@@ -527,6 +552,7 @@ def _page(value: Value, where: str) -> PageEntry:
 
 
 def _camera(value: Value, where: str) -> Camera:
+    """Parse the first view (SPEC 4.4)."""
     view = CheckedMap(value, f"{where}, first_view", "4.4")
     width = view.integer("width", 1, 65535)
     height = view.integer("height", 1, 65535)

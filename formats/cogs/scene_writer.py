@@ -1,4 +1,4 @@
-"""From an encoded scene to a COGS file: the order of its segments and its root."""
+"""Write an encoded scene as a COGS file: build its root, order its segments."""
 
 from __future__ import annotations
 
@@ -38,20 +38,22 @@ def save(
     Parameters
     ----------
     scene : EncodedScene
+        Scene to store.
     path : Path
+        Output file.
     writer : str
         Name and version of the program, for the root.
     first_view : Camera, optional
-        Where a viewer starts.
+        Camera where a viewer starts.
     cameras : sequence of Camera
-        Stored in the file.
+        Cameras to store.
     force : bool
-        Replace an existing file.
+        Whether to replace an existing file.
 
     Returns
     -------
     int
-        Bytes written.
+        Length of the written file, bytes.
 
     Raises
     ------
@@ -65,12 +67,12 @@ def save(
 
 
 def build_root(scene: EncodedScene, writer: str, first_view: Camera | None = None) -> Root:
-    """Return the root of an encoded scene; the writer fills in its segment table."""
+    """Return the root of an encoded scene, with an empty segment table for `writer.lay_out`."""
     chunks = scene.chunks
     count = len(chunks)
     table = ChunkTable(
         splats=np.array([chunk.splats for chunk in chunks], np.uint32),
-        box=_outward(chunks),
+        box=_boxes_float32(chunks),
         contribution=np.array([chunk.contribution for chunk in chunks], np.float64),
         quality=np.array([chunk.quality_db for chunk in chunks], np.float32),
         layer=np.array([_level_of(scene, number) for number in range(count)], np.uint32),
@@ -100,13 +102,13 @@ def size_bytes(
     first_view: Camera | None = None,
     cameras: Sequence[Camera] = (),
 ) -> int:
-    """Return the bytes that `save` would write."""
+    """Return the length of the file that `save` would write, bytes."""
     parts = lay_out(build_root(scene, writer, first_view), segments(scene, cameras))
     return sum(len(part) for part in parts)
 
 
-def _outward(chunks: Sequence[EncodedChunk]) -> NDArray[np.float32]:
-    """Return the boxes as float32, rounded outward so that they still hold their splats."""
+def _boxes_float32(chunks: Sequence[EncodedChunk]) -> NDArray[np.float32]:
+    """Return the chunks' bounding boxes as float32, rounded outward to still contain the splats."""
     wide = np.array([chunk.box for chunk in chunks], np.float64).reshape(-1, 6)
     limit = float(np.finfo(np.float32).max)
     narrow = np.clip(wide, -limit, limit).astype(np.float32)
@@ -116,12 +118,11 @@ def _outward(chunks: Sequence[EncodedChunk]) -> NDArray[np.float32]:
 
 
 def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segment]:
-    """Return the segments of a scene in the order a client should receive them (SPEC 5.1).
+    """Return the segments of a scene in the order of the file (SPEC 5.1).
 
-    Layers of compensation stand before the first chunk that they are about and the layer before is
-    not, the opacities of a level before the last of its chunks, and the view table before the first
-    chunk of a part of space, where clients begin to choose. Behind all that a picture needs stand
-    the cameras, then the extra attributes.
+    A compensation layer comes before the first chunk that only it covers. The opacities of a level
+    come before the last chunk of the level. The view table comes before the first chunk of a cell,
+    from which on clients choose chunks. Cameras and extra attributes come last.
     """
     out: list[Segment] = []
     layers, opacities, view_table = _layers(scene), _opacities(scene), _view_table(scene)
@@ -150,7 +151,7 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
 
 
 def _layers(scene: EncodedScene) -> dict[int, list[Segment]]:
-    """Return the layers of compensation by the chunk that each stands before."""
+    """Return the compensation layers, each by the number of the chunk that follows it."""
     found: dict[int, list[Segment]] = {}
     first = 0
     for number, layer in enumerate(scene.compensation.layers if scene.compensation else ()):
@@ -160,12 +161,12 @@ def _layers(scene: EncodedScene) -> dict[int, list[Segment]]:
 
 
 def _level_of(scene: EncodedScene, chunk: int) -> int:
-    """Return the first level that has a chunk, 0 where the scene has no levels."""
+    """Return the number of the first level with a chunk; 0 in a scene without levels."""
     return sum(level.chunks <= chunk for level in scene.levels)
 
 
 def _opacities(scene: EncodedScene) -> dict[int, list[Segment]]:
-    """Return the opacities of later levels by the chunk that they stand before."""
+    """Return the opacity segments of later levels, by the number of the chunk that follows."""
     found: dict[int, list[Segment]] = {}
     for number, chunk in enumerate(scene.chunks):
         for level, payload in enumerate(chunk.opacities, start=_level_of(scene, number) + 1):
@@ -175,17 +176,18 @@ def _opacities(scene: EncodedScene) -> dict[int, list[Segment]]:
 
 
 def _view_table(scene: EncodedScene) -> dict[int, list[Segment]]:
-    """Return the view table by the chunk that it stands before."""
+    """Return the view table by the number of the chunk that follows it."""
     if scene.view_table is None:
         return {}
     parts = (number for number, chunk in enumerate(scene.chunks) if chunk.cell > WHOLE)
     payload = pack_view_table(scene.view_table)
-    # Of a scene without parts, behind all chunks but the last.
+    # In a scene without cells, the view table comes before the last chunk.
     before = next(parts, len(scene.chunks) - 1)
     return {before: [Segment(SegmentKind.VIEW_TABLE, 0, payload)]}
 
 
 def _segment(place: OrderedSegment, parts: Payloads) -> Segment:
+    """Return the head, refinement or tail of a chunk at a place in the segment order."""
     if place.kind is OrderedKind.REFINEMENT and parts.refinement is not None:
         return Segment(SegmentKind.REFINEMENT, place.chunk, parts.refinement)
     if place.kind is OrderedKind.TAIL and parts.tail is not None:

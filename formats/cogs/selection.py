@@ -1,4 +1,4 @@
-"""Which chunks make up a part of a scene (SPEC 5.4, 5.10)."""
+"""Selection of chunks by range, object or number of splats (SPEC 5.4, 5.10)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from .drawn_chunks import drawn_chunks
 from .root import ChunkTable
 
-# Labels that a message lists.
+# Maximum number of labels in a message.
 _MOST_NAMED: Final = 12
 
 
@@ -21,21 +21,21 @@ def select_chunks(
     objects: Iterable[int] | None = None,
     splats: int | None = None,
 ) -> list[int]:
-    """Return the numbers of the chunks that make up a part of a scene, in file order.
+    """Return the numbers of the selected chunks, in file order.
 
     Parameters
     ----------
     table : ChunkTable
+        Chunks of the file.
     complete : int
-        Chunks that are complete, counted from the first.
+        Number of leading chunks that can be decoded.
     chunks, objects, splats
-        As `CogsFile.select` takes them.
+        Conditions; see `CogsFile.select`.
 
     Raises
     ------
     ValueError
-        A range that does not lie within the file's chunks, a label that no chunk has, or a
-        negative number of splats.
+        A range outside the file's chunks, a label of no chunk, or a negative number of splats.
     """
     count = complete
     selected = list(range(count))
@@ -61,6 +61,7 @@ def select_chunks(
 
 
 def _chunks_of(table: ChunkTable, objects: set[int]) -> set[int]:
+    """Return the numbers of the chunks with one of some object labels."""
     labels = table.object.tolist()
     there = sorted(set(labels))
     for label in sorted(objects):
@@ -68,5 +69,5 @@ def _chunks_of(table: ChunkTable, objects: set[int]) -> set[int]:
             raise ValueError(f"object {label}, expected a file with chunks of one object each")
         if label not in there:
             some = ", ".join(map(str, there[:_MOST_NAMED])) + " …" * (len(there) > _MOST_NAMED)
-            raise ValueError(f"object {label}, expected some of {some}")
+            raise ValueError(f"object {label}, expected one of {some}")
     return {chunk for chunk, label in enumerate(labels) if label in objects}

@@ -1,4 +1,4 @@
-"""An open file's tables, and its segments' bytes: what there is and what has arrived (SPEC 8)."""
+"""Tables and segments of an open file, without decoding (SPEC 8)."""
 
 from __future__ import annotations
 
@@ -29,15 +29,16 @@ from .selection import select_chunks
 
 @dataclass(frozen=True)
 class ChunkRows:
-    """Rows of the segment table that belong to one chunk.
+    """Rows of one chunk's segments in the segment table.
 
     Parameters
     ----------
     head : int
+        Row of the head.
     refinement, tail, attributes : int or None
-        None where the chunk has none.
+        Row of the segment; None for none.
     opacities : tuple of int
-        One for each later level that changes them, in the order of the levels.
+        Rows of the opacity segments, in level order.
     """
 
     head: int
@@ -48,13 +49,23 @@ class ChunkRows:
 
 
 class StoredFile:
-    """An open file's tables and bytes: which segments it has, and which of them have arrived.
+    """Open file: its tables, and the bytes of its segments. A context manager.
 
-    A context manager. `reader.CogsFile` decodes them.
+    `chunk_decoder.ChunkDecoder` adds decoding.
+
+    Parameters
+    ----------
+    source : Source
+        Source of the file, closed with it.
+    index : Index or LazyIndex
+        Index of the file.
 
     Attributes
     ----------
     root : Root
+        Root of the file.
+    file_length : int
+        Length of the file according to its preamble, bytes.
     missing_bytes : int
         Bytes that a partial source lacks; 0 for a complete one.
     """
@@ -92,12 +103,12 @@ class StoredFile:
 
     @property
     def segments(self) -> SegmentTable:
-        """Segments of the root and of all pages that are there."""
+        """Segments of the root and of all pages that were received."""
         return self._index.segments
 
     @property
     def chunks(self) -> ChunkTable:
-        """Chunks of the root and of all pages that are there."""
+        """Chunks of the root and of all pages that were received."""
         return self._index.chunks
 
     @property
@@ -107,26 +118,26 @@ class StoredFile:
 
     @property
     def name(self) -> str:
-        """Names the file in messages."""
+        """Name of the file in messages."""
         return self._source.name
 
     @property
     def num_chunks(self) -> int:
-        """Chunks the tables list; a partial file may lack the last pages' chunks."""
+        """Number of chunks in the tables; a partial file may lack the chunks of its last pages."""
         return self._pages.num_chunks
 
     @property
     def source_bytes(self) -> int:
-        """Bytes of the file that the source holds; a partial one lacks some."""
+        """Number of the file's bytes that the source holds."""
         return self.file_length - self.missing_bytes
 
     def read_bytes(self, offset: int, length: int) -> bytes:
-        """Return bytes of the file as they are stored; fewer where it ends or has not arrived.
+        """Return stored bytes of the file; fewer if the source ends before the range does.
 
         Raises
         ------
         StorageError
-            They cannot be read.
+            Reading failed.
         ValueError
             A negative offset or length.
         """
@@ -136,51 +147,51 @@ class StoredFile:
 
     @property
     def traffic(self) -> Traffic | None:
-        """Requests and bytes so far, where the file is read over a network."""
+        """Requests and received bytes so far; None for a local file."""
         found = getattr(self._source, "traffic", None)
         return found if isinstance(found, Traffic) else None
 
     @property
     def page_bytes(self) -> int:
-        """Bytes of all index pages."""
+        """Total size of all index pages, bytes."""
         return sum(page.length for page in self.root.pages)
 
     def complete_chunks(self) -> int:
-        """Return how many chunks, counted from the first, have heads that can be decoded."""
+        """Return the number of leading chunks whose heads can be decoded."""
         if not self.missing_bytes:
             return self.num_chunks
         for chunk in range(self.num_chunks):
-            if not self._complete(int(self._index.heads[chunk]), 0):
+            if not self._is_decodable(int(self._index.heads[chunk]), 0):
                 return chunk
         return self.num_chunks
 
     def is_present(self, row: int) -> bool:
-        """Whether a segment, by its row in the segment table, has arrived whole."""
+        """Whether all bytes of a segment, by its row, are present."""
         return has_range(self._source, int(self.offsets[row]), int(self.segments.length[row]))
 
     def has_tail(self, chunk: int, sh_degree: int = MAX_SH_DEGREE) -> bool:
-        """Whether a chunk's shN can be decoded up to an SH degree, or there is none to decode."""
+        """Whether a chunk's tail can be decoded up to an SH degree, or the chunk has none."""
         row = int(self._index.tails[chunk])
-        return row < 0 or self._complete(row, min(sh_degree, self.root.sh_degree))
+        return row < 0 or self._is_decodable(row, min(sh_degree, self.root.sh_degree))
 
     def has_refinement(self, chunk: int) -> bool:
-        """Whether a chunk's values can be decoded as fine as the whole file has them."""
+        """Whether a chunk's refinement is present, or the chunk has none."""
         row = int(self._index.refinements[chunk])
         return row < 0 or self.is_present(row)
 
     def has_extras(self, chunk: int) -> bool:
-        """Whether the extra attributes of a chunk's splats can be decoded."""
+        """Whether a chunk's extra attributes are present."""
         row = int(self._index.attributes[chunk])
         return row >= 0 and self.is_present(row)
 
     @property
     def camera_row(self) -> int | None:
-        """Row of the segment of cameras, None where the file has none."""
+        """Row of the cameras' segment; None for none."""
         return self._index.cameras if self._index.cameras >= 0 else None
 
     @property
     def view_table_row(self) -> int | None:
-        """Row of the segment of the view table, None where the file has none."""
+        """Row of the view table's segment; None for none."""
         return self._index.view_table if self._index.view_table >= 0 else None
 
     def select(
@@ -190,40 +201,38 @@ class StoredFile:
         objects: Iterable[int] | None = None,
         splats: int | None = None,
     ) -> list[int]:
-        """Return the numbers of the chunks that make up a part of the scene, in file order.
-
-        Conditions that are given together all hold; `splats` counts what the others leave.
+        """Return the numbers of the chunks that meet all given conditions, in file order.
 
         Parameters
         ----------
         chunks : tuple of (int or None, int or None), optional
-            Half-open range of chunks; None leaves an end open. By default all chunks that are
-            complete and have not ended (SPEC 5.10).
+            Half-open range of chunks; None leaves an end open. By default all complete chunks,
+            without ended preview chunks (SPEC 5.10).
         objects : iterable of int, optional
-            Labels of objects: only chunks that hold one of them.
+            Object labels, of which a chunk must have one.
         splats : int, optional
-            Whole chunks from the first until they hold at least so many splats.
+            Minimum number of splats: the first chunks that together have at least this number.
+            Counted after the other conditions.
 
         Returns
         -------
         list of int
-            As `decode` takes them.
+            Chunk numbers, for `decode`.
 
         Raises
         ------
         ValueError
-            A range that does not lie within the file's chunks, a label that no chunk has, or a
-            negative number of splats.
+            A range outside the file's chunks, a label of no chunk, or a negative number of splats.
         """
         return select_chunks(self.chunks, self.complete_chunks(), chunks, objects, splats)
 
     def read_segment(self, row: int) -> memoryview:
-        """Return a segment's bytes, its CRC checked.
+        """Return a segment's bytes after a check of their CRC.
 
         Raises
         ------
         TruncatedError
-            ``file-truncated``: a partial source does not hold it.
+            ``file-truncated``: a partial source lacks the segment.
         FormatError
             ``segment-crc``.
         """
@@ -231,9 +240,9 @@ class StoredFile:
         length = int(self.segments.length[row])
         crc = int(self.segments.crc[row])
         key = self.segments.hash[row].tobytes()
-        kept = None if self._cache is None else self._cache.get(key)
-        if kept is not None and len(kept) == length and zlib.crc32(kept) == crc:
-            return memoryview(kept)
+        cached = None if self._cache is None else self._cache.get(key)
+        if cached is not None and len(cached) == length and zlib.crc32(cached) == crc:
+            return memoryview(cached)
         data = self._source.read(offset, length)
         if zlib.crc32(data) != crc and isinstance(self._source, RemoteSource):
             # A cache may hold bytes of another version of the file (SPEC 8.8).
@@ -241,8 +250,8 @@ class StoredFile:
         if zlib.crc32(data) != crc:
             raise FormatError(
                 "segment-crc",
-                f"{self.name}: segment {row} at byte {offset}, {length} bytes: "
-                "its CRC does not match the table's",
+                f"{self.name}: segment {row} at byte {offset}, {length} bytes: its CRC does not "
+                f"match, expected {crc:#010x} as in the table",
                 clause="5.3",
                 offset=offset,
             )
@@ -251,9 +260,9 @@ class StoredFile:
         return memoryview(data)
 
     def objects(self) -> dict[str, int]:
-        """Return the first segment in each object of a folder by the object's name; of a file none.
+        """Return the row of the first segment in each object of a folder, by object name.
 
-        An object that is one whole segment is left out: its name is the segment's hash.
+        Empty for a file. Objects of a single segment are left out, as their name is its hash.
 
         Raises
         ------
@@ -272,7 +281,7 @@ class StoredFile:
         return found
 
     def read_object(self, name: str) -> bytes:
-        """Return the bytes of an object of a folder, as `objects` names it.
+        """Return the bytes of an object of a folder, by a name of `objects`.
 
         Raises
         ------
@@ -282,16 +291,16 @@ class StoredFile:
             ``segment-object``.
         """
         if not isinstance(self._source, ObjectSource):
-            raise ValueError(f"{self.name}: is no folder, expected one")
+            raise ValueError(f"{self.name}: is a file, expected a folder")
         return self._source.read_object(name)
 
-    def is_kept(self, row: int) -> bool:
-        """Whether a segment is on disk already, of a file that is read over a network."""
+    def is_cached(self, row: int) -> bool:
+        """Whether a segment is in the disk cache of a network source."""
         cache = self._cache
         return cache is not None and cache.has(self.segments.hash[row].tobytes())
 
-    def rows_of(self, chunk: int) -> ChunkRows:
-        """Return where a chunk's segments stand in the segment table."""
+    def chunk_rows(self, chunk: int) -> ChunkRows:
+        """Return the rows of a chunk's segments in the segment table."""
         index = self._index
 
         def row(table: I64) -> int | None:
@@ -306,36 +315,39 @@ class StoredFile:
         )
 
     def segment_rows(self, kind: SegmentKind, owner: int) -> list[int]:
-        """Return the rows of the segments of a kind that belong to a chunk or codebook."""
+        """Return the rows of the segments of a kind with an owner, a chunk or a codebook."""
         mask = (self.segments.kind == kind) & (self.segments.owner == owner)
         return [int(row) for row in np.flatnonzero(mask)]
 
     def _require_chunk(self, chunk: int) -> None:
+        """Refuse a chunk number outside the file, or of a missing page."""
         if not 0 <= chunk < self._pages.all_chunks:
             raise ValueError(f"chunk {chunk}, expected 0 to {self._pages.all_chunks - 1}")
         if chunk >= self.num_chunks:
-            raise self._not_there(f"chunk {chunk}: the index page that lists it")
+            raise self._missing_error(f"the index page of chunk {chunk}")
 
-    def _not_there(self, what: str) -> TruncatedError:
+    def _missing_error(self, what: str) -> TruncatedError:
+        """Return the error for a part of the file that a partial source lacks."""
         return TruncatedError(
             "file-truncated",
-            f"{self.name}: {what} is behind the {self._source.size} bytes there are, "
+            f"{self.name}: {what} is missing: the source has {self._source.size} bytes, "
             f"expected {self.file_length}",
             clause="3.3",
             needed=self.file_length,
         )
 
-    def _complete(self, row: int, degree: int) -> bool:
-        """Whether a segment and the codebooks it needs are there, up to an SH degree."""
+    def _is_decodable(self, row: int, degree: int) -> bool:
+        """Whether a segment and its codebooks, up to an SH degree, are present."""
         return self.is_present(row) and all(
-            self._codebook_rows(book, degree) is not None for book in self._needed(row)
+            self._codebook_rows(book, degree) is not None for book in self._needed_codebooks(row)
         )
 
-    def _needed(self, row: int) -> list[int]:
+    def _needed_codebooks(self, row: int) -> list[int]:
+        """Return the numbers of the codebooks that a segment needs."""
         return needed_codebooks(self.segments, row, len(self.root.codebooks))
 
     def _codebook_rows(self, book: int, degree: int) -> list[int] | None:
-        """Return the segments of a codebook up to an SH degree, None where one is not there."""
+        """Return the rows of a codebook up to an SH degree; None if a segment is missing."""
         kinds = codebook_kinds(self.root.codebooks[book].attribute, degree)
         found = self._index.codebooks[book]
         rows = [found[kind] for kind in kinds if kind in found]

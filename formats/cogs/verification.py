@@ -1,4 +1,4 @@
-"""Every check that a verifier makes of an open file, one by one (SPEC 1.4)."""
+"""Checks of a verifier on an open file, one by one (SPEC 1.4)."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Check:
     Parameters
     ----------
     what : str
-        What is checked, for people: ``chunk 3``.
+        Name of the checked part, such as ``head of chunk 3``.
     offset : int
-        Byte offset of the segment that is checked.
+        Byte offset of the checked segment.
     run : callable
-        Raises a `CogsplatError` where the file breaks a rule.
+        Function that raises a `CogsplatError` if the file breaks a rule.
     """
 
     what: str
@@ -36,19 +36,19 @@ class Check:
 
 
 def checks(file: ChunkDecoder) -> Iterator[Check]:
-    """Yield every check that a verifier makes of an open file (SPEC 1.4).
+    """Yield all checks of an open file (SPEC 1.4).
 
     Parameters
     ----------
     file : CogsFile
-        Opened, so that preamble, root, pages and tables are checked already.
+        Open file, whose preamble, root, pages and tables were checked on opening.
 
     Yields
     ------
     Check
-        The decoded size, CRC and hash of every segment, of a folder the names of its objects, then
-        codebooks, cameras, compensation, the view table, and of every chunk its head, its
-        refinement, its tail with its attributes, and its box.
+        In this order: decoded size; CRC and hash of every segment; object names of a folder;
+        codebooks; cameras; compensation; view table; then head, refinement, opacities, tail with
+        attributes, and bounding box of every chunk.
     """
     yield Check("decoded size", 0, file.require_size)
     for row in range(len(file.segments)):
@@ -56,7 +56,7 @@ def checks(file: ChunkDecoder) -> Iterator[Check]:
     for name, row in file.objects().items():
         yield Check(name, int(file.offsets[row]), partial(_check_object, file, name))
     for book in range(len(file.root.codebooks)):
-        # Codebooks that no chunk needs are part of the file too.
+        # Codebooks that no chunk needs are checked as well.
         kinds = (SegmentKind.SHAPE_CODEBOOK, SegmentKind.COLOUR_BAND1)
         rows = [row for kind in kinds for row in file.segment_rows(kind, book)]
         offset = int(file.offsets[rows[0]]) if rows else 0
@@ -69,12 +69,12 @@ def checks(file: ChunkDecoder) -> Iterator[Check]:
     if file.view_table_row is not None:
         yield Check("view table", int(file.offsets[file.view_table_row]), file.view_table)
     for chunk in range(file.num_chunks):
-        yield from _chunk_checks(file, chunk)
+        yield from _progressive_checks(file, chunk)
 
 
-def _chunk_checks(file: ChunkDecoder, chunk: int) -> Iterator[Check]:
-    """Yield the checks of one chunk, each with the segment that it adds to the one before."""
-    rows = file.rows_of(chunk)
+def _progressive_checks(file: ChunkDecoder, chunk: int) -> Iterator[Check]:
+    """Yield checks that decode a chunk with one more segment each: head, refinement, and so on."""
+    rows = file.chunk_rows(chunk)
     start = int(file.offsets[rows.head])
 
     def coarse() -> None:
@@ -109,20 +109,21 @@ def _chunk_checks(file: ChunkDecoder, chunk: int) -> Iterator[Check]:
 
 
 def read_verified(file: ChunkDecoder, row: int) -> memoryview:
-    """Return a segment's bytes, their CRC and their hash checked.
+    """Return a segment's bytes after checks of their CRC and hash.
 
     Raises
     ------
     TruncatedError
-        As `StoredFile.read_segment`.
+        ``file-truncated``, ``segment-missing``: the source lacks the segment.
     FormatError
-        ``segment-crc``, ``segment-hash``, and as `StoredFile.read_segment`.
+        ``segment-crc``, ``segment-hash``.
     """
     data = file.read_segment(row)
     if key_of(data) != file.segments.hash[row].tobytes():
         raise FormatError(
             "segment-hash",
-            f"{file.name}: segment {row}: its SHA-256 does not match the table's",
+            f"{file.name}: segment {row}: its SHA-256 does not match, expected "
+            f"{file.segments.hash[row].tobytes().hex()} as in the table",
             clause="5.3",
             offset=int(file.offsets[row]),
         )
@@ -130,10 +131,12 @@ def read_verified(file: ChunkDecoder, row: int) -> memoryview:
 
 
 def _check_object(file: ChunkDecoder, name: str) -> None:
+    """Refuse an object of a folder whose name is not its hash."""
     check_object(name, file.read_object(name), file.name)
 
 
 def _require_inside(file: ChunkDecoder, chunk: int, means: np.ndarray, offset: int) -> None:
+    """Refuse means outside the bounding box of their chunk (SPEC 5.4)."""
     box = file.chunks.box[chunk]
     if not ((means >= box[:3]) & (means <= box[3:])).all():
         raise FormatError(

@@ -1,4 +1,4 @@
-"""Write a COGS file: segments behind an index that fits the first request (SPEC 3 to 5)."""
+"""Write the bytes of a COGS file from its root and segments (SPEC 3 to 5)."""
 
 from __future__ import annotations
 
@@ -19,24 +19,26 @@ from . import root as cogs_root
 from .layout import SegmentKind
 from .root import HASH_BYTES, ChunkTable, PageEntry, Root, SegmentTable
 
-# Index pages stay small enough to be one quick request each, and few enough for the root.
+# Target size of an index page, bytes, for one quick request each; and target number of pages, for
+# entries that fit into the root.
 _PAGE_TARGET: Final = 65536
 _PAGES_TARGET: Final = 100
 
 
 @dataclass(frozen=True)
 class Segment:
-    """One segment to write.
+    """Segment to write.
 
     Parameters
     ----------
     kind : int
-        `SegmentKind`, or 128 and above for what readers may skip.
+        `SegmentKind`, or a kind from 128 on that readers may skip.
     owner : int
-        Chunk or codebook it belongs to.
+        Number of the chunk or codebook that the segment belongs to.
     payload : bytes
+        Bytes of the segment.
     needs : tuple of int
-        Codebooks needed to decode it.
+        Numbers of the codebooks needed to decode the segment.
     """
 
     kind: int
@@ -46,29 +48,30 @@ class Segment:
 
 
 def write_cogs(root: Root, segments: Sequence[Segment], path: Path, *, force: bool = False) -> int:
-    """Write a file beside `path` and rename it.
+    """Write a COGS file atomically.
 
     Parameters
     ----------
     root : Root
-        Its segment table and pages are made here and replace what it holds.
+        Root of the file; its segment table and pages are replaced.
     segments : sequence of Segment
-        In file order.
+        Segments in file order.
     path : Path
+        Output file.
     force : bool
-        Replace an existing file.
+        Whether to replace an existing file.
 
     Returns
     -------
     int
-        Bytes written.
+        Length of the written file, bytes.
 
     Raises
     ------
     StorageError
         ``exists``, ``disk-full``, ``permission``, ``not-found`` or ``io``.
     DataError
-        As `lay_out` says.
+        The errors of `lay_out`.
     """
     parts = lay_out(root, segments)
     with atomic_write(path, force=force) as file:
@@ -78,13 +81,20 @@ def write_cogs(root: Root, segments: Sequence[Segment], path: Path, *, force: bo
 
 
 def lay_out(root: Root, segments: Sequence[Segment]) -> list[bytes]:
-    """Return the bytes of a file, part by part: preamble, root, segments and pages in order.
+    """Return the parts of a file in order: preamble, root, segments and pages.
+
+    Parameters
+    ----------
+    root : Root
+        Root of the file; its segment table and pages are replaced.
+    segments : sequence of Segment
+        Segments in file order.
 
     Raises
     ------
     DataError
-        ``bad-scene-info``: the root holds a value that no reader would accept; ``root-size``: it
-        is too long.
+        ``bad-scene-info``: the root has a value that readers refuse; ``root-size``: the root is
+        too long.
     """
     if len(segments) > layout.MAX_SEGMENTS:
         raise ValueError(f"{len(segments)} segments, expected at most {layout.MAX_SEGMENTS}")
@@ -128,20 +138,21 @@ def lay_out(root: Root, segments: Sequence[Segment]) -> list[bytes]:
         raise DataError(
             "root-size",
             f"a root of {len(root_bytes)} bytes, expected at most "
-            f"{layout.MAX_ROOT_END - layout.PREAMBLE_BYTES}: fewer attributes or shorter names",
+            f"{layout.MAX_ROOT_END - layout.PREAMBLE_BYTES}: use fewer attributes or shorter names",
         )
     return [layout.pack_preamble(preamble), *parts]
 
 
 @dataclass(frozen=True)
 class _Group:
-    """Rows of one index: the root's own or a page's."""
+    """Rows of one index, the root's or a page's, as slices of all segments and chunks."""
 
     segments: slice
     chunks: slice
 
 
 def _table(segments: Sequence[Segment]) -> SegmentTable:
+    """Return the segment table of segments."""
     digests = [hashlib.sha256(s.payload).digest()[:HASH_BYTES] for s in segments]
     return SegmentTable(
         kind=np.array([s.kind for s in segments], np.uint8),
@@ -154,6 +165,7 @@ def _table(segments: Sequence[Segment]) -> SegmentTable:
 
 
 def _rows(table: SegmentTable, rows: slice) -> SegmentTable:
+    """Return a slice of a segment table."""
     return SegmentTable(
         table.kind[rows],
         table.owner[rows],
@@ -165,6 +177,7 @@ def _rows(table: SegmentTable, rows: slice) -> SegmentTable:
 
 
 def _chunk_rows(table: ChunkTable, rows: slice) -> ChunkTable:
+    """Return a slice of a chunk table."""
     return ChunkTable(
         table.splats[rows],
         table.box[rows],
@@ -177,10 +190,10 @@ def _chunk_rows(table: ChunkTable, rows: slice) -> ChunkTable:
     )
 
 
-# Bytes a row takes in an index, all columns present (SPEC 5.3, 5.4).
+# Bytes of a row in an index with all columns (SPEC 5.3, 5.4).
 _SEGMENT_ROW: Final = 1 + 4 + 4 + 4 + HASH_BYTES + 4
 _CHUNK_ROW: Final = 4 + 24 + 8 + 12 + 4
-# And where chunks end.
+# Bytes of a chunk's optional `until` (SPEC 5.10).
 _UNTIL: Final = 4
 # Keys and bin headers of the two tables.
 _TABLE_OVERHEAD: Final = 256
@@ -189,7 +202,7 @@ _PAGE_ENTRY: Final = 96
 
 
 def _split(root: Root, segments: Sequence[Segment]) -> list[_Group]:
-    """Cut the rows into the root's share and pages, a chunk's row where its head is."""
+    """Distribute the rows over the root and pages; a chunk's row goes with its head."""
     empty = replace(
         root,
         segments=_rows(_table([]), slice(0)),

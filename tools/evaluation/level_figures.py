@@ -70,7 +70,7 @@ def level_sizes(file: CogsFile) -> list[LevelSizes]:
         opacities = 0
         for chunk in np.flatnonzero(drawn).tolist():
             first = sum(entry.chunks <= chunk for entry in file.root.levels)
-            rows = file.rows_of(chunk).opacities[: max(number - first, 0)]
+            rows = file.chunk_rows(chunk).opacities[: max(number - first, 0)]
             opacities += int(segments.length[rows[-1]]) if rows else 0
         found.append(
             LevelSizes(

@@ -52,7 +52,7 @@ def test_a_flipped_bit_is_refused(at: int) -> None:
 def test_a_segment_behind_its_object_is_refused() -> None:
     longest = np.array([10, 5, 2**32 - 1], np.uint32)
     for lengths in (LENGTHS + np.array([0, 1, 0], np.uint32), longest):
-        with pytest.raises(FormatError, match="expected it inside") as refused:
+        with pytest.raises(FormatError, match="expected an end within") as refused:
             unpack_places(pack_places(PLACES), lengths, "x")
         assert refused.value.code == "places-range"
 

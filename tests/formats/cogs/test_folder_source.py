@@ -87,7 +87,7 @@ def test_a_manifest_names_its_folder(folder: Path) -> None:
 
 def test_an_object_that_is_missing_leaves_a_part(folder: Path, data: bytes) -> None:
     with open_cogs(BytesSource(data)) as whole:
-        rows = whole.rows_of(3)
+        rows = whole.chunk_rows(3)
         content = b"".join(
             bytes(whole.read_segment(row)) for row in (rows.head, rows.refinement, rows.tail) if row
         )

@@ -76,7 +76,7 @@ def test_prefixes_leave_out_what_has_ended(file):
     ends = np.cumsum([0, *file.chunks.splats.tolist()])
     whole = file.decode(range(6))
     for count, drawn in [(2, [0, 1]), (3, [0, 1, 2]), (4, [0, 2, 3]), (6, [0, 3, 4, 5])]:
-        head = file.rows_of(count - 1).head
+        head = file.chunk_rows(count - 1).head
         size = int(file.offsets[head] + file.segments.length[head])
         with open_cogs(BytesSource(data[:size]), partial=True) as part:
             assert part.complete_chunks() == count
@@ -127,7 +127,7 @@ def test_compensation_counts_ended_chunks_and_leaves_out_their_rows():
     ])  # fmt: skip
     data = b"".join(lay_out(cogs.build_root(given, "samples"), cogs.segments(given)))
     with open_cogs(BytesSource(data)) as file:
-        head = file.rows_of(4).head
+        head = file.chunk_rows(4).head
         size = int(file.offsets[head] + file.segments.length[head])
     with open_cogs(BytesSource(data[:size]), partial=True) as part:
         assert part.complete_chunks() == 5

@@ -75,8 +75,8 @@ def test_one_chunk_takes_the_objects_that_it_needs(data: bytes) -> None:
     with cogsplat.open(data) as whole:
         lengths = whole.segments.length
         (book,) = whole.segment_rows(SegmentKind.SHAPE_CODEBOOK, 0)
-        wanted = int(lengths[whole.rows_of(7).head]) + int(lengths[book])
-        fine = whole.rows_of(7).refinement
+        wanted = int(lengths[whole.chunk_rows(7).head]) + int(lengths[book])
+        fine = whole.chunk_rows(7).refinement
         wanted += 0 if fine is None else int(lengths[fine])
     # Of the objects no more than that: tails and codebooks of colours lie in them too.
     assert traffic.received_bytes == len(unpacked(data)[MANIFEST]) + wanted
@@ -129,7 +129,7 @@ def test_each_page_is_asked_for_once_and_opening_asks_for_no_segment() -> None:
 def test_an_object_that_is_missing_spoils_no_other(data: bytes) -> None:
     objects = unpacked(data)
     with cogsplat.open(data) as whole:
-        rows = [whole.rows_of(9).head, whole.rows_of(10).head]
+        rows = [whole.chunk_rows(9).head, whole.rows_of(10).head]
         places = [(int(whole.offsets[row]), int(whole.segments.length[row])) for row in rows]
         found = FolderMap(objects[MANIFEST], "whole")
         gone, wrong = (found.object_ranges(*place)[0].name for place in places)

@@ -20,19 +20,19 @@ def test_a_chunk_is_one_object_and_so_are_codebooks(profile: str) -> None:
         assert all(rows == sorted(rows) for rows in groups)
         of_row = {row: number for number, rows in enumerate(groups) for row in rows}
         for chunk in range(file.num_chunks):
-            rows = file.rows_of(chunk)
+            rows = file.chunk_rows(chunk)
             parts = [rows.head, rows.refinement, rows.tail, rows.attributes]
             assert len({of_row[row] for row in parts if row is not None}) == 1
         books = [row for row, kind in enumerate(file.segments.kind) if kind in CODEBOOK_KINDS]
         assert len({of_row[row] for row in books}) == (1 if books else 0)
-        chunks = {of_row[file.rows_of(chunk).head] for chunk in range(file.num_chunks)}
+        chunks = {of_row[file.chunk_rows(chunk).head] for chunk in range(file.num_chunks)}
         assert len(chunks) == file.num_chunks
 
 
 def test_only_whole_objects_are_shared(tmp_path: Path) -> None:
     with cogsplat.open(file_of("vq")) as file:
         unpack_cogs(file, tmp_path)
-        row = file.rows_of(2).head
+        row = file.chunk_rows(2).head
         key, length = file.segments.hash[row].tobytes(), int(file.segments.length[row])
         content = bytes(file.read_segment(row))
     place = StoredSegments(tmp_path).place_of(key)

@@ -198,7 +198,7 @@ def test_selected_objects_are_those_that_are_there():
         assert file.select(objects=[]) == []
         assert file.select(objects=iter([7]), chunks=(1, 4)) == [1, 3]
         assert file.select(objects=[7], splats=1) == [1]
-        with pytest.raises(ValueError, match="object 5, expected some of 3, 7"):
+        with pytest.raises(ValueError, match="object 5, expected one of 3, 7"):
             file.select(objects=[3, 5])
 
 

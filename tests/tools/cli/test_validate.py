@@ -21,7 +21,7 @@ def test_a_good_file_conforms(run: Run, small: SmallScene) -> None:
 
 def test_all_broken_segments_are_listed(run: Run, small: SmallScene, tmp_path: Path) -> None:
     with open_cogs(FileSource(small.cogs)) as file:
-        starts = [int(file.offsets[file.rows_of(chunk).head]) for chunk in (0, 2)]
+        starts = [int(file.offsets[file.chunk_rows(chunk).head]) for chunk in (0, 2)]
     data = bytearray(small.cogs.read_bytes())
     for start in starts:
         data[start + 40] ^= 0x10

@@ -173,7 +173,7 @@ def _copies(file: CogsFile, chunks: int) -> tuple[Root, list[Segment]]:
 
 
 def _parts(file: CogsFile, chunk: int) -> tuple[int | None, ...]:
-    rows = file.rows_of(chunk)
+    rows = file.chunk_rows(chunk)
     return rows.head, rows.refinement, rows.tail
 
 

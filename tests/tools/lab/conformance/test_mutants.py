@@ -239,7 +239,7 @@ READER = [
         "boxes are compared with refined means alone",
         verification._require_inside,
         "if not ((means >= box[:3]) & (means <= box[3:])).all():",
-        "if offset == file.offsets[file.rows_of(chunk).refinement or 0] and not "
+        "if offset == file.offsets[file.chunk_rows(chunk).refinement or 0] and not "
         "((means >= box[:3]) & (means <= box[3:])).all():",
         ("5.4",),
     ),
