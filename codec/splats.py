@@ -211,7 +211,9 @@ class Splats:
         quat_order : str
             ``wxyz`` or ``xyzw``.
         info : SceneInfo, optional
+            Metadata of the scene; by default that of 3DGS training.
         extras : mapping of str to array, optional
+            Extra attributes by name.
 
         Returns
         -------
@@ -279,6 +281,7 @@ class Splats:
             ``_model.gauss_params.``. Torch tensors may be on any device. Values are log scales,
             wxyz quaternions and logit opacities.
         info : SceneInfo, optional
+            Metadata of the scene; by default that of 3DGS training.
 
         Raises
         ------

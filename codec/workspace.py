@@ -109,6 +109,7 @@ class Workspace:
         sh_degree : int
             SH degree, 0 to 3.
         info : SceneInfo
+            Metadata of the scene.
         """
         return Splats(
             means=self.zeros((rows, 3), np.float32),

@@ -59,7 +59,9 @@ def nearest(vectors: F64, book: F64) -> I64:
     Parameters
     ----------
     vectors : (n, d) float64
+        Vectors to look up.
     book : (rows, d) float64
+        Codebook.
 
     Returns
     -------

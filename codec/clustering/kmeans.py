@@ -62,6 +62,7 @@ def train(
     rows : int
         Codebook rows at most; fewer if fewer distinct vectors have weight.
     config : TrainingConfig, optional
+        Settings; None for the defaults.
     start : (c, d) float32, optional
         Codebook of similar vectors from which training continues. Only its first `rows` rows are
         used. Missing rows start at the vectors with the largest weighted distance to their row.
@@ -168,6 +169,7 @@ def nearest(vectors: F32, rows: F32, threads: int = 0) -> tuple[U32, F64]:
     Parameters
     ----------
     vectors : (n, d) float32
+        Vectors to look up.
     rows : (C, d) float32
         Codebook.
     threads : int

@@ -62,6 +62,7 @@ def nearest_scalars(values: F32, codebook: F32) -> NDArray[np.intp]:
     Parameters
     ----------
     values : any shape, float32
+        Values to look up.
     codebook : (C,) float32
         Codebook values, ascending.
 

@@ -52,6 +52,7 @@ def principal_axes(covariances: F64) -> tuple[F64, F64]:
     Parameters
     ----------
     covariances : (n, 3, 3) float64
+        Symmetric covariance matrices.
 
     Returns
     -------

@@ -22,6 +22,7 @@ def in_frustum(splats: Splats, camera: Camera, margin: float) -> NDArray[np.bool
     Parameters
     ----------
     splats : Splats
+        Scene of N splats.
     camera : Camera
         Camera in the frame of the means.
     margin : float

@@ -253,6 +253,7 @@ def transform(
     Parameters
     ----------
     splats : Splats
+        Scene to transform.
     scale : float
         Scale factor, positive.
     rotation : (3, 3) float64, optional

@@ -216,6 +216,7 @@ def gains(
     splats : Splats
         Whole scene.
     references : ReferenceViews
+        Reference views of the scene.
     stage : Stage
         Stage with n splats.
     views : sequence of int
@@ -251,10 +252,13 @@ def gain_rows(
     Parameters
     ----------
     splats : Splats
+        Scene to order.
     scores : Scores
         Scores of these splats.
     references : ReferenceViews
+        Reference views of the scene.
     config : GainConfig, optional
+        Settings; None for the defaults.
     executor : Executor, optional
         Executor of the work on single views; by default threads of this process.
     progress : Progress

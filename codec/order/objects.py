@@ -92,6 +92,7 @@ def with_labels(splats: Splats, labels: NDArray[np.integer]) -> Splats:
     Parameters
     ----------
     splats : Splats
+        Splats to label.
     labels : (N,) integer
         Labels from 0 to 2³² - 1.
 
@@ -144,6 +145,7 @@ def require_objects(splats: Splats, budgets: Budgets = ()) -> None:
     Parameters
     ----------
     splats : Splats
+        Scene with the attribute ``object``.
     budgets : sequence of (int, float)
         Budgets for `chunk_by_object`.
 

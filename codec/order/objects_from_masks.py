@@ -35,6 +35,7 @@ def labels_from_masks(
     Parameters
     ----------
     splats : Splats
+        Scene to label.
     cameras : sequence of Camera
         Cameras of the masks in the frame of the means, at least one.
     masks : sequence of (H, W) integer

@@ -125,6 +125,7 @@ class OrderInputs:
     threads : int
         Number of threads; 0 for all cores. No order depends on it.
     progress : Progress
+        Called by orders that render views.
     jitter : bool
         Whether orders that render views use jittered copies too.
     references : ReferenceViews or None
@@ -310,7 +311,9 @@ def order_rows(
         The suffix ``+first-view`` or ``+frustum`` brings the splats of a first view forward
         (`first_view`).
     scene : OrderInputs
+        Scene to order, with its scores and views.
     config : OrderConfig, optional
+        Settings; None for the defaults.
 
     Returns
     -------

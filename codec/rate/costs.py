@@ -58,6 +58,7 @@ def positive_energy(scores: Scores, rows: NDArray[np.int64] | None = None) -> F6
     Parameters
     ----------
     scores : Scores
+        Scores of the whole scene.
     rows : (n,) int64, optional
         Rows of the splats to return; the quantile is of these rows too. None for all splats.
 
@@ -105,7 +106,7 @@ class Costs:
     basis_mean: F64
 
     def take(self, rows: NDArray[np.int64] | slice) -> Costs:
-        """Return the costs of some rows."""
+        """Return the costs of the splats `rows`."""
         return Costs(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
     def equalise(self) -> Costs:
@@ -156,6 +157,7 @@ def costs(splats: Splats, scores: Scores, energy: F64 | None = None) -> Costs:
     Parameters
     ----------
     splats : Splats
+        Splats to compute costs of.
     scores : Scores
         Scores of `splats`. If they have no sensitivities, typical costs per energy are used.
     energy : (n,) float64, optional
@@ -241,6 +243,7 @@ def limit_steps(found: Costs, scales: NDArray[np.float32], lagrangian: float) ->
     Parameters
     ----------
     found : Costs
+        Costs to limit, one row per splat.
     scales : (n, 3) float32
         Log scales.
     lagrangian : float

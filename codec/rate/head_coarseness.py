@@ -61,7 +61,10 @@ FINE: Final = HeadCoarseness((1, 1, 1), 0, (1,), (1, 1, 1))
 def head_coarseness(
     contribution: F64, lagrangian: float, chunks: Sequence[slice], missing_all: float
 ) -> dict[int, HeadCoarseness]:
-    """Return each head's coarseness: a bit more of it removes the same error as a bit of the next.
+    """Choose the coarseness of each head: the bits of its values that are left to the refinement.
+
+    Coarse heads add more splats per byte. At the chosen coarseness, one more bit of a value removes
+    as much error as an average bit of the head does by adding its splats.
 
     Parameters
     ----------

@@ -66,7 +66,9 @@ def keep_mask(
     Parameters
     ----------
     splats : Splats
+        Splats of the scene.
     scores : Scores
+        Scores of these splats.
     config : PruneConfig or None
         Conditions for dropping; None keeps all splats.
     lagrangian : float

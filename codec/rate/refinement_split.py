@@ -78,6 +78,7 @@ def split(
     attribute : Attribute
         Attribute of the values.
     values : (n, c) float32
+        Values to quantise, one row per splat.
     grid : Grid
         Grid of the refined values.
     weights : (n,) float64

@@ -170,7 +170,8 @@ def head_distortion_drops(missing: F64, missing_all: float = MISSING_ALL) -> F64
     Parameters
     ----------
     missing : (c + 1,) float64
-        `missing_shares`.
+        Missing share of the contribution before each chunk and after the last
+        (`missing_shares`).
     missing_all : float
         Squared error of an empty picture.
 
@@ -199,8 +200,10 @@ def order_segments(
     Parameters
     ----------
     chunks : sequence of ChunkSegments
+        Segments of each chunk, in the order of the chunks.
     missing : (c + 1,) float64
-        `missing_shares`.
+        Missing share of the contribution before each chunk and after the last
+        (`missing_shares`).
     codebook_bytes : int
         Size of the codebooks that tails need, bytes; 0 if there are none.
     """

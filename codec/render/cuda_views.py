@@ -292,6 +292,7 @@ class CudaScene:
         near_plane: float,
         sh_degree: int | None,
     ) -> CudaView:
+        """Project and shade the scene with gsplat."""
         import gsplat
         import torch
 

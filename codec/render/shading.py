@@ -64,6 +64,7 @@ def row_colours(
     Parameters
     ----------
     splats : Splats
+        Scene with the splats.
     rows : (n,) int32
         Rows of the splats, in any order.
     camera : Camera
@@ -100,6 +101,7 @@ def footprint_colours(
     Parameters
     ----------
     splats : Splats
+        Scene that was projected.
     camera : Camera
         Camera in the frame of the means.
     footprints : Footprints

@@ -39,6 +39,7 @@ def chunk_contributions(
     Parameters
     ----------
     splats : Splats
+        Scene of N splats.
     chunks : (N,) int64
         Chunk of each splat.
     count : int

@@ -155,6 +155,7 @@ class ViewSums:
     Parameters
     ----------
     splats : Splats
+        Scene, whose means give the viewing directions.
     colours : bool
         Whether to sum `bases`, 128 bytes per splat.
     zeros : callable

@@ -32,6 +32,7 @@ class Candidate:
     Parameters
     ----------
     pose : Pose
+        Pose of the view.
     index : (n,) int32
         Rows of the subsample that are seen.
     peaks : (n,) float32
@@ -54,6 +55,7 @@ class CandidateInputs:
     Parameters
     ----------
     scene : Subsample
+        Scene to draw.
     detail : float
         Typical ratio of a splat's size to its distance in a picture of the scene.
     lens : Lens

@@ -369,7 +369,7 @@ class _Planner:
         return poses[:views], poses[views:]
 
     def _orbit_poses(self) -> list[Pose]:
-        """Return the orbit poses of a compact isolated object, or an empty list if it is none."""
+        """Return orbit poses if the scene is a compact isolated object, else an empty list."""
         target = orbit_target(self._means, self._scene.counts)
         self._isolated = self._is_isolated(target)
         if not (self._isolated and target.radius < _COMPACT * self._vicinity_radius):

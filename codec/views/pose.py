@@ -57,6 +57,7 @@ class Pose:
         Parameters
         ----------
         lens : Lens
+            Image size and field of view.
         down : (3,) float64
             Unit vector; the camera's y axis is as close to it as `forward` allows. Zeros if no
             direction is known to be down.
