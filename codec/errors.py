@@ -16,10 +16,10 @@ def printable(text: str) -> str:
     """
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() else _escaped(ord(c)) for c in text)
+    return "".join(c if c.isprintable() else _escape(ord(c)) for c in text)
 
 
-def _escaped(number: int) -> str:
+def _escape(number: int) -> str:
     """Return the Python escape of a code point."""
     if number < 0x100:
         return f"\\x{number:02x}"

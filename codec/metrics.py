@@ -39,7 +39,7 @@ def psnr(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
     ValueError
         The shapes differ, or there are no pixels.
     """
-    first, second = _clipped(a, b)
+    first, second = _clip_pair(a, b)
     error = float(np.mean(np.square(first - second)))
     if error <= 0.0:
         return PSNR_CAP_DB
@@ -76,7 +76,7 @@ def ssim(a: NDArray[np.floating], b: NDArray[np.floating], *, border: str = "val
     """
     if border not in SSIM_BORDERS:
         raise ValueError(f"border {border!r}, expected one of {SSIM_BORDERS}")
-    first, second = _clipped(a, b)
+    first, second = _clip_pair(a, b)
     if min(first.shape[:2]) < _WINDOW:
         raise ValueError(f"picture of shape {first.shape}, expected at least {_WINDOW} px a side")
     if border == "zero":
@@ -91,7 +91,7 @@ def ssim(a: NDArray[np.floating], b: NDArray[np.floating], *, border: str = "val
     return float(np.mean(likeness))
 
 
-def _clipped(
+def _clip_pair(
     a: NDArray[np.floating], b: NDArray[np.floating]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return two pictures as float64 clipped to [0, 1], after checking that their shapes agree."""

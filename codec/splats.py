@@ -136,7 +136,7 @@ class Splats:
                 raise DataError("bad-dtype", f"{name} is {array.dtype}, expected float32")
             if not array.flags.c_contiguous:
                 object.__setattr__(self, name, np.ascontiguousarray(array))
-        object.__setattr__(self, "extras", _checked_extras(self.extras, n))
+        object.__setattr__(self, "extras", _validate_extras(self.extras, n))
 
     def __len__(self) -> int:
         return len(self.means)
@@ -430,8 +430,8 @@ def concatenate(parts: list[Splats]) -> Splats:
         if kind != kinds[0]:
             raise DataError(
                 "extras-mismatch",
-                f"part {number} has the extras {_listed(parts[number].extras)}, "
-                f"expected {_listed(parts[0].extras)} as the first has",
+                f"part {number} has the extras {_describe_extras(parts[number].extras)}, "
+                f"expected {_describe_extras(parts[0].extras)} as the first has",
             )
     return replace(
         parts[0],
@@ -447,7 +447,7 @@ def concatenate(parts: list[Splats]) -> Splats:
     )
 
 
-def _checked_extras(extras: Mapping[str, Extra], rows: int) -> dict[str, Extra]:
+def _validate_extras(extras: Mapping[str, Extra], rows: int) -> dict[str, Extra]:
     """Validate extra attributes and return C-ordered arrays by name."""
     if len(extras) > MAX_EXTRAS:
         raise DataError("bad-extra", f"{len(extras)} extras, expected at most {MAX_EXTRAS}")
@@ -486,7 +486,7 @@ def _name_bytes(name: str) -> int:
         return 0
 
 
-def _listed(extras: Mapping[str, Extra]) -> str:
+def _describe_extras(extras: Mapping[str, Extra]) -> str:
     """Return names and types of extra attributes, for error messages."""
     kinds = [
         f"{name!r} {values.dtype.str[1:]}" + (f"x{values.shape[1]}" if values.ndim == 2 else "")
