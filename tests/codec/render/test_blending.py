@@ -22,9 +22,11 @@ from cogsplat.codec.render.blending import (
     blend_pixel,
     blend_tile,
     compare_tile,
+    draw_and_reopen,
     falloff,
     open_pixels,
     rows_in_tile,
+    store_lane_sums,
     tile_area,
 )
 from cogsplat.codec.render.projection import project
@@ -165,6 +167,49 @@ def test_splats_behind_a_finished_tile_are_not_blended():
     assert stop == 17, "the second capped splat ends every pixel; they are looked at every 16"
     assert not _plane(state, 0).any()
     np.testing.assert_allclose(_plane(state, REST), 0.01, rtol=1e-4)
+
+
+def test_a_reopened_tile_keeps_its_picture_and_clears_the_sums_of_hidden_pairs():
+    splats, camera = oracle.scene(5, n=40), oracle.camera(width=9, height=12)
+    wall = splats.take(slice(0, 6))
+    wall.means[:] = camera.position + camera.rotation[2] * np.linspace(0.5, 0.8, 6)[:, None]
+    wall.scales[:] = 3.0
+    wall.opacities[:] = np.inf
+    splats = concatenate([splats, wall])
+    expected, stop, pairs = _tile(splats, camera, keep_rest=False)
+    footprints = project(splats, camera, kernel_px=0.3, antialiased=False)
+    (lists,) = tile_lists(footprints, camera.width, camera.height)
+    state = np.full(PLANES * PIXELS, 9.0, np.float32)
+    sums = np.full((pairs, 2), 7.0, np.float32)
+    found = draw_and_reopen(
+        state,
+        sums,
+        2,
+        0,
+        lists.first,
+        lists.starts,
+        lists.members,
+        footprints.ellipse,
+        footprints.rows,
+        row_colours(splats, footprints.index, camera),
+        np.ones(len(footprints), np.bool_),
+        camera.width,
+        camera.height,
+    )
+    assert found == (0, 0, 12, 9, 0, stop)
+    for offset in (RED, GREEN, BLUE):
+        np.testing.assert_array_equal(_plane(state, offset), _plane(expected, offset))
+    assert (_plane(state, 0)[:12, :9] == 1.0).all()
+    assert (sums[:stop] == 7.0).all()
+    assert 0 < stop < pairs
+    assert (sums[stop:] == 0.0).all()
+
+
+def test_lanes_are_summed_by_column():
+    lanes = np.arange(2 * TILE, dtype=np.float32)
+    sums = np.zeros((3, 2), np.float32)
+    store_lane_sums(lanes, sums, 2, 1)
+    assert sums.tolist() == [[0, 0], [sum(range(16)), sum(range(16, 32))], [0, 0]]
 
 
 def test_a_comparison_adds_the_error_and_keeps_the_differences():
