@@ -1,4 +1,4 @@
-"""Fit and apply the basis of shN: a Karhunen-Loève transform in the metric of the views."""
+"""Basis of shN: a Karhunen-Loève transform in the metric of the scoring views."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-# Share of an even spread over all directions in the metric; the rest are directions of the scoring
-# views. With less, colours are free to change where a visitor leaves the capture path.
+# Weight of the uniform distribution over all directions in the metric; the remainder is that of the
+# scoring views. A lower weight lets colours drift in views off the capture path.
 _EVEN_SHARE: Final = 0.1
 _EVEN: Final = 1 / (4 * np.pi)  # mean of Y² over the sphere
 
-# Coordinates below this many steps become zero; half a step is plain rounding. Rates fall faster
-# than errors rise up to about here on trained scenes.
+# Coordinates below this number of steps become zero; 0.5 is plain rounding. On trained scenes rate
+# falls faster than error rises up to about this value.
 _DEAD_ZONE: Final = 0.6
-# Non-zero coordinates are decoded nearer to zero than their code by this many steps: inside a step
-# small values are more frequent.
+# Steps by which non-zero coordinates are decoded closer to zero: small values are more frequent
+# within a step.
 _SHRINK: Final = 0.05
 
-# Steps finer than this share of a chunk's largest coordinate: its code would not fit three bytes,
-# signed (SPEC 6.14). And where all are zero, the least step that float32 holds well.
+# Largest ratio of a chunk's largest coordinate to its step: codes are three bytes, signed
+# (SPEC 6.14). Step of a chunk whose coordinates are all zero.
 _MOST_STEPS: Final = 1 << 22
 _FINEST_STEP: Final = 2.0**-100
 
@@ -41,7 +41,7 @@ _ROW_LEVELS: Final = 256
 
 @dataclass(frozen=True, eq=False)
 class ColourBasis:
-    """Rows on which shN is expressed, most visible first.
+    """Basis rows of shN, most visible first.
 
     Parameters
     ----------
@@ -66,19 +66,19 @@ class ColourBasis:
                 out.append(scalar.write(attribute, values, grids.fit(values, step)))
         return out
 
-    def stored_as(self, decoded: F32) -> ColourBasis:
-        """Return the basis with the rows that a decoder will have."""
+    def with_decoded_rows(self, decoded: F32) -> ColourBasis:
+        """Return the basis with its decoded rows."""
         return replace(self, rows=decoded.reshape(len(decoded), -1))
 
     @property
     def projection(self) -> F64:
-        """What coefficients, (n, 3(K-1)), are multiplied by to give their coordinates."""
+        """Matrix that maps coefficients, (n, 3(K-1)), to coordinates."""
         rows: F64 = self.rows.astype(np.float64)
         weighted: F64 = self.metric @ rows.T
         return np.linalg.solve(rows @ weighted, weighted.T).T.astype(np.float64)
 
     def coordinates(self, coefficients: F32) -> F64:
-        """Return the coordinates (n, B) that come nearest to (n, K-1, 3) coefficients."""
+        """Return the coordinates (n, B) that approximate (n, K-1, 3) coefficients best."""
         found: F64 = _flat(coefficients) @ self.projection
         return found
 
@@ -90,14 +90,18 @@ class ColourBasis:
         Parameters
         ----------
         coefficients : (n, K-1, 3) float32
+            Coefficients of the chunk's splats.
         energy : (n,) float64
+            Energy of each splat.
         lagrangian : float
+            λ of the encode.
         codebook : int
             Number of the basis in the file.
 
         Returns
         -------
         stream : Stream
+            Coded coordinates.
         missed : (n, K-1, 3) float64
             Source minus decoded.
         """
@@ -112,7 +116,7 @@ class ColourBasis:
 
 
 def _flat(coefficients: F32) -> F64:
-    """Return (n, K-1, 3) coefficients as (n, 3(K-1))."""
+    """Return (n, K-1, 3) coefficients reshaped to (n, 3(K-1))."""
     flat: F64 = coefficients.reshape(-1, math.prod(coefficients.shape[1:])).astype(np.float64)
     return flat
 
@@ -137,17 +141,18 @@ def fit(
     Parameters
     ----------
     coefficients_of : callable
-        Returns the coefficients of some rows, (n, K-1, 3) float32: a chunk's at a time, for those
-        of all rows in their order would be most of a second scene.
+        Returns the coefficients of a range of rows, (n, K-1, 3) float32. Called chunk by chunk,
+        because the coefficients of all rows are most of a scene.
     energy : (N,) float64
-        Positive.
+        Positive energy of each splat.
     basis_spread : (15, 15) float64
-        `Scores.basis_spread`: what sh0 can make up for is not in it.
+        `Scores.basis_spread`, which excludes errors that sh0 corrects.
     lagrangian : float
+        λ of the encode.
     chunks : sequence of slice
-        At least one. Their steps decide which rows any coordinate is coded on.
+        Row ranges of the chunks, at least one; their steps decide the number of basis rows.
     principal : bool
-        Otherwise the coefficients themselves, those that take most levels first.
+        Use principal axes; otherwise the coefficients themselves, those with most levels first.
     """
     count = coefficients_of(slice(0, 0)).shape[1]
     spread = basis_spread[:count, :count]
@@ -158,7 +163,7 @@ def fit(
     root = np.kron((vectors * np.sqrt(values)) @ vectors.T, np.eye(3))
     inverse = np.kron((vectors / np.sqrt(values)) @ vectors.T, np.eye(3))
     moments = np.zeros(metric.shape)
-    # Each chunk in units of its own step: what counts is how many levels a direction takes.
+    # Each chunk in units of its own step: the rate depends on the number of levels.
     for run in chunks:
         part = _flat(coefficients_of(run))
         moments += (part.T @ part) / allocation.shn_step(lagrangian, energy[run]) ** 2
@@ -176,7 +181,7 @@ def fit(
     projection = basis.projection
     used = 1
     for run in chunks:
-        # Only rows behind all that are known to be used: mostly the first chunk uses the last row.
+        # Check only rows after the last used one; mostly the first chunk uses the last row.
         if used == len(rows):
             break
         step = allocation.shn_step(lagrangian, energy[run])

@@ -1,4 +1,4 @@
-"""Fit prefix compensation: what is added to opacities and scales while chunks are missing."""
+"""Fit prefix compensation: shifts of opacities and scales that apply while chunks are missing."""
 
 from __future__ import annotations
 
@@ -24,41 +24,41 @@ from cogsplat.codec.segments.prefix_compensation import (
 )
 from cogsplat.codec.splats import Splats
 
-from .arriving_prefixes import arriving
 from .encoded import EncodedScene
-from .measured_prefixes import interpolated, measured_prefixes
+from .partial_prefixes import decode_partial_prefixes
+from .prefix_sampling import choose_prefixes, interpolate_prefixes
 from .shift_optimiser import FitConfig, ShiftOptimiser, codebook_rows, coded_splats
 
 F64 = NDArray[np.float64]
 
-# A layer's prefix is so much longer than the one before's; between them shifts are interpolated.
+# Growth of the prefix length from layer to layer; shifts in between are interpolated.
 _GROWTH: Final = 1.4
-# Longest prefix of a layer, in `prefix_inflation.effective_splats`: longer ones hardly change.
+# Longest prefix of a layer, in effective splats; longer prefixes hardly change.
 _LONGEST_LAYER: Final = 1.0
-# The first prefix at least so long, likewise, gets a layer that adds nothing.
+# Length, in effective splats, of the first prefix whose layer has no shifts.
 _UNCHANGED: Final = 1.27
-# Layers longer than this are fitted in one iteration of two or three: a step costs what its splats
-# cost to draw, and the longer a prefix, the less is added to it. On a captured scene, two layers at
-# every second iteration gave the same mean PSNR (29.508 dB), at every third 0.06 dB less.
+# Splats above which a layer is fitted in every second or third iteration only: a step costs as much
+# as rendering its splats, and longer prefixes need smaller shifts. On a captured scene, two layers at
+# every second iteration keep the mean PSNR (29.508 dB), at every third they lose 0.06 dB.
 _LONG_LAYER: Final = 1 << 16
 _RAREST: Final = 3
-# From this share of the iterations on, splats have the shifts of codebook rows.
+# Share of the iterations after which splats use the shifts of codebook rows.
 _QUANTISED_FROM: Final = 0.6
-# Views that errors are measured in, for each that an iteration of the fit renders, and prefixes
-# that they are measured of, at most. Nothing but the place of segments in the file depends on them.
+# Views that errors are measured in, per view that an iteration renders, and measured prefixes at
+# most. Only the order of segments in the file depends on them.
 _MEASURED_VIEWS: Final = 2
 _MEASURED_PREFIXES: Final = 10
 
 
 def plan_layers(chunk_splats: Sequence[int], effective_splats: int) -> list[int]:
-    """Return the chunks of each layer's prefix, ascending; the whole scene is none of them.
+    """Return the number of chunks of each layer's prefix, ascending; the whole scene has no layer.
 
     Parameters
     ----------
     chunk_splats : sequence of int
         Splats of each chunk.
     effective_splats : int
-        Of the source (`prefix_inflation.effective_splats`).
+        Effective number of splats of the source (`prefix_inflation.effective_splats`).
     """
     layers: list[int] = []
     splats, last = 0, 0
@@ -72,13 +72,13 @@ def plan_layers(chunk_splats: Sequence[int], effective_splats: int) -> list[int]
     return layers
 
 
-def _iterations_between(splats: int) -> int:
-    """Return how many iterations pass from one step of a layer of so many splats to the next."""
+def _step_interval(splats: int) -> int:
+    """Return the number of iterations between two steps of a layer."""
     return min(max(1, round(splats / _LONG_LAYER)), _RAREST)
 
 
-def _unchanged(chunks: int) -> Layer:
-    """Return a layer that adds nothing."""
+def _identity_layer(chunks: int) -> Layer:
+    """Return a layer without shifts."""
     zeros = np.zeros(chunks, np.int8)
     strengths = np.zeros((chunks, 2), np.uint8)
     return Layer(zeros, zeros, strengths, np.zeros((0, 2), np.int8), np.zeros(0, np.uint8))
@@ -101,36 +101,35 @@ def fit(
     Parameters
     ----------
     splats : Splats
-        As they are decoded, in stored order.
+        Decoded splats in stored order.
     chunk_splats : sequence of int
         Splats of each chunk.
     references : ReferenceViews
         Pictures of the source.
     effective_splats : int
-        Of the source (`prefix_inflation.effective_splats`): how long a prefix is, in these.
+        Effective number of splats of the source (`prefix_inflation.effective_splats`): the unit of
+        prefix lengths.
     config : FitConfig, optional
+        Iterations, views and codes.
     prefixes : sequence of Splats, optional
-        Of each layer (`plan_layers`), as they are drawn where nothing is added to them; those of
-        `splats` where this is not given.
+        Prefix of each layer (`plan_layers`) without shifts; by default rows of `splats`.
     inflations : sequence of Inflation, optional
-        What the fit of each layer begins with; the typical inflation of its prefix where this is
-        not given.
+        Initial shifts of each layer; by default the typical inflation of its prefix.
     executor : Executor, optional
-        What runs the work of single views; threads of this process where it is not given.
+        Runs the work of single views; None for threads of this process.
     progress : Progress
-        Called with ``("compensate", steps done, steps)``.
+        Called with ``compensate``, finished steps and all steps.
 
     Returns
     -------
     Compensation
-        Without layers where the first chunk is all there is, or nearly.
+        Fitted layers; none for a scene of one chunk, or hardly more.
 
     Notes
     -----
-    Minimises the mean of the logarithm of each view's squared error by Adam, all layers in turn.
-    Each splat has one shift of its own for all prefixes that it is in; how much of it counts falls
-    from layer to layer with the strengths of its chunk. Once splats have the shifts of codebook
-    rows, gradients pass through the choice of the row as if nothing were rounded (straight-through
+    Adam minimises the mean log squared error over the views, for one layer after the other. Each
+    splat has one shift for all its prefixes, scaled by a strength that its chunk has in each layer.
+    Once splats use codebook rows, gradients ignore the choice of the row (straight-through
     estimation).
     """
     config = config or FitConfig()
@@ -148,7 +147,7 @@ def fit(
     optimiser = ShiftOptimiser(
         prefixes, chunk_splats, layers, inflations, effective_splats, config, executor
     )
-    every = [_iterations_between(int(ends[chunks - 1])) for chunks in layers]
+    every = [_step_interval(int(ends[chunks - 1])) for chunks in layers]
     total = config.iterations * len(layers)
     progress("compensate", 0, total)
     for iteration in range(config.iterations):
@@ -163,9 +162,9 @@ def fit(
     if not optimiser.is_quantised:
         optimiser.quantise()
     found = optimiser.layers()
-    unchanged = _unchanged_chunks(chunk_splats, effective_splats, layers)
+    unchanged = _identity_chunks(chunk_splats, effective_splats, layers)
     if unchanged:
-        found.append(_unchanged(unchanged))
+        found.append(_identity_layer(unchanged))
     return Compensation(tuple(found), counts)
 
 
@@ -178,18 +177,20 @@ def compensate_prefixes(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> EncodedScene:
-    """Return an encoded scene with compensation fitted to its prefixes, as they arrive.
+    """Return an encoded scene with compensation fitted to its partly received prefixes.
 
     Parameters
     ----------
     encoded : EncodedScene
+        Scene without compensation.
     references : ReferenceViews
-        Pictures of what was encoded.
+        Pictures of the source.
     contribution : (N,) float64
-        Of the source's splats.
+        Contribution of each splat of the source.
     config : FitConfig, optional
+        Iterations, views and codes.
     executor : Executor, optional
-        What runs the work of single views; threads of this process where it is not given.
+        Runs the work of single views; None for threads of this process.
     progress : Progress
         Called with the stage ``compensate``.
     """
@@ -202,10 +203,12 @@ def compensate_prefixes(
     splats = encoded.decoded
     executor = executor or LocalThreads(config.threads)
     progress("compensate", 0, config.iterations * len(layers))
-    # The order of the segments says what is there of each prefix. It follows from errors, and those
-    # of the fitted compensation would put segments into places that are no better.
+    # The order of segments decides which parts of a prefix are received, and follows from these
+    # errors. Errors after the fit would give no better order.
     if encoded.prefix_mse is None:
-        prefix_mse = usual_errors(encoded, references, effective_splats, config, executor=executor)
+        prefix_mse = errors_before_fit(
+            encoded, references, effective_splats, config, executor=executor
+        )
         encoded = replace(encoded, prefix_mse=prefix_mse)
     found = fit(
         splats,
@@ -213,19 +216,16 @@ def compensate_prefixes(
         references,
         effective_splats,
         config,
-        prefixes=arriving(encoded, layers, _LONG_LAYER),
-        inflations=[_beginning(encoded, chunks, effective_splats) for chunks in layers],
+        prefixes=decode_partial_prefixes(encoded, layers, _LONG_LAYER),
+        inflations=[_initial_inflation(encoded, chunks, effective_splats) for chunks in layers],
         executor=executor,
         progress=progress,
     )
     return replace(encoded, compensation=found)
 
 
-def _beginning(encoded: EncodedScene, chunks: int, effective_splats: int) -> Inflation:
-    """Return what the fit of a prefix begins with: its typical inflation.
-
-    A prefix that draws a chunk which ends later shows the whole scene already.
-    """
+def _initial_inflation(encoded: EncodedScene, chunks: int, effective_splats: int) -> Inflation:
+    """Return the typical inflation of a prefix; none while its preview shows the whole scene."""
     own = encoded.chunks[:chunks]
     if any(chunk.until > chunks for chunk in own):
         return Inflation(0.0, 0.0)
@@ -233,7 +233,7 @@ def _beginning(encoded: EncodedScene, chunks: int, effective_splats: int) -> Inf
     return prefix_inflation.typical_inflation(size / effective_splats)
 
 
-def usual_errors(
+def errors_before_fit(
     encoded: EncodedScene,
     references: ReferenceViews,
     effective_splats: int,
@@ -241,22 +241,25 @@ def usual_errors(
     *,
     executor: Executor | None = None,
 ) -> F64:
-    """Measure how far prefixes with the typical inflation are from the whole.
+    """Measure the error of each prefix with the typical inflation, before any fit.
 
     Parameters
     ----------
     encoded : EncodedScene
+        Scene whose prefixes are measured.
     references : ReferenceViews
+        Pictures of the source.
     effective_splats : int
-        Of the source (`prefix_inflation.effective_splats`).
+        Effective number of splats of the source (`prefix_inflation.effective_splats`).
     config : FitConfig, optional
+        Number of views.
     executor : Executor, optional
-        What runs the work of single views; threads of this process where it is not given.
+        Runs the work of single views; None for threads of this process.
 
     Returns
     -------
     (c + 1,) float64
-        As `errors`. Chunks that end are left out of the pictures, and make no difference.
+        Mean squared errors as in `errors`; preview chunks are not drawn.
     """
     config = config or FitConfig()
     stay = np.array([not chunk.until for chunk in encoded.chunks])
@@ -264,20 +267,22 @@ def usual_errors(
     splats = encoded.decoded
     if not stay.all():
         splats = splats.take(np.repeat(stay, counts))
-    start = usual(counts[stay].tolist(), effective_splats)
+    start = initial_compensation(counts[stay].tolist(), effective_splats)
     views = _MEASURED_VIEWS * config.views
     found = errors(start, splats, references, views=views, executor=executor)
     each: F64 = found[np.concatenate([[0], np.cumsum(stay)])]
     return each
 
 
-def usual(chunk_splats: Sequence[int], effective_splats: int) -> Compensation:
-    """Return the compensation that a fit begins with: the typical inflation of every prefix.
+def initial_compensation(chunk_splats: Sequence[int], effective_splats: int) -> Compensation:
+    """Return the initial compensation of a fit: the typical inflation of every prefix.
 
     Parameters
     ----------
-    chunk_splats, effective_splats
-        As `fit` takes them.
+    chunk_splats : sequence of int
+        Splats of each chunk.
+    effective_splats : int
+        Effective number of splats of the source.
     """
     layers = plan_layers(chunk_splats, effective_splats)
     ends = np.cumsum(chunk_splats)
@@ -286,14 +291,14 @@ def usual(chunk_splats: Sequence[int], effective_splats: int) -> Compensation:
         typical = prefix_inflation.typical_inflation(int(ends[chunks - 1]) / effective_splats)
         scales = np.full(chunks, round(typical.scales / SCALE_STEP), np.int8)
         opacities = np.full(chunks, round(typical.opacities / OPACITY_STEP), np.int8)
-        found.append(replace(_unchanged(chunks), scales=scales, opacities=opacities))
-    unchanged = _unchanged_chunks(chunk_splats, effective_splats, layers)
+        found.append(replace(_identity_layer(chunks), scales=scales, opacities=opacities))
+    unchanged = _identity_chunks(chunk_splats, effective_splats, layers)
     if unchanged:
-        found.append(_unchanged(unchanged))
+        found.append(_identity_layer(unchanged))
     return Compensation(tuple(found), np.array(chunk_splats, np.int64))
 
 
-def _far(
+def _view_error(
     view: int,
     splats: Splats,
     references: ReferenceViews,
@@ -302,7 +307,7 @@ def _far(
     size: int,
     chunks: int,
 ) -> float:
-    """Return the mean squared error of a compensated prefix in the reference view of a number."""
+    """Return the mean squared error of a compensated prefix in one reference view."""
     prefix = compensation.apply(splats.take(slice(0, size)), chunks)
     config = RenderConfig(
         references.kernels[view],
@@ -322,24 +327,26 @@ def errors(
     views: int = 8,
     executor: Executor | None = None,
 ) -> F64:
-    """Measure how far compensated prefixes are from the whole.
+    """Measure the mean squared error of compensated prefixes.
 
     Parameters
     ----------
     compensation : Compensation
+        Compensation to apply.
     splats : Splats
-        All of the scene's, as they are decoded.
+        All decoded splats of the scene.
     references : ReferenceViews
+        Pictures of the source.
     views : int
-        How many of them are drawn, about.
+        Approximate number of rendered views.
     executor : Executor, optional
-        What runs the work of single views; threads of this process where it is not given.
+        Runs the work of single views; None for threads of this process.
 
     Returns
     -------
     (c + 1,) float64
-        Mean squared error of pictures without chunks, of the first, and so on to all. At most 10
-        are measured; of those between, square roots are interpolated.
+        Mean squared error of the pictures of 0, 1, … c chunks. At most 10 prefixes are measured;
+        between them the root of the error is interpolated.
     """
     sampled = references.sample(views, 0)
     weights = references.weights[sampled] / references.weights[sampled].sum()
@@ -349,25 +356,29 @@ def errors(
     runner = executor or LocalThreads()
 
     def error(chunks: int) -> float:
-        far = partial(_far, size=int(ends[chunks]), chunks=chunks)
+        far = partial(_view_error, size=int(ends[chunks]), chunks=chunks)
         return float(
             weights @ np.array(list(runner.map(far, sampled, splats, references, compensation)))
         )
 
-    measured = measured_prefixes(counts, _MEASURED_PREFIXES)
+    measured = choose_prefixes(counts, _MEASURED_PREFIXES)
     roots = np.sqrt([error(chunks) for chunks in measured.tolist()])
-    return np.concatenate([[error(0)], np.square(interpolated(counts, measured, roots))])
+    return np.concatenate([[error(0)], np.square(interpolate_prefixes(counts, measured, roots))])
 
 
 def placeholder_compensation(
     chunk_splats: Sequence[int], effective_splats: int, config: FitConfig | None = None
 ) -> Compensation:
-    """Return a compensation that adds nothing and takes the same room as a fitted one.
+    """Return a compensation without shifts that has the size of a fitted one.
 
     Parameters
     ----------
-    chunk_splats, effective_splats, config
-        As `fit` takes them.
+    chunk_splats : sequence of int
+        Splats of each chunk.
+    effective_splats : int
+        Effective number of splats of the source.
+    config : FitConfig, optional
+        Share of coded splats and bits of a code.
     """
     config = config or FitConfig()
     layers = plan_layers(chunk_splats, effective_splats)
@@ -377,7 +388,7 @@ def placeholder_compensation(
     found = []
     first = 0
     for chunks, size in zip(layers, sizes, strict=True):
-        layer = _unchanged(chunks)
+        layer = _identity_layer(chunks)
         if size <= coded:
             rows = codebook_rows(config.code_bits, size - first)
             layer = replace(
@@ -385,16 +396,16 @@ def placeholder_compensation(
             )
         found.append(layer)
         first = size
-    unchanged = _unchanged_chunks(chunk_splats, effective_splats, layers)
+    unchanged = _identity_chunks(chunk_splats, effective_splats, layers)
     if unchanged:
-        found.append(_unchanged(unchanged))
+        found.append(_identity_layer(unchanged))
     return Compensation(tuple(found), np.array(chunk_splats, np.int64))
 
 
-def _unchanged_chunks(
+def _identity_chunks(
     chunk_splats: Sequence[int], effective_splats: int, layers: Sequence[int]
 ) -> int:
-    """Return the chunks of the first prefix that is left unchanged; 0 where that is no layer."""
+    """Return the number of chunks of the layer without shifts; 0 where there is no such layer."""
     if not layers:
         return 0
     chunks = int(np.searchsorted(np.cumsum(chunk_splats), _UNCHANGED * effective_splats)) + 1

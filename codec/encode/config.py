@@ -111,7 +111,7 @@ class EncodeConfig:
         the cells in view. Chunks of `partition.nested_cells.DEFAULT_CELL_SPLATS` splats cost hardly
         more bytes than chunks without cells.
     view_table : bool
-        With `cells`: store a table of each chunk's contribution to some viewpoints (SPEC 5.12).
+        Store a table of each chunk's contribution to some viewpoints (SPEC 5.12); needs `cells`.
     morton : bool
         Sort the splats of each chunk by Morton code.
     refine : bool

@@ -1,4 +1,4 @@
-"""What the encoder returns: payloads, tables, decoded rows and a report of the work."""
+"""Result of the encoder: payloads, tables, decoded splats and a report."""
 
 from __future__ import annotations
 
@@ -28,13 +28,14 @@ from cogsplat.codec.splats import Splats
 
 @dataclass(frozen=True)
 class EncodedCodebook:
-    """A codebook's payloads.
+    """Payloads of a codebook.
 
     Parameters
     ----------
     attribute : str
         ``shape`` or ``colour``.
     rows : int
+        Number of rows.
     payloads : tuple of bytes
         One for a shape codebook, one per SH band for a colour codebook.
     """
@@ -43,13 +44,13 @@ class EncodedCodebook:
     rows: int
     payloads: tuple[bytes, ...]
 
-    def decoded(self, sh_degree: int) -> Codebook:
-        """Return its rows as a reader decodes them.
+    def decode(self, sh_degree: int) -> Codebook:
+        """Decode the rows of the codebook.
 
         Parameters
         ----------
         sh_degree : int
-            Of the scene.
+            SH degree of the scene, 0 to 3.
         """
         where = f"{self.attribute} codebook"
         payloads = [memoryview(payload) for payload in self.payloads]
@@ -61,29 +62,33 @@ class EncodedCodebook:
 
 @dataclass(frozen=True, eq=False)
 class EncodedChunk:
-    """A chunk's payloads and its row of the chunk table.
+    """Payloads of a chunk and its row of the chunk table.
 
     Parameters
     ----------
     splats : int
+        Number of splats.
     payloads : Payloads
+        Head, refinement and tail.
     box : (6,) float64
-        What its splats reach as they are decoded, scene units.
+        Bounding box of the decoded splats with their extent, scene units.
     contribution : float
+        Summed contribution of the splats.
     attributes : bytes or None
-        Payload of its splats' extra attributes; None where the scene has none.
+        Payload of extra attributes; None for a scene without.
     quality_db : float
-        Predicted PSNR of a scene that ends with this chunk; 0 where nothing was predicted.
+        Predicted PSNR of the prefix that ends with this chunk, dB; 0 without a prediction.
     object : int
-        Label of the object it holds; 0 in scenes without.
+        Label of the chunk's object; 0 in scenes without objects.
     tail_drop : float
-        Squared error of the pictures that its tail removes.
+        Squared picture error that the tail removes.
     until : int
-        The chunk is drawn in prefixes of fewer chunks than this; 0 in all (SPEC 5.10).
+        Number of chunks from which on a prefix no longer draws this one; 0 for always drawn
+        (SPEC 5.10).
     opacities : tuple of bytes
-        Payloads of its splats' opacities at each level behind its first (SPEC 5.11).
+        Opacity payloads of the levels after the chunk's first (SPEC 5.11).
     cell : int
-        Number of the cell that it lies in (SPEC 5.4); 0 in scenes that are not cut into cells.
+        Number of the chunk's cell (SPEC 5.4); 0 in scenes without cells.
     """
 
     splats: int
@@ -100,7 +105,7 @@ class EncodedChunk:
 
     @property
     def parts(self) -> ChunkSegments:
-        """Sizes of its segments and the squared error that they remove."""
+        """Sizes of the segments and the squared picture error that each removes."""
         head, refinement, tail = self.payloads.head, self.payloads.refinement, self.payloads.tail
         return ChunkSegments(
             len(head),
@@ -113,14 +118,14 @@ class EncodedChunk:
 
 @dataclass(frozen=True)
 class EncodedLevel:
-    """A level of a scene that is made for pictures of several scales.
+    """Level of a scene with several levels of detail.
 
     Parameters
     ----------
     chunks : int
-        First chunks of the scene that make it up.
+        Number of first chunks that make up the level.
     scale : float
-        Its pictures are the full ones divided by this in width and height.
+        Downscaling of the level's pictures in width and height.
     """
 
     chunks: int
@@ -129,37 +134,36 @@ class EncodedLevel:
 
 @dataclass(frozen=True, repr=False)
 class EncodeReport:
-    """How a scene was encoded.
+    """Report of an encode: times, views, quality and size.
 
     Parameters
     ----------
     seconds : mapping of str to float
-        Wall-clock time of each stage, by the names that `Progress` reports, in the order they
-        began; ``write`` is the container's.
+        Wall-clock time by stage (`Progress`), in the order of the stages; ``write`` is the
+        container's.
     cpu_seconds : mapping of str to float
-        Processor time of each stage, all threads of this process together.
+        Processor time by stage, summed over the threads of this process.
     scored_views : int
-        Views that splats were scored in, jittered copies included; 0 where scores were given.
+        Number of scored views with their jittered copies; 0 for given scores.
     quality_db : float
-        Nominal quality of the result, dB: the configuration's, or what the search for a target
-        found; where views were planned, such a search finds the mean of `test_psnr_db`.
+        Nominal quality, dB: that of the configuration, or the one found for a target. With planned
+        views, a search reports the mean of `test_psnr_db`.
     trials : int
-        Times that the chunks were encoded; more than one for a target, and where views were planned
-        and the PSNR of the first in the test views was far from the nominal quality.
+        Number of encodes of the chunks. More than 1 for a target, and for planned views whose first
+        PSNR was far from the nominal quality.
     size_bytes : int
-        Length of the file; 0 until a container was written.
+        Size of the file, bytes; 0 until a container was written.
     views : str
-        Where the scored views come from: ``given``, ``planned``, or ``none``.
+        Origin of the scored views: ``given``, ``planned`` or ``none``.
     coverage : float
-        How much of the scene these show, 0 to 1. Of planned views, the share of the visible splats
-        that one of them shows at least a quarter as clearly as the best of all places that were
-        tried; of given views, the share of the splats that lie in a picture.
+        Share of the scene that the scored views show, 0 to 1. Given views: share of splats that lie
+        in a picture. Planned views: share of visible splats shown at least a quarter as clearly as
+        from the best candidate place.
     test_views : str
-        Where the views come from that quality was predicted and a PSNR searched for in: ``given``,
-        ``planned``, or ``none``. Given ones are among those scored unless the caller keeps them
-        apart.
+        Origin of the test views: ``given``, ``planned`` or ``none``. Given test views are scored as
+        well, unless the request has its own.
     test_psnr_db : tuple of float
-        PSNR of the whole in each of them, dB; empty where nothing was predicted.
+        PSNR of the whole scene in each test view, dB; empty without a prediction.
     """
 
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -196,35 +200,37 @@ class EncodeReport:
 
 @dataclass(frozen=True, eq=False)
 class EncodedScene:
-    """A scene ready for a container.
+    """Encoded scene, ready for a container.
 
     Parameters
     ----------
     scene : Splats
-        No rows: SH degree, `info` and extra attributes of the scene.
+        SH degree, `info` and types of extra attributes of the scene; no rows.
     splats : int
-        Rows that are stored.
+        Number of stored splats.
     pruned : int
-        Rows of the source that were dropped.
+        Number of splats of the source that were dropped.
     box : (6,) float64
-        Lower and upper corner of all chunks' boxes, scene units.
-    codebooks, chunks : sequence
+        Bounding box of all chunks, lower and upper corner, scene units.
+    codebooks : sequence of EncodedCodebook
+        Shape and colour codebooks.
+    chunks : sequence of EncodedChunk
+        Chunks in stored order.
     decoded : Splats
-        The rows of all chunks as a reader of the complete file decodes them, in stored order,
-        without extra attributes.
+        Decoded splats of all chunks in stored order, without extra attributes.
     compensation : Compensation or None
-        How prefixes are changed so that they look most like the whole scene.
+        Prefix compensation; None for a file without.
     prefix_mse : (c + 1,) float64 or None
-        Mean squared error of pictures of nothing, of the first chunk, and so on to the whole, with
-        the usual inflation, for what the splats behind are missing; None where that was not
-        measured.
+        Mean squared error of the pictures of 0, 1, … c chunks with the typical inflation; None if
+        it was not measured.
     report : EncodeReport
+        Report of the encode.
     levels : sequence of EncodedLevel
-        Coarsest first; none where the scene has no levels.
+        Levels, coarsest first; empty for a scene without levels.
     view_table : ViewTable or None
-        What the pictures of some viewpoints show of each chunk; None where nothing is stored.
+        Contribution of each chunk to some viewpoints; None for a file without.
     compressed : bool
-        Whether the planes of all payloads are. Those of a trial that may be thrown away are not.
+        Whether the planes of all payloads are compressed; those of a search trial are not.
     """
 
     scene: Splats
@@ -241,13 +247,13 @@ class EncodedScene:
     view_table: ViewTable | None = None
     compressed: bool = True
 
-    def drawn(self, chunks: int) -> Splats:
-        """Return the decoded rows that the prefix of the first chunks draws (SPEC 5.10).
+    def prefix_splats(self, chunks: int) -> Splats:
+        """Return the decoded splats that a prefix draws (SPEC 5.10).
 
         Parameters
         ----------
         chunks : int
-            From 0 to all.
+            Number of first chunks, 0 to all.
         """
         own = self.chunks[:chunks]
         rows = self.decoded.take(slice(0, sum(chunk.splats for chunk in own)))
@@ -256,8 +262,8 @@ class EncodedScene:
             return rows
         return rows.take(~np.repeat(ended, [chunk.splats for chunk in own]))
 
-    def placed(self) -> list[OrderedSegment]:
-        """Return the segments that splats need in the order of the file, shape codebooks aside."""
+    def ordered_segments(self) -> list[OrderedSegment]:
+        """Return the segments of the chunks and the colour codebooks in the order of the file."""
         if self.prefix_mse is None:
             contribution = np.array([chunk.contribution for chunk in self.chunks])
             missing = segment_order.missing_shares(contribution)
@@ -266,8 +272,8 @@ class EncodedScene:
         parts = [chunk.parts for chunk in self.chunks]
         return segment_order.order_segments(parts, missing, self._colour_bytes)
 
-    def placed_bytes(self, place: OrderedSegment) -> int:
-        """Return the bytes of one of the segments of `placed`, or of all colour codebooks."""
+    def segment_bytes(self, place: OrderedSegment) -> int:
+        """Return the size in bytes of one of `ordered_segments`."""
         if place.kind is OrderedKind.CODEBOOKS:
             return self._colour_bytes
         payloads = self.chunks[place.chunk].payloads
@@ -280,6 +286,6 @@ class EncodedScene:
 
     @property
     def _colour_bytes(self) -> int:
-        """Bytes of the colour codebooks."""
+        """Size of the colour codebooks, bytes."""
         books = [book.payloads for book in self.codebooks if book.attribute == "colour"]
         return sum(len(payload) for payloads in books for payload in payloads)

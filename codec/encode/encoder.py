@@ -1,4 +1,4 @@
-"""Encode the chunks of a scene at one nominal quality, and decode them again (SPEC 6, 7)."""
+"""Encode the chunks of a scene at a nominal quality, and decode the result (SPEC 6, 7)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cogsplat.codec.threads import one_blas_thread
 
 from .config import EncodeConfig, require_quality
 from .encoded import EncodedChunk, EncodedScene
-from .prepared import LaidOutScene, PreparedScene
+from .prepared import ChunkedScene, PreparedScene
 from .profiles.dispatch import PROFILES, PlannedScene
 
 
@@ -36,20 +36,22 @@ def encode_chunks(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> EncodedScene:
-    """Encode a prepared scene at a nominal quality in place of its configuration's.
+    """Encode the chunks of a prepared scene at a nominal quality.
 
     Parameters
     ----------
     prepared : PreparedScene
+        Ordered scene.
     quality_db : float
-        Nominal PSNR, 10 to 90 dB.
+        Nominal PSNR, 10 to 90 dB; it replaces that of the configuration.
     compress : bool
-        Whether the planes of payloads are compressed, which takes a third of the time. Where that
-        is left to `compress_chunks`, they take several times the memory until then.
+        Compress the planes of the payloads, a third of the time. Uncompressed planes take several
+        times the memory until `compress_chunks`.
     executor : Executor, optional
-        What encodes the chunks; threads of this process where it is not given.
+        Runs the work of single chunks; None for threads of this process.
     progress : Progress
-        Called with ``codebooks``, ``quantisers`` (what all chunks share) and ``chunks`` as stages.
+        Called with the stages ``codebooks``, ``quantisers`` (parts that all chunks share) and
+        ``chunks``.
 
     Returns
     -------
@@ -60,16 +62,16 @@ def encode_chunks(
     Raises
     ------
     ValueError
-        A quality outside 10 to 90 dB.
+        The quality is outside 10 to 90 dB.
     """
     require_quality(quality_db)
-    scene = prepared.laid_out(quality_db)
+    scene = prepared.lay_out(quality_db)
     planned = PlannedScene()
     if len(scene.rows):
         planned = PROFILES[scene.config.profile](scene, quality_db, progress)
         progress("quantisers", 1, 1)
     degree = scene.source.sh_degree
-    codebooks = {number: book.decoded(degree) for number, book in enumerate(planned.codebooks)}
+    codebooks = {number: book.decode(degree) for number, book in enumerate(planned.codebooks)}
     decoded = prepared.workspace.splats(len(scene.rows), degree, scene.source.info)
 
     chunks: list[EncodedChunk] = []
@@ -107,23 +109,23 @@ def compress_chunks(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> EncodedScene:
-    """Compress the planes of a scene that was encoded without that.
+    """Compress the planes of a scene that was encoded without compression.
 
     Parameters
     ----------
     encoded : EncodedScene
-        Returned as it is where its planes are compressed.
+        Encoded scene; returned unchanged if its planes are compressed already.
     config : EncodeConfig
-        That it was encoded with.
+        Configuration of the encode.
     executor : Executor, optional
-        As `encode_chunks` takes it.
+        Runs the work of single chunks; None for threads of this process.
     progress : Progress
         Called with ``chunks``.
 
     Returns
     -------
     EncodedScene
-        The same bytes as if `encode_chunks` had compressed them.
+        Scene with the bytes that `encode_chunks` gives with compression.
     """
     if encoded.compressed:
         return encoded
@@ -137,22 +139,24 @@ def compress_chunks(
 
 
 def _digits(config: EncodeConfig) -> bool:
-    """Whether several symbols may share a byte of a plane."""
+    """Tell whether several symbols may share a byte of a plane."""
     return config.ablation.digits or config.profile != "transform"
 
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """What encoding a chunk takes.
+    """Inputs of the encode of a chunk that all chunks share.
 
     Parameters
     ----------
     planned : PlannedScene
+        Codebooks and chunk encoder of the profile.
     codebooks : mapping of int to Codebook
+        Decoded codebooks by number.
     blank : Splats
-        A scene without rows, for the decoded ones.
+        Scene without rows, the prototype of decoded chunks.
     digits : bool or None
-        As `Payloads.compressed` takes it; None where planes are not compressed.
+        Argument of `Payloads.compressed`; None leaves planes uncompressed.
     """
 
     planned: PlannedScene
@@ -179,7 +183,7 @@ def _encode_chunk(run: slice, plan: _Plan) -> tuple[Payloads, NDArray[np.float64
 
 
 def _chunk(
-    scene: LaidOutScene, number: int, payloads: Payloads, reach: NDArray[np.float64]
+    scene: ChunkedScene, number: int, payloads: Payloads, reach: NDArray[np.float64]
 ) -> EncodedChunk:
     """Return the payloads of a chunk with its row of the chunk table."""
     run = scene.slices[number]
@@ -210,9 +214,9 @@ def _chunk(
 def _decode_chunk(
     payloads: Payloads, codebooks: Mapping[int, Codebook], out: Splats
 ) -> NDArray[np.float64]:
-    """Write a chunk's rows into `out`, refined; return the box of its coarse and refined splats."""
+    """Decode a chunk into `out`; return the bounding box of its coarse and its refined splats."""
     head = memoryview(payloads.head)
-    # The chunk's box has to hold the splats of the head alone too: coarse steps move them.
+    # The box must contain the coarse splats of the head as well: coarse steps move them.
     decode_head(head, codebooks, out, "chunk")
     reach = box(out)
     if payloads.refinement is not None:

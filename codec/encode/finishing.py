@@ -25,7 +25,7 @@ from .prepared import PreparedScene
 from .presets import Preset
 from .preview_chunks import PreviewMaker
 from .quality_prediction import PrefixEvaluator, measure_whole, predict_quality
-from .rate_control import Hit, to_finished_size, to_nominal, to_psnr
+from .rate_control import SearchResult, search_finished_size, search_nominal, search_psnr
 from .view_table_builder import add_view_table, reserve_view_table
 
 SizeOf = Callable[[EncodedScene], int]
@@ -111,7 +111,7 @@ class Finisher:
         """
         return self.finish(self._encode_chunks(quality_db))
 
-    def search_nominal(self, quality_db: float) -> Hit:
+    def search_nominal(self, quality_db: float) -> SearchResult:
         """Encode at a nominal quality, corrected by the PSNR in the test views.
 
         Parameters
@@ -119,10 +119,12 @@ class Finisher:
         quality_db : float
             Nominal PSNR, dB.
         """
-        hit = to_nominal(self._encode_measured, quality_db, mean_psnr_db, progress=self.progress)
+        hit = search_nominal(
+            self._encode_measured, quality_db, mean_psnr_db, progress=self.progress
+        )
         return replace(hit, encoded=self.finish(hit.encoded))
 
-    def search(self, target: Target) -> Hit:
+    def search(self, target: Target) -> SearchResult:
         """Search for the nominal quality that meets a PSNR or a file size, and finish the scene.
 
         Parameters
@@ -140,7 +142,7 @@ class Finisher:
         if target.size_bytes is not None:
             if self.size_of is None:
                 raise ValueError("a size as target without size_of, expected what measures a file")
-            return to_finished_size(
+            return search_finished_size(
                 self._encode_chunks,
                 len(self.prepared.rows),
                 target.size_bytes,
@@ -152,7 +154,7 @@ class Finisher:
         if not self.test_views:
             raise ValueError("a PSNR as target and no cameras, expected views to see it in")
         psnr_db = target.psnr_db or 0.0
-        hit = to_psnr(self._encode_measured, psnr_db, mean_psnr_db, progress=self.progress)
+        hit = search_psnr(self._encode_measured, psnr_db, mean_psnr_db, progress=self.progress)
         return replace(hit, encoded=self.finish(hit.encoded))
 
     def finish(self, encoded: EncodedScene) -> EncodedScene:

@@ -1,4 +1,4 @@
-"""What memory an encode takes, and whether it fits below a cap in memory or out of core."""
+"""Estimate the memory of an encode, in memory and with mapped files."""
 
 from __future__ import annotations
 
@@ -13,48 +13,47 @@ from cogsplat.codec.threads import thread_count
 
 from .config import EncodeConfig
 
-# Bytes of the program with its libraries, of what compiling takes on top in a first run, and of
-# chunks under way: measured with scenes of 5,000 splats.
+# Bytes of the program with its libraries, of compilation in a first run and of chunks in progress;
+# measured with scenes of 5,000 splats.
 _BASE: Final = 400_000_000
 
-# Bytes of one splat without its SH above DC, float32.
+# Bytes of a splat without SH above DC, float32.
 _ROW: Final = 56
 
 # Bytes of a splat's scores, sensitivities and mean SH bases among them.
 _SCORES: Final = 328
 
-# Most bytes that the one view under way takes for each splat that it shows, if that is all of them:
-# footprint, colour, sums, sensitivities. A view takes more where each core has one of its own, and
-# two more may wait to be added, of which the sums and sensitivities are left.
+# Bytes per splat of a view in progress: footprint, colour, sums, sensitivities. A view takes more
+# if each core has its own; then two finished views may wait with their sums and sensitivities.
 _VIEW: Final = 260
 _VIEW_OF_EACH_CORE: Final = 320
 _WAITING: Final = 2 * 132
 
-# Rows, energies and marks that stay in memory whatever is mapped, and the payloads.
+# Bytes per splat that are never mapped: row numbers, energies, masks and payloads.
 _KEPT: Final = 60
 
-# What the order by gain and the fit of compensation take for each splat beside the scene: with a
-# view on each core, and out of core, where they draw one view at a time, after those are scored.
+# Bytes per splat of the order by gain and the compensation fit: with a view on each core, and with
+# mapped files, where one view is rendered at a time.
 _GAIN: Final = 400
 _GAIN_OUT_OF_CORE: Final = 110
 
 LEAST_RESIDENT: Final = 64 << 20
-"""Bytes of mapped arrays that must have room in memory: with fewer, pages come and go too often."""
+"""Least resident bytes of mapped arrays; with fewer, pages are evicted too often."""
 
 
 @dataclass(frozen=True)
 class MemoryNeed:
-    """What an encode takes at most, bytes of resident memory.
+    """Upper bounds of the resident memory of an encode, bytes.
 
     Parameters
     ----------
     in_memory : int
-        With all arrays in memory.
+        Bound with all arrays in memory.
     out_of_core : int or None
-        With the scene, its scores and what is decoded of it in mapped files; None for the profile
-        ``vq``, which trains codebooks on the whole scene at once.
+        Bound with scene, scores and decoded splats in mapped files; None for the profile ``vq``,
+        which trains codebooks on the whole scene.
     scene : int
-        Of both, the scene itself.
+        Share of both bounds that is the scene itself.
     """
 
     in_memory: int
@@ -62,17 +61,17 @@ class MemoryNeed:
     scene: int
 
     def resident_bytes(self, cap: int) -> int | None:
-        """Return how many bytes of mapped arrays may be resident; None where none need be mapped.
+        """Return the resident-memory limit of mapped arrays, bytes; None if nothing is mapped.
 
         Parameters
         ----------
         cap : int
-            Most memory, bytes.
+            Memory limit of the process, bytes.
 
         Raises
         ------
         LimitError
-            ``memory-cap``: it is not enough; the message says what is.
+            ``memory-cap``: the limit is too low; the message says the lowest that suffices.
         """
         if cap >= self.in_memory:
             return None
@@ -94,20 +93,21 @@ class MemoryNeed:
 def memory_need(
     splats: int, sh_degree: int, config: EncodeConfig, *, extra_bytes: int = 0, held_bytes: int = 0
 ) -> MemoryNeed:
-    """Return what encoding a scene takes.
+    """Estimate the memory of an encode.
 
     Parameters
     ----------
     splats : int
-        Rows of the scene.
+        Number of splats.
     sh_degree : int
-        0 to 3.
+        SH degree, 0 to 3.
     config : EncodeConfig
+        Configuration of the encode.
     extra_bytes : int
         Bytes of the extra attributes of one splat.
     held_bytes : int
-        Bytes of the scene that are in memory whatever is mapped: all of it where it was not read
-        into mapped arrays.
+        Bytes of the scene that are never mapped: the whole scene unless it was read into mapped
+        arrays.
     """
     row = _ROW + 12 * (sh_coefficients(sh_degree) - 1)
     scene = splats * (row + extra_bytes)

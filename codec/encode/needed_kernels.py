@@ -1,4 +1,4 @@
-"""Which kernels an encode calls, so that they can be compiled before it does."""
+"""List the kernels that an encode calls, to be compiled ahead."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cogsplat.codec.order.orders import split_name
 
 from .config import EncodeConfig
 
-# Kernels that blend, which call the same inner ones, stand together; see the notes below.
+# Kernels that share inner kernels are adjacent; see the notes of `needed_kernels`.
 _BLENDING: Final = ("render.sensitivities", "render.blend_weights", "render.rasteriser")
 _GAIN: Final = ("render.marginal_gains",)
 _FIT: Final = ("render.gradients", "encode.shift_kernels")
@@ -29,13 +29,14 @@ def needed_kernels(config: EncodeConfig, *, planned: bool) -> list[DeclaredKerne
     Parameters
     ----------
     config : EncodeConfig
+        Configuration of the encode.
     planned : bool
-        Whether views are planned, because no cameras are given.
+        Whether views are planned because no cameras are given.
 
     Notes
     -----
-    Those that call the same inner kernels stand beside each other: what one process compiles of
-    them another need not compile as well.
+    Kernels that share inner kernels are adjacent, so that one process compiles the inner kernels
+    for all of them.
     """
     near_lossless = config.profile == "near-lossless"
     modules = [

@@ -22,7 +22,7 @@ from .encoded import EncodedScene, EncodeReport
 from .finishing import Finisher, SizeOf, mean_psnr_db
 from .prepared import prepare
 from .preview_chunks import PreviewMaker
-from .rate_control import Hit
+from .rate_control import SearchResult
 from .request import EncodeRequest
 from .scored_views import ScoredViews, score_scene
 
@@ -167,20 +167,22 @@ def _render_references(
     )
 
 
-def _encode_at_target(request: EncodeRequest, scored: ScoredViews, finisher: Finisher) -> Hit:
+def _encode_at_target(
+    request: EncodeRequest, scored: ScoredViews, finisher: Finisher
+) -> SearchResult:
     """Encode at the nominal quality, or search for the target."""
     config = request.config
     planned = scored.report.views == "planned"
     if request.target is not None and len(finisher.source):
         hit = finisher.search(request.target)
-        # The nominal quality that `to_nominal` would need to come near this result.
+        # The nominal quality that `search_nominal` would need to come near this result.
         return replace(hit, quality_db=mean_psnr_db(hit.encoded)) if planned else hit
     if request.target is None and planned and config.profile != "near-lossless":
         return finisher.search_nominal(config.quality_db)
-    return Hit(finisher.encode(config.quality_db), config.quality_db, 0.0, 1)
+    return SearchResult(finisher.encode(config.quality_db), config.quality_db, 0.0, 1)
 
 
-def _report(scored: ScoredViews, hit: Hit, timed: TimedProgress) -> EncodeReport:
+def _report(scored: ScoredViews, hit: SearchResult, timed: TimedProgress) -> EncodeReport:
     return replace(
         scored.report,
         seconds=timed.seconds,

@@ -1,4 +1,4 @@
-"""A scene in its order and cut into chunks: all that does not depend on its quantisers."""
+"""Scenes in their order, and cut into chunks: the steps before quantisation."""
 
 from __future__ import annotations
 
@@ -28,37 +28,37 @@ from cogsplat.codec.workspace import IN_MEMORY, Workspace
 from .config import EncodeConfig
 from .encoded import EncodedCodebook
 
-# The least splats of a chunk of a cell, as a share of the most: cells of fewer wait for the next
-# layer.
-_LEAST_SHARE: Final = 8
+# A cell's chunk holds at least 1/8 of the maximum; splats of smaller cells move to the next layer.
+_CELL_DIVISOR: Final = 8
 
-# Rows whose values are looked at together: what is compared would be as large as the scene.
+# Rows that are checked at a time; comparing all at once would copy the scene.
 _BLOCK: Final = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
-class LaidOutScene:
-    """The splats that stay, in the order of their chunks.
+class ChunkedScene:
+    """Splats that are stored, in the order of their chunks.
 
     Parameters
     ----------
     source : Splats
-        The scene that is encoded.
+        Scene that is encoded.
     rows : (n,) int64
-        The rows of the source that stay, in chunk order.
+        Row numbers of the stored splats in the source, in chunk order.
     scores : Scores
-        Of the source.
+        Scores of the source.
     slices : sequence of slice
-        Rows of each chunk, one run behind the other.
+        Range of `rows` of each chunk, contiguous.
     objects : (c,) uint32
-        Label of the object that each chunk holds; zeros where chunks are not cut by object.
+        Object label of each chunk; zeros for chunks not cut by object.
     cells : (c,) uint32
-        Cell that each chunk lies in (SPEC 5.4); zeros where chunks are not cut by cell.
+        Cell of each chunk (SPEC 5.4); zeros for chunks not cut by cell.
     config : EncodeConfig
+        Configuration of the encode.
     workspace : Workspace
-        Where long arrays are kept.
+        Allocator of long arrays.
     codebooks : sequence of EncodedCodebook
-        As `PreparedScene` has them.
+        Initial codebooks of the profile ``vq``, as in `PreparedScene`.
     """
 
     source: Splats
@@ -72,31 +72,37 @@ class LaidOutScene:
     codebooks: Sequence[EncodedCodebook] = ()
 
     def part(self, run: slice) -> Splats:
-        """Return the splats of a run of rows in chunk order, gathered from the source.
+        """Return the splats of a range of `rows`, copied from the source.
 
-        All of them at once would be a second scene in memory.
+        Copies of all rows at once would be a second scene in memory.
+
+        Parameters
+        ----------
+        run : slice
+            Range of `rows`.
         """
         return self.workspace.take(self.source, self.rows[run])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class PreparedScene:
-    """A scene in its order, which one quality after the other can be encoded from.
+    """Ordered scene that can be encoded at several qualities; caches its last chunks.
 
     Parameters
     ----------
     source : Splats
-        The scene that is encoded.
+        Scene that is encoded.
     rows : (n,) int64
-        The order: rows of the source, without those that nothing can ever show.
+        Row numbers of the source in the order, without splats that are invisible everywhere.
     scores : Scores
-        Of the source.
+        Scores of the source.
     config : EncodeConfig
+        Configuration of the encode.
     workspace : Workspace
-        Where what is decoded again is kept.
+        Allocator of decoded splats.
     codebooks : sequence of EncodedCodebook
-        Of an earlier encode of nearly the same scene: the training of the profile ``vq`` goes on
-        from them. None where it begins anew.
+        Codebooks of an earlier encode of nearly the same scene, from which the profile ``vq``
+        starts; empty to start afresh.
     """
 
     source: Splats
@@ -105,22 +111,26 @@ class PreparedScene:
     config: EncodeConfig
     workspace: Workspace = IN_MEMORY
     codebooks: Sequence[EncodedCodebook] = ()
-    # The layout that was made last. A search for a target often keeps the same splats in every
-    # trial, and arranging the rows of a large scene takes longer than comparing their numbers.
-    _made: dict[str, tuple[NDArray[np.int64], LaidOutScene]] = field(
-        default_factory=dict, init=False, repr=False
+    # Kept rows and chunks of the last call. A search for a target often keeps the same splats in
+    # every trial, and cutting a large scene takes longer than comparing row numbers.
+    _last: tuple[NDArray[np.int64], ChunkedScene] | None = field(
+        default=None, init=False, repr=False
     )
 
-    def laid_out(self, quality_db: float) -> LaidOutScene:
-        """Return the chunks of the splats that are worth their bytes at a nominal quality."""
+    def lay_out(self, quality_db: float) -> ChunkedScene:
+        """Prune the splats at a nominal quality and cut the rest into chunks.
+
+        Parameters
+        ----------
+        quality_db : float
+            Nominal PSNR, dB.
+        """
         lagrangian = allocation.lagrangian(self.scores, quality_db)
         kept = keep_mask(self.source, self.scores, self.config.pruning, lagrangian)
         rows = self.rows[kept[self.rows]]
-        made = self._made.get("last")
-        if made is None or not np.array_equal(made[0], rows):
-            made = rows, _lay_out(self, rows)
-            self._made["last"] = made
-        return made[1]
+        if self._last is None or not np.array_equal(self._last[0], rows):
+            self._last = rows, _cut_chunks(self, rows)
+        return self._last[1]
 
 
 def prepare(
@@ -141,24 +151,25 @@ def prepare(
     Parameters
     ----------
     splats : Splats
-        Rows must be valid (`Splats.require_valid`).
+        Scene with valid rows (`Splats.require_valid`).
     scores : Scores
-        Of these splats, row by row; `zero_scores` where nothing was rendered.
+        Scores of the splats; `zero_scores` without rendered views.
     config : EncodeConfig
+        Configuration of the encode.
     views : sequence of Camera
-        Those the scores are of, for orders that render.
+        Scored views, for orders that render.
     jitter : bool
-        Whether orders that render look from jittered copies of the views as well.
+        Use jittered copies of the views in orders that render.
     references : ReferenceViews, optional
-        Pictures of the scene in these views, where they have been drawn.
+        Pictures of the scene in the views, if they are rendered already.
     effort : GainEffort, optional
-        How much work goes into the order by marginal gain.
+        Effort of the order by marginal gain.
     workspace : Workspace
-        As `PreparedScene` has it.
+        Allocator of decoded splats.
     executor : Executor, optional
-        What runs the work of single views; threads of this process where it is not given.
+        Runs the work of single views; None for threads of this process.
     progress : Progress
-        Called by orders that render, with their own stages.
+        Called with the stages of orders that render.
 
     Raises
     ------
@@ -186,18 +197,17 @@ def prepare(
     return PreparedScene(splats, rows[kept[rows]], scores, config, workspace)
 
 
-def _lay_out(prepared: PreparedScene, rows: NDArray[np.int64]) -> LaidOutScene:
-    """Cut rows in their order into chunks."""
+def _cut_chunks(prepared: PreparedScene, rows: NDArray[np.int64]) -> ChunkedScene:
+    """Cut ordered rows into chunks."""
     splats, scores, config = prepared.source, prepared.scores, prepared.config
     if config.order == "gain" and not config.ordering.by_object:
-        # The order was sorted before splats were pruned, and pruning moved those behind them
-        # into other chunks. Not where a pose is served first: its splats would lose their
-        # places. Cells are cut from layers: what is sorted does not become shorter with them.
+        # Chunks were sorted before pruning, which shifts splats between chunks: sort again. Orders
+        # for a first pose keep their order. Cells are cut from layers of the default chunk size.
         largest = chunk_plan.DEFAULT_CHUNK_SPLATS if config.cells else config.chunk_splats
         rows = chunk_plan.sort_runs(rows, scores.contribution, largest)
     cells: NDArray[np.uint32] | None = None
     if config.cells:
-        nested = _nested(prepared, rows)
+        nested = _cut_cells(prepared, rows)
         cells = nested.cells.astype(np.uint32)
         unlabelled = np.zeros(len(cells), np.uint32)
         arranged = objects.ChunkedOrder(rows[nested.order], nested.slices, unlabelled)
@@ -212,7 +222,7 @@ def _lay_out(prepared: PreparedScene, rows: NDArray[np.int64]) -> LaidOutScene:
     else:
         slices = chunk_plan.plan_chunks(len(rows), config.chunk_splats)
         arranged = objects.ChunkedOrder(rows, slices, np.zeros(len(slices), np.uint32))
-    return LaidOutScene(
+    return ChunkedScene(
         source=splats,
         rows=arranged.rows,
         scores=scores,
@@ -225,8 +235,8 @@ def _lay_out(prepared: PreparedScene, rows: NDArray[np.int64]) -> LaidOutScene:
     )
 
 
-def _nested(prepared: PreparedScene, rows: NDArray[np.int64]) -> NestedCells:
-    """Cut rows in their order into layers of cells."""
+def _cut_cells(prepared: PreparedScene, rows: NDArray[np.int64]) -> NestedCells:
+    """Cut ordered rows into layers of nested cells."""
     most = prepared.config.chunk_splats
     first = min(chunk_plan.FIRST_SPLATS, most)
     means = prepared.workspace.gather(prepared.source.means, rows).astype(np.float64)
@@ -236,7 +246,7 @@ def _nested(prepared: PreparedScene, rows: NDArray[np.int64]) -> NestedCells:
         weights,
         first=first,
         growth=chunk_plan.GROWTH,
-        smallest=min(first, max(most // _LEAST_SHARE, 1)),
+        smallest=min(first, max(most // _CELL_DIVISOR, 1)),
         largest=most,
     )
 

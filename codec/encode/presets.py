@@ -83,7 +83,7 @@ class Preset:
         return round(self.reference_share * PICTURE_PIXELS)
 
     def views(self, cameras: Sequence[Camera]) -> list[Camera]:
-        """Return the given views to score, evenly spread; all of them where they are few.
+        """Return the given views to score, evenly spread; a small number is not thinned out.
 
         Parameters
         ----------

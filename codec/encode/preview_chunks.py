@@ -41,7 +41,13 @@ class PreviewMaker(Protocol):
         ...
 
     def reserve(self, encoded: EncodedScene) -> EncodedScene:
-        """Return the scene with dummy preview chunks, of the largest size that `add` can make."""
+        """Return the scene with placeholder chunks of the preview's largest size.
+
+        Parameters
+        ----------
+        encoded : EncodedScene
+            Scene without preview.
+        """
         ...
 
 

@@ -1,4 +1,4 @@
-"""The PSNR of an encoded scene and of its prefixes, measured in views that the encoder has."""
+"""Measure the PSNR of an encoded scene and of its prefixes in test views."""
 
 from __future__ import annotations
 
@@ -21,46 +21,47 @@ from cogsplat.codec.threads import thread_count
 from cogsplat.codec.views.view_sets import sample_evenly
 
 from .encoded import EncodedScene
-from .measured_prefixes import interpolated, measured_prefixes
+from .prefix_sampling import choose_prefixes, interpolate_prefixes
 
 PREFIX_VIEWS: Final = 8
-"""Views that prefixes are predicted in, at most."""
+"""Views at most in which prefixes are predicted."""
 
-# Pixels of a view that are compared at least, where it has so many: one tile in so many. The mean
-# over 32 views moves by a few hundredths of a dB.
-_PIXELS: Final = 1 << 17
-# Prefixes that are measured at most: each takes a rendering of every view.
-_PREFIXES: Final = 8
+# Minimum number of pixels compared per view; larger views are subsampled by tiles. The mean PSNR of
+# 32 views changes by a few hundredths of a dB.
+_MIN_PIXELS: Final = 1 << 17
+# Measured prefixes at most: each renders every view.
+_MAX_PREFIXES: Final = 8
 
 
 def _draw(
     view: Camera, splats: Splats, *, config: RenderConfig, size: int | None = None
 ) -> NDArray[np.float32]:
-    """Return the pixels of a view that are compared, (P, 3): of all splats, or of the first."""
+    """Render the compared pixels of a view, (P, 3), from all splats or from the first `size`."""
     splats = splats.take(slice(0, size))
-    every = max(1, view.width * view.height // _PIXELS)
+    every = max(1, view.width * view.height // _MIN_PIXELS)
     return render_tiles(splats, view, every, config)
 
 
 class PrefixEvaluator:
-    """Measures the PSNR of scenes against pictures of the source in some views.
+    """Evaluator of the PSNR of scenes against renders of the source in test views.
 
     Parameters
     ----------
     source : Splats
+        Ground truth.
     views : sequence of Camera
-        In the frame of the means; never held-out views, which judge the result.
+        Test views in the frame of the means; never the held-out views that judge the result.
     threads : int
-        0 for all cores; the figures do not depend on it.
+        Number of threads, 0 for all cores; the values do not depend on it.
     views_at_once : bool
-        Whether each core draws a view of its own; otherwise all draw one, which takes less memory.
+        Render a view on each core; otherwise all cores render one view, which takes less memory.
     executor : Executor, optional
-        What runs the work of single views; threads of this process where it is not given.
+        Runs the work of single views; None for threads of this process.
 
     Raises
     ------
     DataError
-        ``no-cameras``.
+        ``no-cameras``: no test views.
     """
 
     def __init__(
@@ -86,21 +87,28 @@ class PrefixEvaluator:
         self._expected = list(self._executor.map(draw, views, source))
 
     def psnr_db(self, splats: Splats) -> float:
-        """Return the mean PSNR of a scene against the source, dB, at most 100."""
+        """Return the mean PSNR of a scene over the test views, dB, at most 100.
+
+        Parameters
+        ----------
+        splats : Splats
+            Scene to measure.
+        """
         return float(np.mean(self.views_db(splats)))
 
     def views_db(
         self, splats: Splats, views: Sequence[int] | None = None, *, size: int | None = None
     ) -> list[float]:
-        """Return the PSNR of a scene against the source in each view, dB, at most 100.
+        """Return the PSNR of a scene in each test view, dB, at most 100.
 
         Parameters
         ----------
         splats : Splats
+            Scene to measure.
         views : sequence of int, optional
-            Numbers of the views to draw; all of them where it is not given.
+            Numbers of the test views to render; None for all.
         size : int, optional
-            How many of the splats are drawn, from the first on; all where it is not given.
+            Number of first splats to render; None for all.
         """
         numbers = range(len(self._views)) if views is None else views
 
@@ -115,10 +123,10 @@ class PrefixEvaluator:
     def _prefix_db(
         self, encoded: EncodedScene, chunks: int, views: Sequence[int] | None
     ) -> list[float]:
-        """Return the PSNR of the first chunks in each view, dB."""
+        """Return the PSNR of a prefix in each view, dB."""
         if any(chunk.until for chunk in encoded.chunks):
-            return self.views_db(encoded.drawn(chunks), views)
-        # One object for all prefixes, which an executor hands to its workers once.
+            return self.views_db(encoded.prefix_splats(chunks), views)
+        # The same array for all prefixes: an executor sends it to its workers once.
         size = sum(chunk.splats for chunk in encoded.chunks[:chunks])
         return self.views_db(encoded.decoded, views, size=size)
 
@@ -130,26 +138,27 @@ class PrefixEvaluator:
         whole_db: float | None = None,
         progress: Progress = silent,
     ) -> list[float]:
-        """Return the PSNR of the first chunk, of the first two, and so on to all, dB.
+        """Return the mean PSNR of the prefixes of 1, 2, … all chunks, dB.
 
         Parameters
         ----------
         encoded : EncodedScene
+            Scene to measure.
         views : sequence of int, optional
-            Numbers of the views to draw; all of them where it is not given.
+            Numbers of the test views to render; None for all.
         whole_db : float, optional
-            PSNR of all chunks in these views, where it is known; then it is not measured again.
+            Known mean PSNR of the whole scene in these views, dB.
         progress : Progress
-            Called with ``predict``, prefixes measured and prefixes to measure.
+            Called with ``predict``, measured prefixes and prefixes to measure.
 
         Returns
         -------
         list of float
-            One per chunk. At most 8 prefixes are measured; the values of those between are
-            interpolated by the logarithm of their splats.
+            PSNR of each prefix. At most 8 are measured; the others are interpolated
+            (`interpolate_prefixes`).
         """
         counts = [chunk.splats for chunk in encoded.chunks]
-        measured = measured_prefixes(counts, _PREFIXES)
+        measured = choose_prefixes(counts, _MAX_PREFIXES)
         values: list[float] = []
         progress("predict", 0, len(measured))
         for done, chunks in enumerate(measured.tolist(), start=1):
@@ -158,12 +167,20 @@ class PrefixEvaluator:
             else:
                 values.append(float(np.mean(self._prefix_db(encoded, chunks, views))))
             progress("predict", done, len(measured))
-        return [float(x) for x in interpolated(counts, measured, np.array(values))]
+        return [float(x) for x in interpolate_prefixes(counts, measured, np.array(values))]
 
 
 def measure_whole(encoded: EncodedScene, evaluator: PrefixEvaluator) -> EncodedScene:
-    """Return an encoded scene whose report has the PSNR of the whole in each view."""
-    values = tuple(evaluator.views_db(encoded.drawn(len(encoded.chunks))))
+    """Measure the PSNR of an encoded scene in each test view into its report.
+
+    Parameters
+    ----------
+    encoded : EncodedScene
+        Scene to measure.
+    evaluator : PrefixEvaluator
+        Evaluator with the ground truth.
+    """
+    values = tuple(evaluator.views_db(encoded.prefix_splats(len(encoded.chunks))))
     return replace(encoded, report=replace(encoded.report, test_psnr_db=values))
 
 
@@ -174,31 +191,29 @@ def predict_quality(
     most_views: int = PREFIX_VIEWS,
     progress: Progress = silent,
 ) -> EncodedScene:
-    """Return an encoded scene whose chunks state the PSNR of the scene that ends with them.
+    """Predict the PSNR of each prefix and store it in the prefix's last chunk.
 
     Parameters
     ----------
     encoded : EncodedScene
-        Where its report has the PSNR of the whole in each view (`measure_whole`), the whole is not
-        drawn again.
+        Scene to predict. A PSNR of the whole in its report (`measure_whole`) is not measured again.
     evaluator : PrefixEvaluator
-        Of what it was encoded from.
+        Evaluator with the ground truth.
     most_views : int
-        Prefixes are measured in so many of its views, spread evenly, and what the whole has there
-        less than in all of them is added.
+        Test views at most in which prefixes are measured, evenly spread. Their PSNR is corrected by
+        the difference of the whole scene between these and all test views.
     progress : Progress
-        As `PrefixEvaluator.prefixes_db`.
+        Called with ``predict``.
 
     Returns
     -------
     EncodedScene
-        Its report has the PSNR of the whole in each view.
+        Scene with predictions; its report has the PSNR of the whole in each test view.
 
     Notes
     -----
-    Where the whole is far better in the views that prefixes are measured in than in the others,
-    the first prefixes may have fewer dB than is taken away from them. They say 0, which stands for
-    nothing predicted (SPEC 5.4).
+    A correction that is larger than the PSNR of a short prefix gives 0, which stands for no
+    prediction (SPEC 5.4).
     """
     if not encoded.report.test_psnr_db:
         encoded = measure_whole(encoded, evaluator)

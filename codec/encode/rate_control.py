@@ -16,41 +16,40 @@ from .config import MAX_QUALITY_DB, MIN_QUALITY_DB
 from .encoded import EncodedScene
 
 MAX_TRIALS: Final = 8
-"""Encodes that a search takes at most."""
+"""Encodes per search at most."""
 
 MAX_ROUNDS: Final = 3
-"""Searches for a size at most, where what is added after a search makes the file too large."""
+"""Searches for a size at most, if the finished file turns out too large."""
 
 PSNR_TOLERANCE_DB: Final = 0.05
-"""How far from a PSNR a search may stop: half of what a mean over 32 views is certain to."""
+"""Tolerance of a target PSNR, dB: half the uncertainty of a mean over 32 views."""
 
 NOMINAL_TOLERANCE_DB: Final = 1.0
-"""How far a nominal quality may be from the PSNR in planned test views before it is corrected."""
+"""Tolerance of a nominal quality against the PSNR in planned test views, dB."""
 
 NOMINAL_TRIALS: Final = 4
-"""Qualities that are tried for a nominal one at most: it, and others where it is far off."""
+"""Encodes at most for a nominal quality: the first, and corrections if it is far off."""
 
 SIZE_TOLERANCE: Final = 0.005
-"""How far below a size a search may stop, as a share of it."""
+"""Share of a target size by which a file may stay below it."""
 
-# A PSNR missed by more than this at an end of what can be set is out of reach, dB.
+# Distance from a target PSNR, dB, beyond which the finest or coarsest setting is out of reach.
 _NEAR_DB: Final = 0.1
 
-# Before a search knows better: what a nominal quality is above the PSNR, bytes of a splat at one,
-# PSNR per nominal dB, and log2 of the bytes per nominal dB, of trained scenes between 33 and 47 dB.
-# With 0.8 dB per nominal dB, searches on the curve of a cleaned object take 3.1 trials on average,
-# with 0.85 they take 3.4.
+# First guesses of a search, from trained scenes between 33 and 47 dB: nominal quality minus PSNR,
+# bytes per splat at a nominal quality, PSNR per nominal dB, and log2 bytes per nominal dB. Searches
+# on a cleaned object take 3.1 trials on average with 0.8 dB per nominal dB, and 3.4 with 0.85.
 _NOMINAL_DB: Final = 0.0
 _START_DB: Final = 35.5
 _START_BYTES: Final = 6.0
 PSNR_PER_DB: Final = 0.8
 LOG2_BYTES_PER_DB: Final = 0.085
 
-# No step beyond what was tried is longer, dB: the curves flatten at their ends.
+# Longest step beyond the tried qualities, dB: the curves flatten at their ends.
 _LONGEST_DB: Final = 15.0
-# Trials nearer to each other than this differ by nothing, dB.
+# Distance of two trials, dB, below which their results are equal.
 _SHORTEST_DB: Final = 1e-3
-# A trial between two others keeps this share of their distance from both.
+# Least distance of a trial from its neighbours, as a share of the distance between these.
 _MARGIN: Final = 0.03
 
 
@@ -59,18 +58,19 @@ EncodeAt = Callable[[float], EncodedScene]
 
 
 @dataclass(frozen=True, eq=False)
-class Hit:
-    """The encode that came nearest to a target.
+class SearchResult:
+    """Result of a search: the encode nearest to the target.
 
     Parameters
     ----------
     encoded : EncodedScene
+        Encoded scene.
     quality_db : float
-        The nominal quality it was encoded at.
+        Nominal quality of the encode, dB.
     value : float
-        What was measured of it: PSNR in dB, or bytes.
+        Measured PSNR in dB, or size in bytes.
     trials : int
-        Encodes that the search took.
+        Number of encodes in the search.
     """
 
     encoded: EncodedScene
@@ -79,29 +79,30 @@ class Hit:
     trials: int
 
 
-def to_psnr(
+def search_psnr(
     encode_at: EncodeAt,
     psnr_db: float,
     psnr_of: Callable[[EncodedScene], float],
     *,
     progress: Progress = silent,
-) -> Hit:
+) -> SearchResult:
     """Search for the nominal quality at which a scene has a PSNR.
 
     Parameters
     ----------
     encode_at : callable
+        Encodes the scene at a nominal quality, dB.
     psnr_db : float
-        The target, dB.
+        Target PSNR, dB.
     psnr_of : callable
-        Measures an encoded scene, dB.
+        Measures the PSNR of an encoded scene, dB.
     progress : Progress
-        Called with ``search`` and the trials done, of `MAX_TRIALS`.
+        Called with ``search``, finished trials and `MAX_TRIALS`.
 
     Raises
     ------
     DataError
-        ``target-out-of-reach``: beyond what the finest or the coarsest setting gives.
+        ``target-out-of-reach``: even the finest or coarsest setting misses the PSNR.
     """
     goal = _psnr_goal(psnr_db, PSNR_TOLERANCE_DB)
     best, trials = _search(encode_at, goal, psnr_of, progress)
@@ -112,67 +113,68 @@ def to_psnr(
     return best
 
 
-def to_nominal(
+def search_nominal(
     encode_at: EncodeAt,
     quality_db: float,
     psnr_of: Callable[[EncodedScene], float],
     *,
     progress: Progress = silent,
-) -> Hit:
-    """Encode at a nominal quality, and again where the PSNR that is measured is far from it.
+) -> SearchResult:
+    """Encode at a nominal quality; correct it if the measured PSNR is far off.
 
-    λ follows from the nominal quality by the energies of the views that were scored, and by what
-    trained scenes in their own cameras lose. Around other scenes the views that were planned stand
-    nearer than visitors do, or further away, and their splats lose more or less: the PSNR is up to
-    12 dB above the nominal one. So it is measured; what is left then is `NOMINAL_TOLERANCE_DB` or
-    a little more.
+    λ follows from the nominal quality and the energies of the scored views, calibrated on trained
+    scenes in their own cameras. Planned views may be nearer or further than visitors, so that the
+    PSNR is up to 12 dB above the nominal quality. After the correction it is within about
+    `NOMINAL_TOLERANCE_DB`.
 
     Parameters
     ----------
     encode_at : callable
+        Encodes the scene at a nominal quality, dB.
     quality_db : float
         Nominal PSNR, dB.
     psnr_of : callable
-        Measures an encoded scene, dB.
+        Measures the PSNR of an encoded scene, dB.
     progress : Progress
-        As in `to_psnr`.
+        Called with ``search``, finished trials and `NOMINAL_TRIALS`.
 
     Returns
     -------
-    Hit
-        The nearest of at most `NOMINAL_TRIALS`. Only one scene at a time is kept.
+    SearchResult
+        Nearest of at most `NOMINAL_TRIALS` encodes. Only one encoded scene is in memory at a time.
     """
     goal = _psnr_goal(quality_db, NOMINAL_TOLERANCE_DB)
     best, _ = _search(encode_at, goal, psnr_of, progress, NOMINAL_TRIALS, keep=False)
     return replace(best, quality_db=quality_db)
 
 
-def to_size(
+def search_size(
     encode_at: EncodeAt,
     splats: int,
     size_bytes: int,
     size_of: Callable[[EncodedScene], int],
     *,
     progress: Progress = silent,
-) -> Hit:
-    """Search for the finest nominal quality at which a scene takes no more than a size.
+) -> SearchResult:
+    """Search for the finest nominal quality at which a scene fits a file size.
 
     Parameters
     ----------
     encode_at : callable
+        Encodes the scene at a nominal quality, dB.
     splats : int
-        That may be stored: the search begins at what so many usually take.
+        Number of splats, which sets the first guess.
     size_bytes : int
-        The target, never exceeded; at least 1.
+        Target size in bytes, never exceeded; at least 1.
     size_of : callable
-        Bytes of the whole file that an encoded scene would make.
+        Returns the file size of an encoded scene, bytes.
     progress : Progress
-        As in `to_psnr`.
+        Called with ``search``, finished trials and `MAX_TRIALS`.
 
     Raises
     ------
     DataError
-        ``target-out-of-reach``: larger even at the coarsest setting.
+        ``target-out-of-reach``: the scene is too large even at the coarsest setting.
     """
 
     def fits(trial: _Trial) -> bool:
@@ -183,9 +185,9 @@ def to_size(
             return trial.quality_db > best.quality_db
         return trial.value < best.value
 
-    # Sizes are searched for as base-2 logarithms, which rise nearly evenly with the quality.
+    # The search uses the base-2 logarithm of the size, which is nearly linear in the quality.
     goal = _Goal(
-        # A little below the size, so that a guess that is off by a little is not too large.
+        # Aim a little below the target, so that a small error still fits.
         value=float(np.log2(size_bytes * (1 - SIZE_TOLERANCE / 2))),
         rise=LOG2_BYTES_PER_DB,
         start_db=_START_DB
@@ -200,44 +202,48 @@ def to_size(
     return replace(best, value=float(round(2.0**best.value)))
 
 
-def to_finished_size(
+def search_finished_size(
     encode_at: EncodeAt,
     splats: int,
     size_bytes: int,
-    foreseen_size: Callable[[EncodedScene], int],
+    final_size: Callable[[EncodedScene], int],
     finish: Callable[[EncodedScene], EncodedScene],
     size_of: Callable[[EncodedScene], int],
     *,
     progress: Progress = silent,
-) -> Hit:
-    """Search as `to_size` does and finish the result, which may change its size a little.
+) -> SearchResult:
+    """Search for a file size that includes compensation and predictions, and finish the scene.
 
-    What is added to a scene after the search takes a known number of bytes, but the order of
-    segments follows from it, and with that order index pages end elsewhere. Where a finished scene
-    is too large, the search begins again at a size that is lower by what was added. There are at
-    most `MAX_ROUNDS` searches; after the last, segments keep the order that the search measured.
+    The sizes of these additions are known before, but they change the order of segments and with it
+    the ends of index pages. If the finished file is too large, the search is repeated with a target
+    that is lower by the excess, `MAX_ROUNDS` times at most. After the last search, segments keep
+    the order in which they were measured.
 
     Parameters
     ----------
-    encode_at, splats, size_bytes
-        As in `to_size`.
-    foreseen_size : callable
-        Bytes of the whole file that an encoded scene will make once it is finished.
+    encode_at : callable
+        Encodes the scene at a nominal quality, dB.
+    splats : int
+        Number of splats, which sets the first guess.
+    size_bytes : int
+        Target size in bytes, never exceeded; at least 1.
+    final_size : callable
+        Returns the size of the finished file before anything is fitted, bytes.
     finish : callable
         Adds compensation and predicted quality to an encoded scene.
     size_of : callable
-        Bytes of the whole file that a finished scene makes.
+        Returns the file size of a finished scene, bytes.
     progress : Progress
-        As in `to_psnr`.
+        Called with ``search``.
 
     Raises
     ------
     DataError
-        ``target-out-of-reach``, as in `to_size`.
+        ``target-out-of-reach``: the scene is too large even at the coarsest setting.
     """
     aim, trials = size_bytes, 0
     for _ in range(MAX_ROUNDS):
-        hit = to_size(encode_at, splats, aim, foreseen_size, progress=progress)
+        hit = search_size(encode_at, splats, aim, final_size, progress=progress)
         trials += hit.trials
         finished = finish(hit.encoded)
         size = size_of(finished)
@@ -248,12 +254,12 @@ def to_finished_size(
             raise _out_of_reach(f"size of {size_bytes:,} bytes", f"{size:,} bytes")
     else:
         finished = replace(finished, prefix_mse=None)
-    return Hit(finished, hit.quality_db, float(size_of(finished)), trials)
+    return SearchResult(finished, hit.quality_db, float(size_of(finished)), trials)
 
 
 @dataclass(frozen=True)
 class _Trial:
-    """A nominal quality and what was measured at it."""
+    """Nominal quality, dB, and the value measured at it."""
 
     quality_db: float
     value: float
@@ -261,19 +267,20 @@ class _Trial:
 
 @dataclass(frozen=True, eq=False)
 class _Goal:
-    """The value that a search aims at.
+    """Goal of a search: the value aimed at, and when to stop.
 
     Parameters
     ----------
     value : float
+        Value aimed at.
     rise : float
-        How much the value usually rises per nominal dB.
+        Typical rise of the value per nominal dB.
     start_db : float
-        The nominal quality to try first.
+        First nominal quality, dB.
     is_enough : callable
         Tells whether a value is near enough to stop.
     is_better : callable
-        Tells whether a trial beats another.
+        Tells whether a trial is better than another.
     """
 
     value: float
@@ -284,7 +291,7 @@ class _Goal:
 
 
 def _psnr_goal(psnr_db: float, tolerance_db: float) -> _Goal:
-    """Return the goal of a search for a PSNR, which begins at the same nominal quality."""
+    """Return the goal of a search for a PSNR."""
 
     def miss(value: float) -> float:
         return abs(value - psnr_db)
@@ -313,16 +320,16 @@ def _search(
     most_trials: int = MAX_TRIALS,
     *,
     keep: bool = True,
-) -> tuple[Hit, list[_Trial]]:
-    """Try qualities until one is near enough or the next would be no other; return the best.
+) -> tuple[SearchResult, list[_Trial]]:
+    """Try nominal qualities until a value is near enough; return the best encode and all trials.
 
-    The best scene is kept while others are tried: a large one takes as much memory as its source.
-    Without `keep` it is encoded once more where another was tried after it.
+    With `keep` the best scene stays in memory, as much as its source. Without, it is encoded again
+    if it was not the last trial.
     """
     trials: list[_Trial] = []
     best: _Trial | None = None
     kept: EncodedScene | None = None
-    quality = _within(goal.start_db)
+    quality = _clamp_quality(goal.start_db)
     progress("search", 0, most_trials)
     while len(trials) < most_trials:
         if not keep:
@@ -345,15 +352,14 @@ def _search(
     if kept is None:
         kept, count = encode_at(best.quality_db), count + 1
     progress("search", most_trials, most_trials)
-    return Hit(kept, best.quality_db, best.value, count), trials
+    return SearchResult(kept, best.quality_db, best.value, count), trials
 
 
 def _next(trials: list[_Trial], goal: float, rise: float) -> float:
-    """Return the quality to try: between neighbours on both sides of the goal, else further out.
+    """Return the next quality: between trials on both sides of the goal, else beyond the last.
 
-    A finer setting may give a little less, where a codebook takes another number of rows. So the
-    two trials are neighbours by quality, the nearest such pair: values of others say nothing of
-    what lies between the two.
+    Values are not monotonic: a codebook may change its number of rows. So the two trials are
+    neighbours by quality, and the closest such pair.
     """
     by_quality = sorted(trials, key=lambda trial: trial.quality_db)
     pairs = [
@@ -369,11 +375,11 @@ def _next(trials: list[_Trial], goal: float, rise: float) -> float:
     last = trials[-1]
     if len(trials) > 1:
         run = last.quality_db - trials[-2].quality_db
-        # Curves that flatten must not send the search off: at least a quarter of the usual rise.
+        # A flat curve must not give a huge step: assume at least a quarter of the typical rise.
         rise = max((last.value - trials[-2].value) / run, rise / 4)
     step = min(max((goal - last.value) / rise, -_LONGEST_DB), _LONGEST_DB)
-    return _within(last.quality_db + step)
+    return _clamp_quality(last.quality_db + step)
 
 
-def _within(quality_db: float) -> float:
+def _clamp_quality(quality_db: float) -> float:
     return min(max(quality_db, MIN_QUALITY_DB), MAX_QUALITY_DB)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class EncodeRequest:
-    """All inputs of an encode except the scene.
+    """Inputs of an encode, except the scene.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class EncodeRequest:
         Cameras stored in the file for its readers; they change nothing else.
     config : EncodeConfig
         Contents of the file. With planned views, its nominal quality is the PSNR in the planned
-        test views, to about 1 dB (`rate_control.to_nominal`).
+        test views, to about 1 dB (`rate_control.search_nominal`).
     score_config : ScoreConfig, optional
         Scoring settings in place of the preset's.
     preset : str
@@ -103,7 +103,7 @@ class EncodeRequest:
 
     @property
     def scoring(self) -> ScoreConfig:
-        """Scoring settings: the given ones, or those of the preset for the profile."""
+        """Scoring settings: `score_config`, or the settings of the preset for the profile."""
         if self.score_config is not None:
             return self.score_config
         return self.effort.score_config(self.config.profile, threads=self.config.threads)

@@ -36,7 +36,7 @@ _RETRY_FACTOR: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class ScoredViews:
-    """Scores of a scene, the views behind them, and the test views.
+    """Scores of a scene, with scoring views and test views.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def score_scene(splats: Splats, request: EncodeRequest, progress: Progress) -> S
 
 
 def _score_planned(splats: Splats, request: EncodeRequest, progress: Progress) -> ScoredViews:
-    """Plan views around a scene and score it in them."""
+    """Plan scoring and test views around a scene, and score the scene."""
     planned = _plan_views(splats, request, progress)
     settings = request.scoring
     settings = replace(settings, jitter=settings.jitter and request.effort.planned_jitter)

@@ -1,4 +1,4 @@
-"""The Adam optimiser over numpy arrays (Kingma and Ba 2015)."""
+"""Adam over numpy arrays, for compensation shifts (Kingma and Ba 2015)."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 
-MEMORY: Final = 0.85
-"""What the running mean of gradients keeps of itself in a step."""
+BETA_1: Final = 0.85
+"""Decay rate of the mean gradient."""
 
-SQUARE_MEMORY: Final = 0.97
-"""The same of the running mean of their squares."""
+BETA_2: Final = 0.97
+"""Decay rate of the mean squared gradient."""
 
-LEAST_SIZE: Final = 1e-12
-"""Added to the size of gradients that steps are divided by."""
+EPSILON: Final = 1e-12
+"""Term added to the root mean squared gradient before division."""
 
 
-class Adam:
-    """The steps of gradient descent on an array, from running moments of its gradient.
+class ShiftAdam:
+    """Adam state of one array: running moments of its gradient.
 
     Parameters
     ----------
     shape : tuple of int
-        Of the array; all values along its last axis have one count of steps.
+        Shape of the array. Values along the last axis share a step count.
     rates : (c,) float64
         Learning rates along the last axis.
     """
@@ -37,14 +37,22 @@ class Adam:
         self._count = np.zeros(shape[:-1])
 
     def step(self, part: slice | int, gradient: F64) -> F64:
-        """Return what to subtract from a part of the array whose gradient is given."""
+        """Return the update to subtract from a part of the array.
+
+        Parameters
+        ----------
+        part : slice or int
+            Part along the first axis.
+        gradient : float64 array
+            Gradient of that part.
+        """
         self._count[part] += 1
         mean, square = self._mean[part], self._square[part]
-        mean *= MEMORY
-        mean += (1 - MEMORY) * gradient
-        square *= SQUARE_MEMORY
-        square += (1 - SQUARE_MEMORY) * gradient * gradient
+        mean *= BETA_1
+        mean += (1 - BETA_1) * gradient
+        square *= BETA_2
+        square += (1 - BETA_2) * gradient * gradient
         count = np.asarray(self._count[part])[..., None]
-        size = np.sqrt(square / (1 - SQUARE_MEMORY**count)) + LEAST_SIZE
-        moved: F64 = self._rates * (mean / (1 - MEMORY**count)) / size
+        size = np.sqrt(square / (1 - BETA_2**count)) + EPSILON
+        moved: F64 = self._rates * (mean / (1 - BETA_1**count)) / size
         return moved

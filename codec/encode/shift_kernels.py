@@ -1,6 +1,6 @@
-"""Loops over the splats of a prefix while its shifts are fitted: each updates arrays in place.
+"""Compiled loops of the compensation fit over the splats of a prefix; they fill arrays in place.
 
-A prefix may be half of a large scene, and every step of the fit goes over all of it.
+A prefix may be half of a large scene, and each iteration visits all of it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.compiling import called_with
 from cogsplat.codec.render.jit import kernel
 
-from .shift_adam import LEAST_SIZE, MEMORY, SQUARE_MEMORY
+from .shift_adam import BETA_1, BETA_2, EPSILON
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -35,20 +35,20 @@ def draw_shifts(
     drawn_scales: F32,
     drawn_opacities: F32,
 ) -> None:
-    """Fill the scales and opacities that a prefix is drawn with.
+    """Apply the shifts of a layer to the scales and opacities of a prefix.
 
     Parameters
     ----------
     starts : (c + 1,) int64
         First splat of each of the prefix's chunks, and the one after the last.
     chunk_shifts, strengths : (at least c, 2) float64
-        Of the layer: log scale, logit.
+        Shifts and strengths of the layer's chunks: log scale, logit.
     own : (k, 2) float32
-        Shifts of the first splats; those behind have none.
+        Shifts of the first k splats; later splats have none.
     scales, opacities : (n, 3) float32, (n,) float32
-        As they are decoded: log, logit.
+        Decoded log scales and logits.
     drawn_scales, drawn_opacities : (n, 3) float32, (n,) float32
-        Filled.
+        Output: shifted log scales and logits.
     """
     for chunk in range(len(starts) - 1):
         for i in range(starts[chunk], starts[chunk + 1]):
@@ -66,16 +66,18 @@ def draw_shifts(
 def add_gradient(
     rows: NDArray[np.int32], by_scale: F64, by_opacity: F64, weight: float, gradients: F64
 ) -> None:
-    """Add one view's derivatives, times its weight, to those of the splats that it shows.
+    """Add the weighted gradient of one view to the gradient of the prefix.
 
     Parameters
     ----------
     rows : (M,) int32
-        Splats of the prefix.
+        Splats that the view shows.
     by_scale, by_opacity : (M,) float64
+        Derivatives by log scale and by logit.
     weight : float
+        Weight of the view.
     gradients : (n, 2) float64
-        Changed in place.
+        Gradient of the prefix, changed in place.
     """
     for place in range(len(rows)):
         gradients[rows[place], 0] += weight * by_scale[place]
@@ -101,30 +103,30 @@ def move_shifts(
     of_chunks: F64,
     of_strengths: F64,
 ) -> None:
-    """Move splats' own shifts by a step of `Adam`, and sum gradients over the chunks.
+    """Move the splats' own shifts by a step of Adam, and sum gradients per chunk.
 
     Parameters
     ----------
     starts : (c + 1,) int64
-        As in `draw_shifts`.
+        First splat of each of the prefix's chunks, and the end of the last.
     gradients : (n, 2) float64
-        By what was added to each splat's log scale and logit.
+        Gradient by the shift of each splat's log scale and logit.
     strengths : (at least c, 2) float64
-        Of the layer.
+        Strengths of the layer's chunks.
     rates : (2,) float64
         Learning rates.
     counts : (at least c,) int64
-        Steps that each chunk's splats have taken, this one included.
+        Step count of each chunk's splats, this step included.
     means, squares, shifts : (k, 2) float32
-        Moments of the gradients, and the shifts: changed in place.
+        Moments of the gradient, and the shifts; changed in place.
     own : (k, 2) float32
-        Shifts that the first splats were drawn with.
+        Shifts with which the first k splats were rendered.
     of_chunks, of_strengths : (at least c, 2) float64
-        Filled with the gradients by the chunks' shifts and by their strengths.
+        Output: gradients by the chunks' shifts and by their strengths.
     """
     for chunk in range(len(starts) - 1):
-        first_moment = 1.0 - MEMORY ** float(counts[chunk])
-        second_moment = 1.0 - SQUARE_MEMORY ** float(counts[chunk])
+        first_moment = 1.0 - BETA_1 ** float(counts[chunk])
+        second_moment = 1.0 - BETA_2 ** float(counts[chunk])
         for axis in range(2):
             strength = strengths[chunk, axis]
             by_chunk, by_strength = 0.0, 0.0
@@ -135,9 +137,9 @@ def move_shifts(
                     continue
                 by_strength += slope * own[i, axis]
                 slope *= strength
-                mean = MEMORY * means[i, axis] + (1.0 - MEMORY) * slope
-                square = SQUARE_MEMORY * squares[i, axis] + (1.0 - SQUARE_MEMORY) * slope * slope
-                size = math.sqrt(square / second_moment) + LEAST_SIZE
+                mean = BETA_1 * means[i, axis] + (1.0 - BETA_1) * slope
+                square = BETA_2 * squares[i, axis] + (1.0 - BETA_2) * slope * slope
+                size = math.sqrt(square / second_moment) + EPSILON
                 means[i, axis] = mean
                 squares[i, axis] = square
                 shifts[i, axis] -= rates[axis] * (mean / first_moment) / size
@@ -148,17 +150,18 @@ def move_shifts(
 @called_with("float32[:, ::1], float64[::1], float64[:, ::1], uint8[::1], float32[:, ::1]")
 @kernel
 def choose_rows(shifts: F32, spread: F64, book: F64, codes: NDArray[np.uint8], own: F32) -> None:
-    """Give every splat the row of a codebook that is nearest to its shift, the first of equals.
+    """Assign each splat the codebook row nearest to its shift; the first of equally near rows.
 
     Parameters
     ----------
     shifts : (k, 2) float32
+        Shifts of the splats.
     spread : (2,) float64
-        Unit of distances, of log scales and of logits.
+        Unit of distance, for log scales and for logits.
     book : (rows, 2) float64
-        At most 256 rows.
+        Codebook of at most 256 rows.
     codes, own : (k,) uint8, (k, 2) float32
-        Filled with the numbers of the rows and with the rows.
+        Output: numbers of the rows, and the rows.
     """
     for i in range(len(shifts)):
         least, nearest = math.inf, 0

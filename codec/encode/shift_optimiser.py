@@ -1,4 +1,4 @@
-"""Gradient descent on what is added to the scales and opacities of a scene's prefixes."""
+"""Gradient descent on the shifts of scales and opacities of a scene's prefixes."""
 
 from __future__ import annotations
 
@@ -24,24 +24,23 @@ from cogsplat.codec.segments.prefix_compensation import (
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import thread_count
 
-from .shift_adam import Adam
+from .shift_adam import ShiftAdam
 from .shift_kernels import add_gradient, choose_rows, draw_shifts, move_shifts
 
 F64 = NDArray[np.float64]
 
-# Largest shift of a code, either way: of the log scale, and of the logit.
+# Largest absolute shift of a code: log scale, logit.
 _LIMITS: Final = np.array([0.9, 6.0])
-# Shifts of scales and of opacities that change pictures about equally: the unit of distances
-# between shifts.
+# Shifts of log scale and logit that change pictures about equally: the unit of distance.
 _SPREAD: Final = np.array([0.3, 1.8])
-# The shifts of an older chunk's splats were fitted to shorter prefixes; in each layer behind its
-# own they begin with so much less strength.
+# Initial strength of a chunk's shifts in each later layer, relative to the layer before: its shifts
+# were fitted to shorter prefixes.
 _FADE: Final = 0.57
-# Learning rates of Adam (Kingma and Ba 2015), each of scales and of opacities.
+# Learning rates of Adam (Kingma and Ba 2015): scales, opacities.
 _SPLAT_RATES: Final = np.array([0.04, 0.2])
 _CHUNK_RATES: Final = np.array([0.02, 0.1])
 _STRENGTH_RATES: Final = np.array([0.02, 0.02])
-# Added to a view's mean squared error before the logarithm that is minimised.
+# Term added to a view's mean squared error before the logarithm.
 _ERROR_FLOOR: Final = 3e-4
 
 # Units of stored shifts (SPEC 8.5).
@@ -50,21 +49,21 @@ _STEPS: Final = np.array([SCALE_STEP, OPACITY_STEP])
 
 @dataclass(frozen=True)
 class FitConfig:
-    """How compensation is fitted.
+    """Settings of the compensation fit.
 
     Parameters
     ----------
     code_bits : int
-        Of every splat's code, 0 to 8; at 0 only whole chunks are shifted.
+        Bits of each splat's code, 0 to 8; 0 shifts whole chunks only.
     iterations : int
-        For each layer.
+        Iterations per layer.
     views : int
-        Views that each iteration renders.
+        Views rendered in each iteration.
     coded_share : float
-        Splats behind this, times `prefix_inflation.effective_splats`, get no codes; 0 or more. By
-        default those whose prefixes are nearly whole.
+        Length of the longest prefix with codes, in `prefix_inflation.effective_splats`; 0 or more.
+        Longer prefixes are nearly complete.
     threads : int
-        0 for every core this process may use. The result does not depend on it.
+        Number of threads, 0 for all cores. The result does not depend on it.
     """
 
     code_bits: int = 3
@@ -84,27 +83,37 @@ class FitConfig:
 
 
 def coded_splats(sizes: Sequence[int], effective_splats: int, config: FitConfig) -> int:
-    """Return how many splats, from the first, have codes: those of the layers that end early.
+    """Return the number of first splats that have codes.
 
     Parameters
     ----------
     sizes : sequence of int
         Splats of each layer's prefix, ascending.
     effective_splats : int
+        Effective number of splats of the source.
     config : FitConfig
+        Bits of a code, and share of coded splats.
     """
     coded = [size for size in sizes if size <= config.coded_share * effective_splats]
     return coded[-1] if coded and config.code_bits else 0
 
 
 def codebook_rows(code_bits: int, splats: int) -> int:
-    """Return the rows of the codebook that so many splats of one layer share."""
+    """Return the number of codebook rows for the new splats of a layer.
+
+    Parameters
+    ----------
+    code_bits : int
+        Bits of a code.
+    splats : int
+        New splats of the layer.
+    """
     return min(1 << code_bits, max(splats, 1))
 
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """What a step draws the splats of a prefix with: log scales, (n, 3), and logits, (n,)."""
+    """Shifted log scales, (n, 3), and logits, (n,), of a rendered prefix."""
 
     scales: NDArray[np.float32]
     opacities: NDArray[np.float32]
@@ -113,7 +122,7 @@ class _Drawn:
 def _view_gradient(
     view: int, prefix: Splats, references: ReferenceViews, drawn: _Drawn
 ) -> Gradient:
-    """Return the gradient of the reference view of a number by what a prefix is drawn with."""
+    """Return the gradient of a reference view's error by shifted scales and opacities."""
     camera = references.cameras[view]
     shapes = prefix.without_extras().with_sh_degree(0)
     return gradient(
@@ -127,27 +136,28 @@ def _view_gradient(
 
 
 class ShiftOptimiser:
-    """The shifts of one scene while they are fitted.
+    """Optimiser of the compensation shifts of one scene.
 
-    A layer is a prefix of whole chunks. In a layer, what is added to the log scale and to the logit
-    of a splat is the shift of its chunk plus the splat's own shift times a strength of the chunk.
-    A splat's own shift is the same in all layers.
+    A layer is a prefix of whole chunks. In a layer, the log scale and the logit of a splat are
+    shifted by its chunk's shift plus its own shift times its chunk's strength. A splat's own shift
+    is the same in all layers.
 
     Parameters
     ----------
     prefixes : sequence of Splats
-        Of each layer, as they are drawn where what is added to them is not.
+        Prefix of each layer without shifts.
     chunk_splats : sequence of int
         Splats of each chunk of the scene.
     layers : sequence of int
-        Chunks of each layer's prefix, ascending.
+        Number of chunks of each layer's prefix, ascending.
     inflations : sequence of Inflation
-        What the shifts of all chunks of each layer begin with.
+        Initial chunk shifts of each layer.
     effective_splats : int
-        Of the source (`prefix_inflation.effective_splats`).
+        Effective number of splats of the source (`prefix_inflation.effective_splats`).
     config : FitConfig
+        Settings of the fit.
     executor : Executor
-        What measures gradients in single views.
+        Runs the gradients of single views.
     """
 
     def __init__(
@@ -168,10 +178,10 @@ class ShiftOptimiser:
         self._sizes = [int(ends[chunks - 1]) for chunks in layers]
         chunks = self._layers[-1]
         self._starts = np.concatenate([[0], ends[:chunks]]).astype(np.int64)
-        # The first layer that each chunk is in.
+        # First layer of each chunk.
         self._first_layer = np.searchsorted(self._sizes, ends[:chunks], side="left")
         self._coded = coded_splats(self._sizes, effective_splats, config)
-        # What gradients move, what splats are drawn with, and the moments of the gradients.
+        # Optimised shifts, shifts used for rendering, and moments of the gradient.
         self._splat_shifts = np.zeros((self._coded, 2), np.float32)
         self._own = np.zeros((self._coded, 2), np.float32)
         self._moments = np.zeros((2, self._coded, 2), np.float32)
@@ -185,18 +195,18 @@ class ShiftOptimiser:
         for number, (count, by) in enumerate(zip(layers, inflations, strict=True)):
             self._chunk_shifts[number, :count] = by.scales, by.opacities
             self._strengths[number, :count] = _FADE ** (number - self._first_layer[:count])[:, None]
-        self._chunk_steps = Adam(self._chunk_shifts.shape, _CHUNK_RATES)
-        self._strength_steps = Adam(self._strengths.shape, _STRENGTH_RATES)
-        # In units of `_STEPS`, one for each layer with codes; empty until they are trained.
+        self._chunk_steps = ShiftAdam(self._chunk_shifts.shape, _CHUNK_RATES)
+        self._strength_steps = ShiftAdam(self._strengths.shape, _STRENGTH_RATES)
+        # Codebook of each layer with codes, in units of `_STEPS`; empty before training.
         self._codebooks: list[NDArray[np.int8]] = []
 
     @property
     def is_quantised(self) -> bool:
-        """Whether splats have the shifts of codebook rows."""
+        """Whether splats use the shifts of codebook rows."""
         return bool(self._codebooks)
 
     def quantise(self) -> None:
-        """Train a codebook for each layer; from here on splats have the shifts of their rows."""
+        """Train a codebook per layer; from now on splats use the shifts of their rows."""
         first = 0
         for size in self._sizes:
             if size > self._coded:
@@ -215,17 +225,18 @@ class ShiftOptimiser:
         references: ReferenceViews,
         views: Sequence[int],
     ) -> None:
-        """Move the shifts of one layer against the gradient of its pictures' errors.
+        """Move the shifts of one layer against the gradient of its picture error.
 
         Parameters
         ----------
         number : int
-            Of the layer.
+            Number of the layer.
         rate : float
             Factor on all learning rates.
         references : ReferenceViews
+            Pictures of the source.
         views : sequence of int
-            Reference views that are rendered.
+            Numbers of the reference views to render.
         """
         size, count = self._sizes[number], self._layers[number]
         starts = self._starts[: count + 1]
@@ -255,14 +266,14 @@ class ShiftOptimiser:
         )
         self._choose_rows(size)
         chunk_shifts[:count] -= rate * self._chunk_steps.step(number, of_chunks)[:count]
-        # In its first layer a chunk's strength stays 1: that is the unit of its splats' shifts.
+        # A chunk's strength in its first layer stays 1, which fixes the unit of its splats' shifts.
         older = self._first_layer[:count] < number
         moved = self._strength_steps.step(number, of_strengths)[:count]
         strengths[:count][older] -= rate * moved[older]
         np.clip(strengths, 0.0, 255 * STRENGTH_STEP, out=strengths)
 
     def layers(self) -> list[Layer]:
-        """Return the layers as they are stored."""
+        """Return the layers, quantised for the file."""
         stored = []
         first = 0
         for number, (count, size) in enumerate(zip(self._layers, self._sizes, strict=True)):
@@ -290,22 +301,22 @@ class ShiftOptimiser:
         references: ReferenceViews,
         views: Sequence[int],
     ) -> F64:
-        """Return the gradient of the views' mean log error by the shifts of a layer, (n, 2)."""
+        """Return the gradient of the mean log error by the shifts of a layer, (n, 2)."""
         size = self._sizes[number]
-        # A new object for each step: what is shared must not change.
+        # A new object for each step: an executor may cache shared arguments.
         drawn = _Drawn(*(values[:size] for values in self._drawn))
         found = self._executor.map(_view_gradient, views, self._prefixes[number], references, drawn)
         gradients = self._gradients[:size]
         gradients[:] = 0.0
         for view, result in zip(views, found, strict=True):
-            # PSNR is a logarithm: a view with little error counts as one with much.
+            # PSNR is logarithmic: views count equally whatever their error.
             floor = _ERROR_FLOOR * references.pictures[view].size
             weight = float(references.weights[view]) / (result.error + floor)
             add_gradient(result.rows, result.scales, result.opacities, weight, gradients)
         return gradients
 
     def _choose_rows(self, stop: int) -> None:
-        """Draw the first splats with their own shifts, or once there are codebooks, their rows."""
+        """Update the shifts used for rendering: own shifts, or codebook rows after training."""
         if not self._codebooks:
             self._own[:stop] = self._splat_shifts[:stop]
             return

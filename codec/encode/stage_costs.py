@@ -1,11 +1,10 @@
-"""What the stages of an encode cost beside each other, so that progress can speak of the whole.
+"""Relative costs of the stages of an encode, from which progress computes its overall share.
 
-Seconds of processor time, measured with the synthetic scene at 5,000, 20,000 and 80,000 splats of
-SH degree 3, from 16 and 48 cameras of 480x360 pixels and from planned views, with the presets
-``fast`` and ``balanced``. Only their ratios count: a faster machine has the same shares. Measure
-again when a stage has become faster or slower: ``cogsplat encode --json`` has the processor time of
-every stage in ``cpu_seconds``; two sizes of a scene give what a stage costs for itself and for each
-splat.
+Units are seconds of processor time, measured with the synthetic scene at 5,000, 20,000 and 80,000
+splats of SH degree 3, from 16 and 48 cameras of 480x360 pixels and from planned views, with the
+presets ``fast`` and ``balanced``. Only ratios matter, so the machine does not. Measure again when a
+stage becomes faster or slower: ``cogsplat encode --json`` has the processor time of each stage in
+``cpu_seconds``. Two scene sizes separate the fixed cost of a stage from the cost per splat.
 """
 
 from __future__ import annotations
@@ -24,21 +23,21 @@ from .presets import DEFAULT_PRESET, PRESETS, Preset
 from .request import EncodeRequest
 from .view_table_builder import MOST_CAMERAS
 
-# Planned views have this size, and planning adds some to those that a preset asks for.
+# Pixels of a planned view, and ratio of planned views to the number in a preset.
 _PLANNED_PIXELS: Final = 480 * 360
-_ADDED: Final = 1.15
+_PLANNED_RATIO: Final = 1.15
 
 _PLAN: Final = 2.0
-# Of each scored view: for its pixels, and for every splat.
+# Costs per view: for each pixel, and for each splat.
 _SCORE: Final = (1.4e-7, 1.1e-6)
 _REFERENCE: Final = (6e-8, 9e-7)
 _PREDICT: Final = (9.3e-7, 1.4e-6)
-# What of reference views is drawn without jittered copies, of which each view has two.
+# Share of reference views that remains without jittered copies, of which each view has two.
 _WITHOUT_COPIES: Final = 1 / 3
-# Of the whole, and for every splat, as `balanced` does it; pixels are thinned.
+# Costs with the preset `balanced`: fixed, and for each splat.
 _GAIN: Final = (5.5, 6e-5)
 _COMPENSATE: Final = (1.35, 3.7e-5)
-# Of each view of a view table.
+# Cost per view of a view table: for each pixel, and for each splat.
 _VIEW_TABLE: Final = (1.4e-7, 4e-7)
 # The first prefix of the order by gain, as a share of the scene.
 _FIRST_PREFIX: Final = 1 / 8000
@@ -50,8 +49,8 @@ _RENDER: Final = (8e-8, 4e-7)
 _CODEBOOKS: Final = (0.5, 5e-5)
 _WRITE: Final = (0.02, 2e-6)
 
-# Encodes that a search for a target and a nominal quality in planned views take on average, and the
-# share of a prediction, which renders several prefixes, that one render of a view costs.
+# Average encodes of a search for a target, and of a nominal quality in planned views; cost of one
+# render of a view as a share of a prediction, which renders several prefixes.
 _TRIALS: Final = 3
 _NOMINAL_TRIALS: Final = 2
 _ONE_RENDER: Final = 0.33
@@ -84,7 +83,7 @@ def stage_costs(splats: int, request: EncodeRequest, *, scored: bool = False) ->
     if cameras:
         views, pixels = len(preset.views(cameras)), _mean_pixels(cameras)
     else:
-        views, pixels = round(preset.planned_views * _ADDED), float(_PLANNED_PIXELS)
+        views, pixels = round(preset.planned_views * _PLANNED_RATIO), float(_PLANNED_PIXELS)
         jitter = jitter and preset.planned_jitter
     seen = bool(cameras) or planned
     order = split_name(config.order)[0]
@@ -127,13 +126,14 @@ def stage_costs(splats: int, request: EncodeRequest, *, scored: bool = False) ->
 
 
 def render_cost(splats: int, cameras: Sequence[Camera]) -> float:
-    """Return what it costs to render a scene once in each of some cameras, as `stage_costs` counts.
+    """Return the cost of rendering a scene once in each camera, in the unit of `stage_costs`.
 
     Parameters
     ----------
     splats : int
+        Number of splats.
     cameras : sequence of Camera
-        At least one.
+        Cameras, at least one.
     """
     return len(cameras) * _of_view(_RENDER, _mean_pixels(cameras), splats)
 
@@ -141,36 +141,39 @@ def render_cost(splats: int, cameras: Sequence[Camera]) -> float:
 def score_cost(
     splats: int, preset: Preset, cameras: Sequence[Camera], *, jitter: bool = True
 ) -> StageCost:
-    """Return what it costs to score a scene in some cameras, those that a preset takes of them.
+    """Return the cost of scoring a scene in a preset's share of the cameras.
 
     Parameters
     ----------
     splats : int
+        Number of splats.
     preset : Preset
+        Number of views and of jittered copies.
     cameras : sequence of Camera
-        At least one.
+        Given cameras, at least one.
     jitter : bool
-        Whether jittered copies of them are scored as well.
+        Score jittered copies as well.
     """
     views = len(preset.views(cameras))
     return _scored(splats, views, _mean_pixels(cameras), preset, jitter=jitter)
 
 
 def order_costs(splats: int, order: str, cameras: Sequence[Camera]) -> list[StageCost]:
-    """Return what the stages of sorting a scene cost that has been scored.
+    """Return the costs of the stages that order a scored scene.
 
     Parameters
     ----------
     splats : int
+        Number of splats.
     order : str
-        As `order_rows` takes it.
+        Name of the order (`order_rows`).
     cameras : sequence of Camera
-        That it was scored in; at least one.
+        Scored cameras, at least one.
 
     Returns
     -------
     list of StageCost
-        None for an order that renders nothing: sorting alone takes no time beside scoring.
+        Stages that render; empty for an order that only sorts, whose cost is negligible.
     """
     if split_name(order)[0] != "gain":
         return []
@@ -195,7 +198,7 @@ def _gained(splats: int, preset: Preset) -> StageCost:
 
 
 def _draws(effort: GainEffort) -> float:
-    """Return about how many views are drawn while a scene is ordered by gain."""
+    """Estimate the number of views rendered by the order by gain."""
     return effort.views * math.log(effort.until / _FIRST_PREFIX) / math.log1p(effort.growth)
 
 

@@ -1,4 +1,4 @@
-"""View tables of encoded scenes: which views, and what their pictures show of each chunk."""
+"""Build the view table of an encoded scene: viewpoints, and the contribution of each chunk."""
 
 from __future__ import annotations
 
@@ -25,33 +25,34 @@ from cogsplat.codec.views.view_sets import sample_evenly
 from .encoded import EncodedScene
 
 _LARGEST_SHARE: Final = 1 / 200
-"""Most bytes of a view table, as a share of what the chunks take."""
+"""Largest size of a view table, as a share of the chunks' bytes."""
 
-# Fewer views say too little about where a visitor may be.
+# Least viewpoints of a table; fewer do not cover the places of visitors.
 _LEAST_VIEWS: Final = 4
 
-# Bytes of one viewpoint: a position of three float32 and a direction of three bytes; and of the
-# map around the columns with their names.
+# Bytes of a viewpoint: a position of three float32 and a direction of three bytes. Bytes of the map
+# with the names of its columns.
 _VIEW_BYTES: Final = 15
 _MAP_BYTES: Final = 48
 
 MOST_CAMERAS: Final = 4 * MAX_VIEWS
-"""Cameras that are drawn for a view table, at most."""
+"""Cameras rendered for a view table at most."""
 
 
-def num_views(encoded: EncodedScene, cameras: int) -> int:
-    """Return how many viewpoints a scene's view table has; 0 where it has no table.
+def count_viewpoints(encoded: EncodedScene, cameras: int) -> int:
+    """Return the number of viewpoints of a scene's view table; 0 for no table.
 
     Parameters
     ----------
     encoded : EncodedScene
+        Scene with its chunks.
     cameras : int
-        Cameras to take viewpoints from.
+        Number of cameras to choose viewpoints from.
 
     Notes
     -----
-    As many as fit into `_LARGEST_SHARE` of the scene's bytes even if their codes cannot be made
-    smaller, so that a search for a size knows the most that the table takes.
+    The table fits into `_LARGEST_SHARE` of the scene's bytes even if its codes do not compress, so
+    that a search for a size knows an upper bound.
     """
     size = sum(
         sum(len(part or b"") for part in (p.head, p.refinement, p.tail))
@@ -70,26 +71,27 @@ def add_view_table(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> EncodedScene:
-    """Return a scene with its view table: what the pictures of some cameras show of each chunk.
+    """Return a scene with a view table: the contribution of each chunk to some viewpoints.
 
     Parameters
     ----------
     encoded : EncodedScene
+        Scene with its chunks.
     cameras : sequence of Camera
-        In the frame of the means. Those near each other are one viewpoint, in the mean of their
-        positions and directions, and its shares are the means of theirs.
+        Cameras in the frame of the means. Near cameras become one viewpoint with their mean
+        position, direction and contributions.
     executor : Executor, optional
-        What runs the work of single views; threads of this process where it is not given.
+        Runs the work of single views; None for threads of this process.
     progress : Progress
         Called with the stage ``view table``.
 
     Returns
     -------
     EncodedScene
-        The same without a table where the scene has too few bytes or cameras for one.
+        Scene with a table; unchanged where it has too few bytes or cameras.
     """
     cameras = sample_evenly(cameras, MOST_CAMERAS)
-    views = num_views(encoded, len(cameras))
+    views = count_viewpoints(encoded, len(cameras))
     if not views:
         return encoded
     counts = np.array([chunk.splats for chunk in encoded.chunks], np.int64)
@@ -102,7 +104,7 @@ def add_view_table(
     forward = np.stack([camera.rotation[2] for camera in cameras])
     directions = np.stack([forward[cluster].mean(axis=0) for cluster in clusters])
     lengths = np.sqrt(np.square(directions).sum(axis=1, keepdims=True))
-    # Cameras that look opposite ways have no mean direction; then the first one's counts.
+    # Cameras with opposite directions have no mean direction: use that of the first.
     first = np.stack([forward[cluster[0]] for cluster in clusters])
     directions = np.where(lengths > 0.5, directions / np.maximum(lengths, 0.5), first)
     table = ViewTable(
@@ -114,11 +116,19 @@ def add_view_table(
 
 
 def reserve_view_table(encoded: EncodedScene, cameras: int) -> EncodedScene:
-    """Return a scene with a view table of as many bytes as its own may take at most."""
-    views = num_views(encoded, min(cameras, MOST_CAMERAS))
+    """Return a scene with a placeholder view table of the largest size, for a size search.
+
+    Parameters
+    ----------
+    encoded : EncodedScene
+        Scene with its chunks.
+    cameras : int
+        Number of cameras for the table.
+    """
+    views = count_viewpoints(encoded, min(cameras, MOST_CAMERAS))
     if not views:
         return encoded
-    # Codes that nothing makes smaller.
+    # Random codes, which do not compress.
     codes = np.random.default_rng(0).integers(0, 256, (views, len(encoded.chunks)), np.uint8)
     zeros = np.zeros((views, 3), np.float32)
     return replace(encoded, view_table=ViewTable(zeros, np.ones((views, 3), np.int8), codes))

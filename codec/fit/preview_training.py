@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from cogsplat.codec.encode.compensation_fit import plan_layers, usual_errors
+from cogsplat.codec.encode.compensation_fit import errors_before_fit, plan_layers
 from cogsplat.codec.encode.config import MAX_QUALITY_DB, MIN_QUALITY_DB, EncodeConfig
 from cogsplat.codec.encode.encoded import EncodedChunk, EncodedScene
 from cogsplat.codec.encode.encoder import encode_chunks
@@ -160,7 +160,7 @@ class TrainedPreview:
         preview = self._train_quantised(trainer, views, size, progress)
         if preview is None:
             return encoded
-        prefix_mse = usual_errors(encoded, references, effective_splats)
+        prefix_mse = errors_before_fit(encoded, references, effective_splats)
         encoded = replace(encoded, prefix_mse=prefix_mse)
         own = len(preview.chunks)
         counts = [chunk.splats for chunk in (*preview.chunks, *encoded.chunks)]

@@ -16,7 +16,7 @@ from cogsplat.codec.encode.finishing import Finisher, SizeOf
 from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.preview_chunks import PreviewMaker
-from cogsplat.codec.encode.rate_control import LOG2_BYTES_PER_DB, PSNR_PER_DB, to_psnr
+from cogsplat.codec.encode.rate_control import LOG2_BYTES_PER_DB, PSNR_PER_DB, search_psnr
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.order.prefix_inflation import effective_splats
 from cogsplat.codec.progress import Progress
@@ -196,7 +196,7 @@ class QuantisedTraining:
             None where the quantisers alone cannot reach the target PSNR.
         """
         try:
-            hit = to_psnr(
+            hit = search_psnr(
                 lambda quality_db: round_trip(self._prepared, splats, quality_db).encoded,
                 self._target.psnr_db or 0.0,
                 lambda encoded: self._finisher.evaluator.psnr_db(encoded.decoded),

@@ -150,7 +150,7 @@ def rate_gradients(encoded: EncodedScene, splats: Splats, rows: Sequence[I64]) -
     """
     gradients = Gradients.zeros(splats)
     bases = {
-        number: book.decoded(splats.sh_degree)
+        number: book.decode(splats.sh_degree)
         for number, book in enumerate(encoded.codebooks)
         if book.attribute == "colour"
     }

@@ -92,7 +92,7 @@ def round_trip(
     RoundTrip
     """
     now = replace(prepared, source=splats, codebooks=codebooks)
-    layout = now.laid_out(quality_db)
+    layout = now.lay_out(quality_db)
     encoded = encode_chunks(now, quality_db, executor=LocalThreads(prepared.config.threads))
     chunk_rows = [
         layout.rows[run][chunk.payloads.order]

@@ -133,7 +133,7 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
         else:
             for kind, payload in zip(layout.COLOUR_BANDS, book.payloads, strict=False):
                 codebooks.append(Segment(kind, number, payload))
-    for place in scene.placed():
+    for place in scene.ordered_segments():
         if place.kind is OrderedKind.CODEBOOKS:
             out += codebooks
         else:

@@ -1,4 +1,4 @@
-"""What all profiles store the same way in a chunk: means, opacities, and the order inside."""
+"""Streams that all profiles share: means and opacities, and the order within a chunk."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ F32 = NDArray[np.float32]
 
 
 def chunk_means(means: F32, step: float, sort: bool) -> tuple[NDArray[np.int64], Stream, F32]:
-    """Return the order inside a chunk and its means in that order, all with the same step.
+    """Quantise the means of a chunk with one step, in Morton order.
 
     Parameters
     ----------
     means : (n, 3) float32
         Scene units.
     step : float
-        Largest distance between levels.
+        Largest quantiser step, scene units.
     sort : bool
         Whether to sort by Morton code and store the differences.
 
@@ -33,7 +33,7 @@ def chunk_means(means: F32, step: float, sort: bool) -> tuple[NDArray[np.int64],
     stream : Stream
         Sorted or scalar.
     decoded : (n, 3) float32
-        What the stream decodes to.
+        Decoded means.
     """
     grid = grids.fit(means, step)
     if not sort:
@@ -49,6 +49,14 @@ def chunk_means(means: F32, step: float, sort: bool) -> tuple[NDArray[np.int64],
 
 
 def chunk_opacities(opacities: F32, step: float) -> Stream:
-    """Return the opacities of a chunk, clipped to ±`MAX_LOGIT`."""
+    """Quantise the opacities of a chunk, clipped to ±`MAX_LOGIT`.
+
+    Parameters
+    ----------
+    opacities : (n,) float32
+        Logits.
+    step : float
+        Largest quantiser step, logits.
+    """
     values = np.clip(opacities, -MAX_LOGIT, MAX_LOGIT)[:, None]
     return scalar.write(Attribute.OPACITIES, values, grids.fit(values, step))

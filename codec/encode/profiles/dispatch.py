@@ -1,4 +1,4 @@
-"""The table of profiles: from a scene in its chunks to what encodes one chunk."""
+"""Table of profiles: each plans a scene and encodes its chunks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.encode.encoded import EncodedCodebook
-from cogsplat.codec.encode.prepared import LaidOutScene
+from cogsplat.codec.encode.prepared import ChunkedScene
 from cogsplat.codec.geometry import covariance
 from cogsplat.codec.progress import Progress
 from cogsplat.codec.rate import allocation, segment_order
@@ -30,14 +30,15 @@ def _no_chunk(run: slice) -> Payloads:
 
 @dataclass(frozen=True, eq=False)
 class PlannedScene:
-    """What all chunks of a scene share, and what encodes one of them.
+    """Codebooks of a scene, and the encoder of its chunks.
 
     Parameters
     ----------
     codebooks : sequence of EncodedCodebook
+        Codebooks that the chunks share.
     encode_chunk : callable
-        Takes the rows of a chunk as a slice of the ordered scene, and returns payloads whose planes
-        are not compressed yet (`Payloads.compressed`); several threads call it.
+        Encodes a chunk, given as a slice of the ordered scene. Its payloads are not compressed yet
+        (`Payloads.compressed`); several threads call it.
     """
 
     codebooks: Sequence[EncodedCodebook] = ()
@@ -47,12 +48,22 @@ class PlannedScene:
 class Profile(Protocol):
     """Plans a scene of at least one row at a nominal quality, dB."""
 
-    def __call__(self, scene: LaidOutScene, quality_db: float, progress: Progress) -> PlannedScene:
-        """Return the codebooks of the scene and what encodes its chunks."""
+    def __call__(self, scene: ChunkedScene, quality_db: float, progress: Progress) -> PlannedScene:
+        """Return the codebooks of the scene and the encoder of its chunks.
+
+        Parameters
+        ----------
+        scene : ChunkedScene
+            Scene of at least one row.
+        quality_db : float
+            Nominal PSNR, dB.
+        progress : Progress
+            Called with ``codebooks`` where they are trained.
+        """
         ...
 
 
-def _near_lossless(scene: LaidOutScene, quality_db: float, progress: Progress) -> PlannedScene:
+def _near_lossless(scene: ChunkedScene, quality_db: float, progress: Progress) -> PlannedScene:
     config = scene.config
     bound = near_lossless.mean_bound(scene.source.scales[scene.rows], config.near_lossless)
     return PlannedScene(
@@ -62,7 +73,7 @@ def _near_lossless(scene: LaidOutScene, quality_db: float, progress: Progress) -
     )
 
 
-def _transform(scene: LaidOutScene, quality_db: float, progress: Progress) -> PlannedScene:
+def _transform(scene: ChunkedScene, quality_db: float, progress: Progress) -> PlannedScene:
     source, config, workspace = scene.source.without_extras(), scene.config, scene.workspace
     scores = (
         scene.scores if config.ablation.sensitivities else replace(scene.scores, sensitivities=None)
@@ -70,10 +81,10 @@ def _transform(scene: LaidOutScene, quality_db: float, progress: Progress) -> Pl
     energy = rate_costs.positive_energy(scores, scene.rows)
 
     def part(run: slice) -> Splats:
-        return vq.clip_strays(workspace.take(source, scene.rows[run]))
+        return vq.clip_outliers(workspace.take(source, scene.rows[run]))
 
     def coefficients_of(run: slice) -> NDArray[np.float32]:
-        return vq.clipped_coefficients(workspace.gather(source.shN, scene.rows[run]))
+        return vq.clip_coefficients(workspace.gather(source.shN, scene.rows[run]))
 
     def own_costs(run: slice) -> Costs:
         rows = scene.rows[run]
@@ -103,9 +114,9 @@ def _transform(scene: LaidOutScene, quality_db: float, progress: Progress) -> Pl
     )
 
 
-def _vq(scene: LaidOutScene, quality_db: float, progress: Progress) -> PlannedScene:
-    # Codebooks are trained on all splats: this profile holds them a second time, in their order.
-    ordered = vq.clip_strays(scene.source.without_extras().take(scene.rows))
+def _vq(scene: ChunkedScene, quality_db: float, progress: Progress) -> PlannedScene:
+    # Codebooks are trained on all splats, so this profile copies the ordered scene.
+    ordered = vq.clip_outliers(scene.source.without_extras().take(scene.rows))
     config = scene.config
     plan = vq.plan(
         ordered,
@@ -126,10 +137,10 @@ def _vq(scene: LaidOutScene, quality_db: float, progress: Progress) -> PlannedSc
 
 
 def _vq_start(codebooks: Sequence[EncodedCodebook], degree: int) -> vq.VqStart:
-    """Return the rows of earlier codebooks, as they were decoded."""
+    """Return the decoded rows of earlier codebooks."""
     start = vq.VqStart()
     for book in codebooks:
-        rows = book.decoded(degree)
+        rows = book.decode(degree)
         if isinstance(rows, ShapeCodebook):
             start = replace(start, shapes=covariance.vectors(rows.quats, rows.scales))
         else:
@@ -140,4 +151,4 @@ def _vq_start(codebooks: Sequence[EncodedCodebook], degree: int) -> vq.VqStart:
 PROFILES: Final[Mapping[str, Profile]] = MappingProxyType(
     {"transform": _transform, "vq": _vq, "near-lossless": _near_lossless}
 )
-"""The profiles by the names that `EncodeConfig.profile` takes."""
+"""Profiles by the names of `EncodeConfig.profile`."""

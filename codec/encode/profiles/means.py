@@ -1,4 +1,4 @@
-"""Means of the `transform` profile: quantised as finely as each splat is small, in Morton order."""
+"""Means of the `transform` profile: a step per splat by its size, in Morton order."""
 
 from __future__ import annotations
 
@@ -12,41 +12,41 @@ from cogsplat.codec.streams import adaptive_step, refinement_bits, sorted_means
 from cogsplat.codec.streams.grid import Grid
 
 from .chunk_streams import chunk_means
-from .refined import NOTHING, Quantised, Refined
+from .refined import NO_REFINEMENT, Quantised, Refined
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-# The least extent of a chunk, scene units: all its means may be one point.
+# Least extent of a chunk, scene units: all its means may be one point.
 _LEAST_SPAN: Final = 2.0**-20
 
-# Only this share of a chunk's splats may have steps wider than the cells that are sorted.
+# Share of a chunk's splats at most whose steps exceed the cells of the Morton order.
 _COARSEST: Final = 0.02
 
 
 def quantise_means(
     means: F32, scales: F32, costs: F64, lagrangian: float, later_bits: int, sort: bool
 ) -> Quantised:
-    """Return the means of a chunk, each with a step of its own.
+    """Quantise the means of a chunk, each with its own step.
 
     Parameters
     ----------
     means : (n, 3) float32
         Scene units.
     scales : (n, 3) float32
-        Log scales that the head alone gives: each row's number of bits follows from them.
+        Log scales decoded from the head, which decide the bits of each row.
     costs : (n,) float64
         `Costs.mean`.
     lagrangian : float
         λ of the refined values.
     later_bits : int
-        Bits of every coordinate that the refinement holds.
+        Bits of each coordinate in the refinement.
     sort : bool
-        Whether to sort by Morton code; otherwise all means have one step.
+        Sort by Morton code; otherwise all means share one step.
     """
     if not sort:
         rows, stream, _ = chunk_means(means, allocation.equal_step(lagrangian, costs), sort)
-        return rows, stream, NOTHING
+        return rows, stream, NO_REFINEMENT
     head_lagrangian = lagrangian * 4.0**later_bits
     log_steps = np.log2(allocation.step_per_value(head_lagrangian, costs))
     # A power of two below which only the coarsest splats' steps lie: they have no extra bits.
@@ -62,20 +62,20 @@ def quantise_means(
     codes, refined, extra = codes[order], refined[order], extra[order]
     stream = sorted_means.write(codes, grid, extra, model)
     if not later_bits:
-        return order, stream, NOTHING
+        return order, stream, NO_REFINEMENT
     missed = np.square(means[order] - sorted_means.dequantise(codes, grid, extra))
     drop = float(costs[order] @ missed.sum(axis=1))
     return order, stream, Refined(refinement_bits.write(refined, later_bits), drop)
 
 
 def _widest(means: F32) -> float:
-    """Return a power of two as wide as a chunk: steps beyond it gain nothing, and overflow."""
+    """Return the power of two that spans a chunk, the widest useful step."""
     span = float(np.ptp(means.astype(np.float64), axis=0).max())
     return float(2.0 ** np.ceil(np.log2(max(span, _LEAST_SPAN))))
 
 
 def _grid(means: F32, step: float) -> Grid:
-    """Return a grid of exactly `step`, the step that the extra bits of the step model halve."""
+    """Return a grid with exactly the step `step`, which extra bits halve."""
     minimum = means.min(axis=0)
     span = means.max(axis=0).astype(np.float64) - minimum
     levels = np.ceil(span / step) + 1

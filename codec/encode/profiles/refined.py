@@ -1,4 +1,4 @@
-"""What the refinement of a chunk adds to one attribute, and how many of its bits may wait there."""
+"""Split an attribute of a chunk between head and refinement."""
 
 from __future__ import annotations
 
@@ -20,59 +20,59 @@ I64 = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """The stream that a refinement holds of one attribute.
+    """Stream of one attribute in a refinement.
 
     Parameters
     ----------
     stream : Stream or None
-        None where the head holds the attribute in full.
+        Stream of the remaining bits; None if the head holds the attribute in full.
     distortion_drop : float
-        Squared error of the pictures that the stream removes.
+        Squared picture error that the stream removes.
     """
 
     stream: Stream | None
     distortion_drop: float = 0.0
 
 
-NOTHING: Final = Refined(None)
-"""Of an attribute that the head holds in full."""
+NO_REFINEMENT: Final = Refined(None)
+"""Refinement of an attribute that the head holds in full."""
 
 
 def squared_error_drop(parts: Split, values: F32) -> F64:
-    """Return the squared error that the refinement of split values removes.
+    """Return the squared error that a refinement removes from each value.
 
     Parameters
     ----------
     parts : Split
+        Coarse and fine values.
     values : (n, c) float32
-        As they were before they were quantised.
+        Values before quantisation.
 
     Returns
     -------
     (n, c) float64
-        Negative where the coarse value happens to be nearer.
+        Removed error; negative where the coarse value happens to be nearer.
     """
     wide = values.astype(np.float64)
     return np.square(parts.coarse - wide) - np.square(parts.fine - wide)
 
 
 Quantised = tuple[I64, Stream, Refined]
-"""The order inside the chunk, (n,) int64, the head's stream, and what refines it."""
+"""Order within the chunk, (n,) int64, stream of the head, and refinement."""
 
 
-def affordable(quantise: Callable[[int], Quantised], most_bits: int) -> Quantised:
-    """Return an attribute with as many bits in its refinement as pay for being there.
+def choose_refinement_bits(quantise: Callable[[int], Quantised], most_bits: int) -> Quantised:
+    """Choose how many bits of an attribute to defer to the refinement.
 
-    Values whose number of bits follows from their row cost more in two parts than in one. And
-    splats that share a cell of a coarse grid have no order there, which a finer grid need not spend
-    bits on. So fewer bits may wait than the λ of the head asks for.
+    A split costs extra bits: values with a bit count per row cost more in two parts, and splats in
+    one coarse cell lose their Morton order. So fewer bits may be deferred than the head's λ allows.
 
     Parameters
     ----------
     quantise : callable
-        Quantises the attribute with so many bits of each value in the refinement.
+        Quantises the attribute with a given number of deferred bits per value.
     most_bits : int
-        Bits that may wait at most.
+        Deferred bits at most.
     """
     whole = quantise(0)
     whole_bits = _entropy_bits(whole[1])
@@ -86,7 +86,7 @@ def affordable(quantise: Callable[[int], Quantised], most_bits: int) -> Quantise
 
 
 def _entropy_bits(stream: Stream | None) -> float:
-    """Return about how many bits the planes of a stream take, each coded on its own."""
+    """Estimate the bits of a stream: the entropy of each plane."""
     if stream is None:
         return 0.0
     return sum(

@@ -1,4 +1,4 @@
-"""Scales, rotations and opacities of the `transform` profile: what makes a splat's shape."""
+"""Scales, rotations and opacities of the `transform` profile."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from .refined import Refined, squared_error_drop
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-# Share of a change of area that opacity makes up for, and the least 1 - α it counts with. Half
-# was best of 0, a half and all in renders of three trained scenes: overlapping splats share.
+# Share of an area change that opacity compensates, and the least 1 - α in its derivative. Of 0, 0.5
+# and 1, 0.5 gave the best renders of three trained scenes, because splats overlap.
 _AREA_SHARE: Final = 0.5
 _LEAST_CLEAR: Final = 0.1
 
@@ -30,20 +30,21 @@ _LEAST_CLEAR: Final = 0.1
 def differences_to_store(
     scales: F32, costs: Costs, lagrangian: float, areas: bool
 ) -> tuple[F32, Grid]:
-    """Return the scale differences of a chunk and the grid to quantise them on.
+    """Return the scale differences of a chunk and their quantisation grid.
 
-    A splat's weight in a picture goes with its area, about the product of its two longer axes. The
-    quantisation errors of single splats average out; a change of all their areas does not.
+    A splat's weight in a picture is proportional to its area, about the product of its two longer
+    axes. Quantisation errors of single splats average out; a bias of all areas does not.
 
     Parameters
     ----------
     scales : (n, 3) float32
-        Log, middle, thin, long.
+        Log scales: middle, thin, long.
     costs : Costs
-        Of these rows.
+        Costs of these rows.
     lagrangian : float
+        λ of the head.
     areas : bool
-        Whether the longest axis makes up for the area that the quantised differences change.
+        Correct the longest axis for the area change of the quantised differences.
     """
     columns = (costs.scale_long, costs.scale_middle, costs.scale_thin)
     steps = np.array([allocation.equal_step(lagrangian, column) for column in columns])
@@ -59,49 +60,59 @@ def differences_to_store(
     return differences, grids.fit(differences, steps)
 
 
-def refined_scales(parts: Split, differences: F32, costs: Costs) -> Refined:
-    """Return what the refinement adds to quantised scale differences, (n, 3) float32 before."""
+def refine_scales(parts: Split, differences: F32, costs: Costs) -> Refined:
+    """Return the refinement of quantised scale differences.
+
+    Parameters
+    ----------
+    parts : Split
+        Coarse and fine differences.
+    differences : (n, 3) float32
+        Differences before quantisation.
+    costs : Costs
+        Costs of these rows.
+    """
     columns = (costs.scale_long, costs.scale_middle, costs.scale_thin)
     drop = squared_error_drop(parts, differences) * np.stack(columns, axis=1)
     return Refined(parts.digits, float(drop.sum()))
 
 
 def opacities_to_store(opacities: F32, scales: F32, stored: F32) -> F32:
-    """Return opacities that give up what the areas of the splats gained by quantisation.
+    """Return opacities corrected for the area change of quantised scales.
 
     Parameters
     ----------
     opacities : (n,) float32
-        Logit.
+        Logits.
     scales, stored : (n, 3) float32
-        Log, middle, thin, long; of the source and as they are decoded.
+        Log scales of the source and decoded ones: middle, thin, long.
 
     Returns
     -------
     (n, 1) float32
-        Logit.
+        Corrected logits.
     """
     logits = np.clip(opacities, -MAX_LOGIT, MAX_LOGIT).astype(np.float64)
     gained = (stored[:, 2] + stored[:, 0]) - (scales[:, 2] + scales[:, 0])
-    # d(log α) = (1 - α)·d(logit); an opaque splat hardly answers, so its share is limited.
+    # d(log α) = (1 - α)·d(logit). An opaque splat hardly changes, so the factor is limited.
     clear = np.maximum(1 / (1 + np.exp(logits)), _LEAST_CLEAR)
     shift = np.clip(_AREA_SHARE * gained / clear, -1, 1)
     return (logits - shift).astype(np.float32)[:, None]
 
 
 def quantise_rotations(values: F64, scales: F32, costs: Costs, lagrangian: float) -> Stream:
-    """Return the rotations of a chunk, each as fine as its shape asks for.
+    """Quantise the rotations of a chunk, each with a precision that follows from its shape.
 
     Parameters
     ----------
     values : (n, 3) float64
         Swing and twist of each rotation (`swing_twist.decompose`).
     scales : (n, 3) float32
-        Log scales that the head alone gives: each row's number of bits follows from them. Where
-        all are equal, so are the numbers.
+        Log scales decoded from the head, which decide the bits of each row.
     costs : Costs
-        Of these rows.
+        Costs of these rows.
     lagrangian : float
+        λ of the head.
     """
     swing, twist = (
         adaptive_step.fit(scales, cost, lagrangian, swing_twist.BASE_STEP)

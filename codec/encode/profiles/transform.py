@@ -1,4 +1,4 @@
-"""The `transform` profile: the step of every value follows from its effect on the picture."""
+"""Profile `transform`: quantiser steps follow from the picture error of each value."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from cogsplat.codec.streams.records import Attribute, Stream
 from . import shapes
 from .chunk_streams import chunk_means
 from .means import quantise_means
-from .refined import NOTHING, Refined, affordable, squared_error_drop
+from .refined import NO_REFINEMENT, Refined, choose_refinement_bits, squared_error_drop
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -39,21 +39,22 @@ BASIS: Final = 0
 
 @dataclass(frozen=True, eq=False)
 class TransformPlan:
-    """What all chunks of a scene share.
+    """Parameters of the profile that all chunks of a scene share.
 
     Parameters
     ----------
     lagrangian : float
-        λ: what ``cost · step²`` is for every value.
+        λ, the value of ``cost · step²`` for every stored value.
     costs_of : callable
-        As `plan` takes it.
+        Returns the costs of a range of rows.
     basis : ColourBasis or None
-        None at SH degree 0.
+        Basis of shN; None at SH degree 0.
     basis_payloads : tuple of bytes
-        One per SH band.
+        Payload of each SH band of the basis.
     ablation : Ablation
+        Techniques that are switched off.
     coarseness : mapping of int to HeadCoarseness
-        Of the heads, by the first row of their chunk; the other heads are fine.
+        Coarseness of heads by the first row of their chunk; other heads are fine.
     """
 
     lagrangian: float
@@ -76,28 +77,31 @@ def plan(
     contribution: F64 | None = None,
     missing_all: float = segment_order.MISSING_ALL,
 ) -> TransformPlan:
-    """Prepare a scene in its final order.
+    """Plan the basis of shN and the coarseness of heads for an ordered scene.
 
     Parameters
     ----------
     sh_degree : int
-        Of the scene, which has at least one row.
+        SH degree of the scene, which has at least one row.
     coefficients_of : callable
-        As `colour_transform.fit` takes it.
+        Returns the SH coefficients of a range of rows (`colour_transform.fit`).
     costs_of : callable
-        Returns the costs of some rows. Costs of a whole scene take three times the memory
-        of its splats, so that they are made chunk by chunk.
+        Returns the costs of a range of rows. Costs of a whole scene take three times the memory of
+        its splats, so they are computed chunk by chunk.
     energy : (N,) float64
-        Of these costs, of every row.
+        Energy of each row in these costs.
     basis_spread : (15, 15) float64
         `Scores.basis_spread`.
     lagrangian : float
+        λ of the encode.
     chunks : sequence of slice
+        Row ranges of the chunks.
     ablation : Ablation
+        Techniques that are switched off.
     contribution : (N,) float64, optional
-        Given where heads are to be coarse and refinements bring the rest.
+        Contribution of each row, for coarse heads with refinements; None for fine heads.
     missing_all : float
-        As `head_coarseness` takes it.
+        Picture error without any chunk (`head_coarseness`).
     """
     coarseness = {}
     if contribution is not None:
@@ -113,12 +117,12 @@ def plan(
         payloads = tuple(records.pack([b], digits=ablation.digits) for b in basis.streams())
         views = {band: memoryview(data) for band, data in enumerate(payloads, start=1)}
         stored = decode_colour_codebook(views, len(basis.rows), sh_degree, "basis")
-        basis = basis.stored_as(stored.shN)
+        basis = basis.with_decoded_rows(stored.shN)
     return TransformPlan(lagrangian, costs_of, basis, payloads, ablation, coarseness)
 
 
 def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> Payloads:
-    """Return the head, the refinement and the tail of a chunk, their planes not compressed yet.
+    """Encode a chunk into head, refinement and tail, without compressing the planes.
 
     Parameters
     ----------
@@ -142,7 +146,7 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
     head_scales = scale_differences.accumulate(sizes.coarse)
     scales = scale_differences.accumulate(sizes.fine)
     if used.fine_means:
-        inside, means, refined_means = affordable(
+        inside, means, refined_means = choose_refinement_bits(
             lambda bits: quantise_means(
                 part.means, head_scales, costs.mean, lagrangian, bits, sort
             ),
@@ -151,7 +155,7 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
     else:
         step = allocation.equal_step(lagrangian, costs.mean)
         inside, means, _ = chunk_means(part.means, step, sort)
-        refined_means = NOTHING
+        refined_means = NO_REFINEMENT
     # From here on in the order that the chunk is stored in.
     part, head_scales, scales = part.take(inside), head_scales[inside], scales[inside]
     sizes, differences, costs = sizes.take(inside), differences[inside], costs.take(inside)
@@ -185,7 +189,7 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
         colours,
     ]
     refined = [
-        shapes.refined_scales(sizes, differences, costs),
+        shapes.refine_scales(sizes, differences, costs),
         refined_means,
         Refined(opacities.digits, opacity_drop),
         refined_colours,
@@ -205,7 +209,7 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
 def _sh0(
     values: F64, energy: F64, lagrangian: float, most: tuple[int, ...]
 ) -> tuple[Stream, Refined]:
-    """Return sh0 on the axes along which its chunk varies most, a Karhunen-Loève transform."""
+    """Quantise sh0 on the principal axes of its chunk (Karhunen-Loève transform)."""
     weights = energy / energy.sum()
     centred = values - weights @ values
     moments = np.einsum("n,ni,nj->ij", weights, centred, centred)

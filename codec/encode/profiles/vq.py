@@ -1,4 +1,4 @@
-"""The `vq` profile: shape and colour codebooks, escape rows in the chunk (Niedermayr et al.)."""
+"""Profile `vq`: shape and colour codebooks, escape rows in the chunk (Niedermayr et al.)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 U32 = NDArray[np.uint32]
 
-# Bits that an escape row costs beyond an index, for the choice between the two.
+# Extra bits of an escape row compared with a codebook index.
 _ESCAPE_SHAPE_BITS: Final = 26.0
 _ESCAPE_COLOUR_BITS_PER_VALUE: Final = 1.6
 
@@ -41,12 +41,12 @@ MAX_ROWS: Final = 4096  # Niedermayr et al., section 3.2
 
 @dataclass(frozen=True, eq=False)
 class VqPlan:
-    """Trained codebooks and the row of every splat in them.
+    """Trained codebooks, and the codebook row of each splat.
 
     Parameters
     ----------
     costs : EnergyCosts
-        Of every splat.
+        Costs of each splat.
     quats : (N, 4) float32
         Unit, axes renamed so that w is the largest component.
     scales : (N, 3) float32
@@ -58,13 +58,13 @@ class VqPlan:
     shape_indices : (N,) uint32
         Row of the shape codebook.
     shape_escape : (N,) bool
-        Splats that the chunk stores as escape rows, beside the codebook.
+        Mask of splats stored as escape rows in the chunk.
     colour_payloads : tuple of bytes
         One per SH band; empty where the scene has none.
     colour_rows : int
     colour_indices : (N,) uint32
     colour_escape : (N,) bool
-        As of shapes.
+        Mask of splats whose colour is an escape row.
     """
 
     costs: EnergyCosts
@@ -88,7 +88,7 @@ class VqStart:
     Parameters
     ----------
     shapes : (C, 6) float32 or None
-        As `covariance.vectors` has them.
+        Shape vectors (`covariance.vectors`).
     colours : (D, 3·(K-1)) float32 or None
         SH coefficients above DC.
     """
@@ -98,39 +98,47 @@ class VqStart:
 
 
 MAX_COEFFICIENT: Final = 1e4
-"""SH coefficients beyond ± this are stored as this: the least alpha of one saturates a pixel, and a
-stray value widens the steps of all that share its grid."""
+"""Limit of SH coefficients, either sign. One such splat saturates a pixel at the least alpha; an
+outlier would coarsen the steps of all values on its grid."""
 
 MAX_LOG_SCALE: Final = 40.0
-"""Log scales beyond ± this are stored as this: deviations of 4e-18 and 2e17 scene units."""
+"""Limit of log scales, either sign: deviations of 4e-18 and 2e17 scene units."""
 
 SHAPE_CODEBOOK: Final = 0
 COLOUR_CODEBOOK: Final = 1
 
 
 def codebook_rows(splats: int, per_row: int) -> int:
-    """Return how many rows a codebook may have: a power of two in proportion to the scene."""
+    """Return the number of codebook rows: a power of two in proportion to the scene.
+
+    Parameters
+    ----------
+    splats : int
+        Number of splats.
+    per_row : int
+        Splats per row at least.
+    """
     wanted = max(splats // per_row, 1)
     return min(1 << (wanted.bit_length() - 1), MAX_ROWS)
 
 
-def clipped_coefficients(values: F32) -> F32:
+def clip_coefficients(values: F32) -> F32:
     """Return SH coefficients clipped to ±`MAX_COEFFICIENT`; the same array where none is beyond."""
-    return _clipped(values, MAX_COEFFICIENT)
+    return _clip(values, MAX_COEFFICIENT)
 
 
-def clip_strays(splats: Splats) -> Splats:
+def clip_outliers(splats: Splats) -> Splats:
     """Return the scene with scales clipped to ±`MAX_LOG_SCALE`, SH to ±`MAX_COEFFICIENT`."""
     return replace(
         splats,
-        scales=_clipped(splats.scales, MAX_LOG_SCALE),
-        sh0=clipped_coefficients(splats.sh0),
-        shN=clipped_coefficients(splats.shN),
+        scales=_clip(splats.scales, MAX_LOG_SCALE),
+        sh0=clip_coefficients(splats.sh0),
+        shN=clip_coefficients(splats.shN),
     )
 
 
-def _clipped(values: F32, limit: float) -> F32:
-    # Looked at first, for hardly any scene has strays and shN is large.
+def _clip(values: F32, limit: float) -> F32:
+    # Check first: hardly any scene has outliers, and a copy of shN is large.
     if -float(values.min(initial=0)) > limit or float(values.max(initial=0)) > limit:
         return np.clip(values, -limit, limit)
     return values
@@ -151,16 +159,19 @@ def plan(
     Parameters
     ----------
     splats : Splats
-        Valid rows, at least one; from `clip_strays`.
+        Valid rows, at least one, after `clip_outliers`.
     energy : (N,) float64
-        Positive.
+        Positive energy of each splat.
     lagrangian : float
         λ of `allocation.lagrangian`.
     training : TrainingConfig
+        k-means settings.
     threads : int
+        Number of threads, 0 for all cores.
     progress : Progress
+        Called with ``codebooks``.
     start : VqStart, optional
-        Codebooks that training goes on from.
+        Initial codebooks.
     """
     progress("codebooks", 0, 2)
     start = start or VqStart()
@@ -178,7 +189,7 @@ def plan(
     indices, _ = kmeans.nearest(vectors, rows, threads)
     payload, rows = _store_shapes(rows, indices, costs)
     indices, errors = kmeans.nearest(vectors, rows, threads)
-    # Equal λ: an error is worth the bits that would remove it at dD/dR = 2·ln2·λ/12.
+    # At equal λ, the bits that remove an error cost dD/dR = 2·ln2·λ/12 each.
     per_bit = 2 * np.log(2) * lagrangian / 12
     escape = energy * errors * _SHAPE_COST > _ESCAPE_SHAPE_BITS * per_bit
     progress("codebooks", 1, 2)
@@ -218,9 +229,18 @@ def plan(
 
 
 def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton: bool) -> Payloads:
-    """Return the head and the tail of the chunk that holds `rows` of a planned scene.
+    """Encode a chunk into head and tail, without compressing the planes.
 
-    Their planes are not compressed yet.
+    Parameters
+    ----------
+    splats : Splats
+        Whole planned scene.
+    plan_ : VqPlan
+        Codebooks and rows.
+    rows : (n,) int64
+        Rows of the chunk.
+    morton : bool
+        Sort the chunk by Morton code.
     """
     costs = plan_.costs.take(rows)
     step = costs.mean_step(plan_.scales[rows])

@@ -11,7 +11,7 @@ from cogsplat.codec.encode.compensation_fit import (
     placeholder_compensation,
     plan_layers,
 )
-from cogsplat.codec.encode.measured_prefixes import measured_prefixes
+from cogsplat.codec.encode.prefix_sampling import choose_prefixes
 from cogsplat.codec.encode.shift_optimiser import FitConfig
 from cogsplat.codec.errors import Cancelled
 from cogsplat.codec.executor import LocalThreads
@@ -171,7 +171,7 @@ def test_of_many_prefixes_some_errors_are_measured(scene):
     splats, _, references, _ = scene
     found = errors(Compensation((), np.full(50, 10)), splats, references)
     assert len(found) == 51
-    measured = measured_prefixes([10] * 50, 10)
+    measured = choose_prefixes([10] * 50, 10)
     for chunks in measured[:-1].tolist():
         two = Compensation((), np.array([10 * chunks, 500 - 10 * chunks]))
         nothing, exact, whole = errors(two, splats, references)

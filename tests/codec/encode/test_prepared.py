@@ -21,12 +21,12 @@ def test_a_scene_is_laid_out_once_while_the_same_splats_stay():
         covered=np.full(len(scene), 9, np.int32),
     )
     kept = prepare(scene, scores, unseen(prune=None))
-    assert kept.laid_out(30.0) is kept.laid_out(50.0)
+    assert kept.lay_out(30.0) is kept.lay_out(50.0)
     pruned = prepare(scene, scores, unseen(prune=PruneConfig()))
-    few, more = pruned.laid_out(12.0), pruned.laid_out(40.0)
+    few, more = pruned.lay_out(12.0), pruned.lay_out(40.0)
     assert 0 < len(few.rows) < len(more.rows) < len(scene)
-    assert pruned.laid_out(40.0) is more
-    np.testing.assert_array_equal(pruned.laid_out(12.0).rows, few.rows)
+    assert pruned.lay_out(40.0) is more
+    np.testing.assert_array_equal(pruned.lay_out(12.0).rows, few.rows)
     for layout in (few, more):
         part = layout.part(layout.slices[0])
         np.testing.assert_array_equal(part.means, scene.means[layout.rows[layout.slices[0]]])
@@ -36,19 +36,19 @@ def test_a_scene_is_laid_out_once_while_the_same_splats_stay():
 def test_another_configuration_of_the_same_order_is_laid_out_anew():
     scene = oracle.scene(4, n=600)
     prepared = prepare(scene, zero_scores(600), unseen(prune=None, chunk_splats=100))
-    layout = prepared.laid_out(40.0)
-    other = replace(prepared, config=unseen(prune=None, chunk_splats=60)).laid_out(40.0)
+    layout = prepared.lay_out(40.0)
+    other = replace(prepared, config=unseen(prune=None, chunk_splats=60)).lay_out(40.0)
     assert layout.slices == plan_chunks(600, 100)
     assert other.slices == plan_chunks(600, 60)
     np.testing.assert_array_equal(layout.rows, other.rows)
-    assert prepared.laid_out(40.0) is layout
+    assert prepared.lay_out(40.0) is layout
 
 
 def test_cells_have_chunks_of_their_own_in_the_order_of_their_layers():
     scene = oracle.scene(4, n=3000)
     config = unseen(prune=None, chunk_splats=100, cells=True)
     prepared = prepare(scene, zero_scores(3000), config)
-    layout = prepared.laid_out(40.0)
+    layout = prepared.lay_out(40.0)
     assert sorted(layout.rows.tolist()) == list(range(3000))
     assert max(run.stop - run.start for run in layout.slices) <= 100
     assert layout.cells.dtype == np.uint32
@@ -70,7 +70,7 @@ def test_cells_have_chunks_of_their_own_in_the_order_of_their_layers():
 
 
 def test_chunks_that_are_not_cut_by_cell_have_none():
-    layout = prepare(oracle.scene(4, n=300), zero_scores(300), unseen(prune=None)).laid_out(40.0)
+    layout = prepare(oracle.scene(4, n=300), zero_scores(300), unseen(prune=None)).lay_out(40.0)
     assert layout.cells.tolist() == [0] * len(layout.slices)
 
 
@@ -79,7 +79,7 @@ def test_objects_have_chunks_of_their_own():
     scene = replace(oracle.scene(4, n=600), extras={"object": labels})
     config = unseen(prune=None, chunk_splats=80)
     config = replace(config, ordering=replace(config.ordering, by_object=True))
-    layout = prepare(scene, zero_scores(600), config).laid_out(40.0)
+    layout = prepare(scene, zero_scores(600), config).lay_out(40.0)
     assert sorted(layout.rows.tolist()) == list(range(600))
     for run, label in zip(layout.slices, layout.objects, strict=True):
         assert (labels[layout.rows[run]] == label).all()

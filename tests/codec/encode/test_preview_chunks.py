@@ -8,9 +8,9 @@ import pytest
 from encoding import encode, unseen
 
 from cogsplat.codec.encode import pipeline
-from cogsplat.codec.encode.arriving_prefixes import arriving
-from cogsplat.codec.encode.compensation_fit import usual_errors
+from cogsplat.codec.encode.compensation_fit import errors_before_fit
 from cogsplat.codec.encode.config import EncodeConfig, Target
+from cogsplat.codec.encode.partial_prefixes import decode_partial_prefixes
 from cogsplat.codec.encode.preview_chunks import prepend_preview
 from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.order.orders import OrderConfig
@@ -45,18 +45,18 @@ def test_the_first_chunks_are_drawn_until_they_end(parts):
     assert [chunk.until for chunk in joined.chunks] == [UNTIL] * own + [0] * len(made.chunks)
     assert joined.splats == made.splats + preview.splats == len(joined.decoded)
     for chunks in range(1, len(joined.chunks) + 1):
-        drawn = joined.drawn(chunks)
-        before = made.drawn(max(chunks - own, 0))
+        drawn = joined.prefix_splats(chunks)
+        before = made.prefix_splats(max(chunks - own, 0))
         rest = drawn
         if chunks < UNTIL:
-            shown = preview.drawn(min(chunks, own))
+            shown = preview.prefix_splats(min(chunks, own))
             np.testing.assert_array_equal(drawn.means[: len(shown)], shown.means)
             assert not drawn.shN[: len(shown)].any()
             rest = drawn.take(slice(len(shown), None))
         assert len(rest) == len(before)
         for name in ("means", "scales", "quats", "opacities", "sh0", "shN"):
             np.testing.assert_array_equal(getattr(rest, name), getattr(before, name))
-    assert len(joined.drawn(0)) == 0
+    assert len(joined.prefix_splats(0)) == 0
 
 
 def test_boxes_and_attributes_are_of_all_chunks(parts):
@@ -77,7 +77,7 @@ def test_boxes_and_attributes_are_of_all_chunks(parts):
 def test_prefixes_show_nothing_of_chunks_that_have_ended(parts):
     _, preview, joined = parts
     size = preview.splats
-    short, long = arriving(joined, [UNTIL - 1, UNTIL], 10_000)
+    short, long = decode_partial_prefixes(joined, [UNTIL - 1, UNTIL], 10_000)
     assert np.isfinite(short.opacities[:size]).all()
     assert np.isneginf(long.opacities[:size]).all()
     assert np.isfinite(long.opacities[size:]).all()
@@ -88,16 +88,18 @@ def test_prefixes_show_nothing_of_chunks_that_have_ended(parts):
 def test_the_other_segments_keep_their_order(parts, cameras):
     made, preview, _ = parts
     references = render_references(made.decoded, cameras, jittered=False)
-    measured = replace(made, prefix_mse=usual_errors(made, references, 300))
+    measured = replace(made, prefix_mse=errors_before_fit(made, references, 300))
     joined = prepend_preview(measured, preview, UNTIL)
-    np.testing.assert_allclose(usual_errors(joined, references, 300), joined.prefix_mse, rtol=1e-6)
+    np.testing.assert_allclose(
+        errors_before_fit(joined, references, 300), joined.prefix_mse, rtol=1e-6
+    )
     own = len(preview.chunks)
-    places = joined.placed()
+    places = joined.ordered_segments()
     assert [(place.kind, place.chunk) for place in places[:own]] == [
         (OrderedKind.HEAD, number) for number in range(own)
     ]
     assert [(place.kind, max(place.chunk - own, -1)) for place in places[own:]] == [
-        (place.kind, place.chunk) for place in measured.placed()
+        (place.kind, place.chunk) for place in measured.ordered_segments()
     ]
 
 

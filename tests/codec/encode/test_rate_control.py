@@ -15,10 +15,10 @@ from cogsplat.codec.encode.rate_control import (
     MAX_TRIALS,
     NOMINAL_TOLERANCE_DB,
     NOMINAL_TRIALS,
-    to_finished_size,
-    to_nominal,
-    to_psnr,
-    to_size,
+    search_finished_size,
+    search_nominal,
+    search_psnr,
+    search_size,
 )
 from cogsplat.codec.errors import Cancelled, DataError
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
@@ -63,7 +63,7 @@ def itself(value):
 
 
 def psnr_hit(curve, goal):
-    return to_psnr(curve, goal, itself)
+    return search_psnr(curve, goal, itself)
 
 
 def test_a_psnr_is_found_beside_a_finer_setting_that_gives_less():
@@ -109,21 +109,21 @@ def test_a_psnr_is_found_on_curves_of_any_kind(function, goal):
 )
 def test_a_nominal_quality_is_what_is_measured(function, most):
     curve = Curve(function)
-    hit = to_nominal(curve, 40.0, itself)
+    hit = search_nominal(curve, 40.0, itself)
     assert abs(hit.value - 40.0) <= NOMINAL_TOLERANCE_DB
     assert curve.tried[0] == hit.quality_db == 40.0
     assert hit.trials == len(curve.tried) <= most
 
 
 def test_a_nominal_quality_out_of_reach_is_no_error():
-    hit = to_nominal(Curve(lambda q: 60.0), 40.0, itself)
+    hit = search_nominal(Curve(lambda q: 60.0), 40.0, itself)
     assert hit.value == hit.encoded == 60.0
     assert hit.trials <= NOMINAL_TRIALS + 1
 
 
 def test_the_nearest_of_several_qualities_is_encoded_again():
     curve = Curve(lambda q: {0: 44.0, 1: 20.0}.get(len(curve.tried) - 1, 42.0 if q > 36 else 30.0))
-    hit = to_nominal(curve, 40.0, itself)
+    hit = search_nominal(curve, 40.0, itself)
     assert hit.value == 42.0
     assert hit.trials == len(curve.tried)
 
@@ -134,14 +134,14 @@ def test_a_size_is_found_and_never_exceeded(each, overhead):
     rows = 50_000
     curve = Curve(lambda q: int(rows * 6 * 2 ** ((q - 36) / 11.0)) + overhead)
     size = each * rows
-    hit = to_size(curve, rows, size, itself)
+    hit = search_size(curve, rows, size, itself)
     assert 0.99 * size <= hit.encoded <= size
     assert hit.trials == len(curve.tried) <= 6
 
 
 def test_a_size_that_jumps_stays_below():
     curve = Curve(lambda q: 1000 if q < 41.7 else 5000)
-    assert to_size(curve, 500, 3000, itself).encoded == 1000
+    assert search_size(curve, 500, 3000, itself).encoded == 1000
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ class Finishing:
 
 
 def finished_hit(curve, finishing, size):
-    return to_finished_size(curve, 1000, size, lambda s: s.size, finishing, finishing.size_of)
+    return search_finished_size(curve, 1000, size, lambda s: s.size, finishing, finishing.size_of)
 
 
 @pytest.mark.parametrize("added", [-40, 0, 250])
@@ -203,31 +203,31 @@ def test_what_cannot_be_reached_is_said():
         psnr_hit(Curve(lambda q: min(q, 31.0)), 40.0)
     assert caught.value.code == "target-out-of-reach"
     with pytest.raises(DataError) as caught:
-        to_size(Curve(lambda q: 5000 + int(q)), 1000, 2000, itself)
+        search_size(Curve(lambda q: 5000 + int(q)), 1000, 2000, itself)
     assert caught.value.code == "target-out-of-reach"
 
 
 def test_more_room_than_a_scene_needs_gives_the_finest():
-    hit = to_size(Curve(lambda q: int(100 * q)), 1000, 10**9, itself)
+    hit = search_size(Curve(lambda q: int(100 * q)), 1000, 10**9, itself)
     assert hit.quality_db == 90.0
 
 
 def test_real_scenes_hit_their_targets(prepared, scene, views):
     evaluator = PrefixEvaluator(scene, views)
     encode_at = partial(encode_chunks, prepared)
-    hit = to_psnr(encode_at, 34.0, lambda trial: evaluator.psnr_db(trial.decoded))
+    hit = search_psnr(encode_at, 34.0, lambda trial: evaluator.psnr_db(trial.decoded))
     assert evaluator.psnr_db(hit.encoded.decoded) == hit.value
     # In small views of few splats one splat's step is a jump of the curve.
     assert abs(hit.value - 34.0) <= 1.0
     size = payload_bytes(hit.encoded)
-    again = to_size(encode_at, len(prepared.rows), size + 300, payload_bytes)
+    again = search_size(encode_at, len(prepared.rows), size + 300, payload_bytes)
     assert 0.9 * (size + 300) <= payload_bytes(again.encoded) <= size + 300
     assert again.quality_db >= hit.quality_db - 0.1
 
 
 def test_progress_ends_and_cancels():
     calls = []
-    to_psnr(Curve(lambda q: q), 40.0, lambda v: v, progress=lambda *call: calls.append(call))
+    search_psnr(Curve(lambda q: q), 40.0, lambda v: v, progress=lambda *call: calls.append(call))
     assert calls[0] == ("search", 0, MAX_TRIALS)
     assert calls[-1] == ("search", MAX_TRIALS, MAX_TRIALS)
 
@@ -235,7 +235,7 @@ def test_progress_ends_and_cancels():
         raise Cancelled
 
     with pytest.raises(Cancelled):
-        to_psnr(Curve(lambda q: q), 40.0, lambda value: value, progress=stop)
+        search_psnr(Curve(lambda q: q), 40.0, lambda value: value, progress=stop)
 
 
 @pytest.mark.parametrize(

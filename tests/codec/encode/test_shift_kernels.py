@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.clustering import few_rows
-from cogsplat.codec.encode.shift_adam import Adam
+from cogsplat.codec.encode.shift_adam import ShiftAdam
 from cogsplat.codec.encode.shift_kernels import (
     add_gradient,
     choose_rows,
@@ -62,7 +62,7 @@ def test_steps_are_those_of_adam_and_sums_those_of_the_chunks(rng):
     shifts = np.zeros((CODED, 2), np.float32)
     means, squares = np.zeros((2, CODED, 2), np.float32)
     counts = np.zeros(len(COUNTS), np.int64)
-    expected, adam = np.zeros((CODED, 2)), Adam((CODED, 2), RATES)
+    expected, adam = np.zeros((CODED, 2)), ShiftAdam((CODED, 2), RATES)
     for _ in range(6):
         own = own_shifts(rng)
         gradients = rng.normal(size=(SPLATS, 2)) * 1e-3

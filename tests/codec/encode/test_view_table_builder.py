@@ -21,7 +21,7 @@ def encoded():
 def test_a_scene_of_cells_says_what_views_show_of_its_chunks(encoded):
     table = encoded.view_table
     views, chunks = table.codes.shape
-    assert views == view_table_builder.num_views(encoded, 10)
+    assert views == view_table_builder.count_viewpoints(encoded, 10)
     assert chunks == len(encoded.chunks) > 12
     # Nearly all of each picture is filled by some chunk, and none is filled twice.
     assert (table.shares.sum(axis=1) > 0.3).all()
@@ -44,7 +44,7 @@ def test_scenes_without_cells_have_none():
     config = EncodeConfig(order="contribution", compensate=False)
     made = pipeline.encode(synth(500), EncodeRequest(config=config, cameras=synth_cameras(4)))
     assert made.view_table is None
-    assert view_table_builder.num_views(made, 3) == 0
+    assert view_table_builder.count_viewpoints(made, 3) == 0
     assert view_table_builder.add_view_table(made, synth_cameras(2)) is made
     assert view_table_builder.reserve_view_table(made, 3) is made
 

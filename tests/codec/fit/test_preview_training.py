@@ -61,16 +61,16 @@ def test_the_first_bytes_show_more_and_the_whole_is_unchanged(scene, plain, with
     books = sum(len(payload) for book in plain.codebooks for payload in book.payloads)
     assert 0 < heads(own) <= 0.05 * (payloads(plain.chunks) + books)
     assert with_preview.chunks[len(own) :][0].payloads.head == plain.chunks[0].payloads.head
-    first = with_preview.compensation.apply(with_preview.drawn(len(own)), len(own))
+    first = with_preview.compensation.apply(with_preview.prefix_splats(len(own)), len(own))
     # A prefix without preview of at least the same size.
     chunks = 1
     while heads(plain.chunks[:chunks]) < heads(own):
         chunks += 1
-    without = plain.compensation.apply(plain.drawn(chunks), chunks)
+    without = plain.compensation.apply(plain.prefix_splats(chunks), chunks)
     assert shown_db(scene, first) > shown_db(scene, without) + 0.3
     for name in ("means", "scales", "quats", "opacities", "sh0", "shN"):
         np.testing.assert_array_equal(
-            getattr(with_preview.drawn(len(with_preview.chunks)), name),
+            getattr(with_preview.prefix_splats(len(with_preview.chunks)), name),
             getattr(plain.decoded, name),
         )
 

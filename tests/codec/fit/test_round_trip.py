@@ -90,7 +90,7 @@ def test_the_sh_basis_follows_the_values(prepared):
     before, after = (round_trip(prepared, each, QUALITY).encoded for each in (source, moved))
     anew = encode_chunks(replace(prepared, source=moved), QUALITY)
     assert after.codebooks == anew.codebooks
-    rows = after.codebooks[0].decoded(source.sh_degree).shN
+    rows = after.codebooks[0].decode(source.sh_degree).shN
     assert len(rows) < before.codebooks[0].rows
     first = rows[0].ravel() / np.linalg.norm(rows[0])
     assert abs(first @ axis.ravel()) / np.linalg.norm(axis) > 0.99
@@ -109,7 +109,7 @@ def test_codebooks_start_from_those_of_the_last_encode():
     anew = round_trip(prepared, splats, QUALITY).encoded
 
     def rows(encoded):
-        return encoded.codebooks[0].decoded(splats.sh_degree)
+        return encoded.codebooks[0].decode(splats.sh_degree)
 
     def moved(encoded):
         """Return the distance of each row's scales to the nearest row of the first codebook."""

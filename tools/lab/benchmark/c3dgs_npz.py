@@ -67,7 +67,7 @@ def write(splats: Splats, scores: Scores, path: Path, *, threads: int = 0) -> No
             "value-range", f"{path}: a mean of {far:g}, expected at most {_HALF_MAX:g} (fp16)"
         )
     order = np.flatnonzero(seen)[_morton_order(splats.means[seen])]
-    splats, scores = vq.clip_strays(splats.take(order)), scores.take(order)
+    splats, scores = vq.clip_outliers(splats.take(order)), scores.take(order)
     colours = np.concatenate([splats.sh0, splats.shN.reshape(len(splats), -1)], axis=1)
     weights = scores.colour_sensitivity
     kept = weights * len(weights) > _KEPT_COLOUR

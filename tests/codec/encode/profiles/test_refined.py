@@ -1,7 +1,12 @@
 import numpy as np
 import pytest
 
-from cogsplat.codec.encode.profiles.refined import NOTHING, Refined, affordable, squared_error_drop
+from cogsplat.codec.encode.profiles.refined import (
+    NO_REFINEMENT,
+    Refined,
+    choose_refinement_bits,
+    squared_error_drop,
+)
 from cogsplat.codec.rate import refinement_split
 from cogsplat.codec.streams import grid as grids
 from cogsplat.codec.streams.records import Attribute, Kind, Stream
@@ -24,7 +29,7 @@ def quantised(penalty):
 
     def quantise(waiting):
         if not waiting:
-            return order, stream(7), NOTHING
+            return order, stream(7), NO_REFINEMENT
         head = [plane(7 - waiting), *(plane(1, seed) for seed in range(penalty * waiting))]
         whole = Stream(Attribute.MEANS, Kind.SCALAR, N, b"", head)
         return order, whole, Refined(stream(waiting), float(waiting))
@@ -34,14 +39,14 @@ def quantised(penalty):
 
 @pytest.mark.parametrize("most", range(6))
 def test_all_bits_wait_that_cost_nothing(most):
-    _, head, refined = affordable(quantised(0), most)
+    _, head, refined = choose_refinement_bits(quantised(0), most)
     assert len(np.unique(head.planes[0])) == 1 << (7 - most)
     assert refined.distortion_drop == most
     assert (refined.stream is None) == (most == 0)
 
 
 def test_bits_that_cost_as_much_as_they_are_do_not_wait():
-    assert affordable(quantised(1), 5)[2] is NOTHING
+    assert choose_refinement_bits(quantised(1), 5)[2] is NO_REFINEMENT
 
 
 def test_the_drop_is_the_error_that_the_refinement_removes():

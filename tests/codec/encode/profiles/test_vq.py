@@ -12,7 +12,7 @@ from cogsplat.codec.encode.profiles.vq import (
     MAX_COEFFICIENT,
     MAX_LOG_SCALE,
     MAX_ROWS,
-    clip_strays,
+    clip_outliers,
     codebook_rows,
 )
 from cogsplat.codec.geometry import covariance
@@ -70,13 +70,13 @@ def test_codebooks_grow_with_the_scene_in_powers_of_two():
 
 def test_strays_are_clipped_and_others_left_alone():
     splats = oracle.scene(1, n=5)
-    same = clip_strays(splats)
+    same = clip_outliers(splats)
     assert all(getattr(same, f) is getattr(splats, f) for f in ("scales", "sh0", "shN"))
-    assert clip_strays(splats.take(slice(0, 0))).sh_degree == 3
+    assert clip_outliers(splats.take(slice(0, 0))).sh_degree == 3
     splats.sh0[1, 2] = -1e20
     splats.shN[3, 7, 0] = 1e20
     splats.scales[2] = [-1e20, 1, 1e20]
-    out = clip_strays(splats)
+    out = clip_outliers(splats)
     assert out.sh0[1, 2] == -MAX_COEFFICIENT
     assert out.shN[3, 7, 0] == MAX_COEFFICIENT
     assert out.scales[2].tolist() == [-MAX_LOG_SCALE, 1, MAX_LOG_SCALE]

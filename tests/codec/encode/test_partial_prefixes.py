@@ -5,7 +5,7 @@ import oracle
 import pytest
 from encoding import encode, unseen
 
-from cogsplat.codec.encode.arriving_prefixes import arrived, arriving
+from cogsplat.codec.encode.partial_prefixes import decode_partial_prefixes, received_parts
 from cogsplat.codec.rate.segment_order import OrderedKind
 from cogsplat.codec.scoring.contribution import score
 
@@ -20,7 +20,7 @@ def encoded():
 
 
 def test_what_has_arrived_stays(encoded):
-    states = arrived(encoded)
+    states = received_parts(encoded)
     assert len(states) == len(encoded.chunks) - 1
     for before, behind in pairwise(states):
         assert before.refined <= behind.refined
@@ -33,14 +33,14 @@ def test_what_has_arrived_stays(encoded):
 
 
 def test_half_the_bytes_between_two_heads_have_arrived(encoded):
-    places = encoded.placed()
+    places = encoded.ordered_segments()
     heads = [number for number, place in enumerate(places) if place.kind is OrderedKind.HEAD]
-    for state, (first, last) in zip(arrived(encoded), pairwise(heads), strict=True):
+    for state, (first, last) in zip(received_parts(encoded), pairwise(heads), strict=True):
         between = places[first + 1 : last]
-        half = sum(encoded.placed_bytes(place) for place in between) / 2
+        half = sum(encoded.segment_bytes(place) for place in between) / 2
         size = 0
         for place in between:
-            size += encoded.placed_bytes(place)
+            size += encoded.segment_bytes(place)
             if place.kind is OrderedKind.REFINEMENT:
                 assert (place.chunk in state.refined) == (size <= half)
             if place.kind is OrderedKind.TAIL:
@@ -52,13 +52,15 @@ def test_the_bytes_of_all_places_are_those_of_all_payloads(encoded):
     for chunk in encoded.chunks:
         parts = chunk.payloads
         payloads += [parts.head, parts.refinement or b"", parts.tail or b""]
-    found = sum(encoded.placed_bytes(place) for place in encoded.placed())
+    found = sum(encoded.segment_bytes(place) for place in encoded.ordered_segments())
     assert found == sum(len(payload) for payload in payloads)
 
 
 def test_chunks_differ_from_the_whole_where_something_is_missing(encoded):
-    states = arrived(encoded)
-    for chunks, prefix in zip(_PREFIXES, arriving(encoded, _PREFIXES, 10_000), strict=True):
+    states = received_parts(encoded)
+    for chunks, prefix in zip(
+        _PREFIXES, decode_partial_prefixes(encoded, _PREFIXES, 10_000), strict=True
+    ):
         start = 0
         for number, chunk in enumerate(encoded.chunks[:chunks]):
             run = slice(start, start + chunk.splats)
@@ -84,7 +86,7 @@ def test_chunks_differ_from_the_whole_where_something_is_missing(encoded):
 
 
 def test_long_prefixes_are_those_of_the_whole(encoded):
-    short, long = arriving(encoded, (1, 6), 100)
+    short, long = decode_partial_prefixes(encoded, (1, 6), 100)
     assert np.shares_memory(long.means, encoded.decoded.means)
     assert not np.shares_memory(short.means, encoded.decoded.means)
     np.testing.assert_array_equal(long.shN, encoded.decoded.shN[: len(long)])
@@ -94,7 +96,7 @@ def test_long_prefixes_are_those_of_the_whole(encoded):
 def test_chunks_without_refinements_have_their_shapes_at_once(profile):
     splats = oracle.scene(6, n=200)
     made = encode(splats, None, unseen(profile=profile, chunk_splats=50))
-    (prefix,) = arriving(made, (2,), 1000)
+    (prefix,) = decode_partial_prefixes(made, (2,), 1000)
     for name in ("means", "scales", "quats", "opacities", "sh0"):
         whole = getattr(made.decoded, name)[:100]
         np.testing.assert_array_equal(getattr(prefix, name), whole)

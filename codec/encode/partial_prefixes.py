@@ -1,4 +1,4 @@
-"""Prefixes of a scene as they are decoded while its file arrives: coarse heads, few tails."""
+"""Prefixes of a scene decoded from a partly received file: coarse heads, few tails."""
 
 from __future__ import annotations
 
@@ -19,46 +19,48 @@ _OF_HEADS: Final = ("means", "scales", "quats", "opacities", "sh0")
 
 
 @dataclass(frozen=True)
-class Arrived:
-    """What there is of a prefix beside its heads.
+class ReceivedParts:
+    """Refinements and tails received so far for a prefix, whose heads are all received.
 
     Parameters
     ----------
-    refined, tailed : frozenset of int
-        Chunks whose refinement and whose tail have arrived.
+    refined : frozenset of int
+        Chunks whose refinement is received.
+    tailed : frozenset of int
+        Chunks whose tail is received.
     """
 
     refined: frozenset[int]
     tailed: frozenset[int]
 
 
-def arrived(encoded: EncodedScene) -> list[Arrived]:
-    """Return what there is of each prefix half-way, in bytes, between its last head and the next.
+def received_parts(encoded: EncodedScene) -> list[ReceivedParts]:
+    """List the received refinements and tails of each prefix, half-way in bytes to the next head.
 
     Parameters
     ----------
     encoded : EncodedScene
-        Its `prefix_mse` decides the order of the segments.
+        Encoded scene; its `prefix_mse` decides the order of segments.
 
     Returns
     -------
-    list of Arrived
-        Of the first chunk, of the first two, and so on, without that of all chunks.
+    list of ReceivedParts
+        Parts of the prefixes of 1, 2, … chunks, without that of all chunks.
     """
     behind: list[list[OrderedSegment]] = []
-    for place in encoded.placed():
+    for place in encoded.ordered_segments():
         if place.kind is OrderedKind.HEAD:
             behind.append([])
         else:
             behind[-1].append(place)
-    found: list[Arrived] = []
+    found: list[ReceivedParts] = []
     before: list[OrderedSegment] = []
     for places in behind[:-1]:
-        ends = np.cumsum([encoded.placed_bytes(place) for place in places])
+        ends = np.cumsum([encoded.segment_bytes(place) for place in places])
         half = int((2 * ends <= ends[-1:]).sum())
         there = [*before, *places[:half]]
         found.append(
-            Arrived(_owners(there, OrderedKind.REFINEMENT), _owners(there, OrderedKind.TAIL))
+            ReceivedParts(_owners(there, OrderedKind.REFINEMENT), _owners(there, OrderedKind.TAIL))
         )
         before += places
     return found
@@ -68,27 +70,29 @@ def _owners(places: Sequence[OrderedSegment], kind: OrderedKind) -> frozenset[in
     return frozenset(place.chunk for place in places if place.kind is kind)
 
 
-def arriving(encoded: EncodedScene, prefixes: Sequence[int], most_splats: int) -> list[Splats]:
-    """Return prefixes as they are decoded half-way between their last head and the next.
+def decode_partial_prefixes(
+    encoded: EncodedScene, prefixes: Sequence[int], most_splats: int
+) -> list[Splats]:
+    """Decode prefixes from the segments received half-way between their last head and the next.
 
     Parameters
     ----------
     encoded : EncodedScene
+        Encoded scene.
     prefixes : sequence of int
-        Chunks of each, ascending, less than all.
+        Number of chunks of each prefix, ascending, fewer than all.
     most_splats : int
-        Prefixes of more are returned as the whole file has them, without copies: by then most of
-        what their chunks have is there.
+        Size above which prefixes are taken from the complete file, without copies: most of their
+        refinements and tails are received by then.
 
     Returns
     -------
     list of Splats
-        Of all their chunks; splats of those that have ended have a logit of minus infinity, with
-        which nothing is drawn.
+        Splats of each prefix. Opacity logits of chunks that are no longer drawn are minus infinity.
     """
     ends = np.concatenate([[0], np.cumsum([chunk.splats for chunk in encoded.chunks])])
     runs = [slice(*pair) for pair in pairwise(ends.tolist())]
-    states = arrived(encoded)
+    states = received_parts(encoded)
     short = [chunks for chunks in prefixes if ends[chunks] <= most_splats]
     coarse = _heads(encoded, runs[: short[-1]] if short else [])
     found = []
@@ -110,7 +114,7 @@ def arriving(encoded: EncodedScene, prefixes: Sequence[int], most_splats: int) -
 def _without_ended(
     prefix: Splats, encoded: EncodedScene, chunks: int, runs: Sequence[slice]
 ) -> Splats:
-    """Return a prefix that shows nothing of chunks that have ended (SPEC 5.10)."""
+    """Return a prefix with chunks that are no longer drawn made transparent (SPEC 5.10)."""
     ended = [
         run for run, chunk in zip(runs, encoded.chunks, strict=True) if 0 < chunk.until <= chunks
     ]
@@ -123,11 +127,11 @@ def _without_ended(
 
 
 def _heads(encoded: EncodedScene, runs: Sequence[slice]) -> Splats:
-    """Return the first chunks as their heads alone have them, without higher SH coefficients."""
+    """Decode the heads of the first chunks alone, at SH degree 0."""
     rows = np.arange(runs[-1].stop if runs else 0)
     coarse = encoded.decoded.with_sh_degree(0).take(rows)
     for chunk, run in zip(encoded.chunks, runs, strict=False):
-        # Where there is no refinement the head holds all; heads that need a codebook have none.
+        # A head without refinement is complete; heads that need a codebook have no refinement.
         if chunk.payloads.refinement is not None:
             decode_head(memoryview(chunk.payloads.head), {}, coarse.take(run), "chunk")
     return coarse
