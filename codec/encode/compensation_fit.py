@@ -38,8 +38,8 @@ _LONGEST_LAYER: Final = 1.0
 # Length, in effective splats, of the first prefix whose layer has no shifts.
 _UNCHANGED: Final = 1.27
 # Splats above which a layer is fitted in every second or third iteration only: a step costs as much
-# as rendering its splats, and longer prefixes need smaller shifts. On a captured scene, two layers at
-# every second iteration keep the mean PSNR (29.508 dB), at every third they lose 0.06 dB.
+# as rendering its splats, and longer prefixes need smaller shifts. On a captured scene, two layers
+# at every second iteration keep the mean PSNR (29.508 dB), at every third they lose 0.06 dB.
 _LONG_LAYER: Final = 1 << 16
 _RAREST: Final = 3
 # Share of the iterations after which splats use the shifts of codebook rows.
