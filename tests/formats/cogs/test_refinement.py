@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from encoding import encode, unseen
 
-from cogsplat.codec.encode.arriving_prefixes import arriving
+from cogsplat.codec.encode.partial_prefixes import decode_partial_prefixes
 from cogsplat.codec.errors import FormatError
 from cogsplat.codec.scoring.contribution import zero_scores
 from cogsplat.formats.cogs import scene_writer
@@ -150,7 +150,7 @@ def test_prefixes_as_they_arrive_are_those_of_a_file_cut_between_two_heads():
     ends = len(data) - sum(sizes) + np.cumsum(sizes)
     heads = [row for row, part in enumerate(segments) if part.kind == SegmentKind.HEAD]
     prefixes = range(1, len(made.chunks))
-    for chunks, prefix in zip(prefixes, arriving(made, prefixes, N), strict=True):
+    for chunks, prefix in zip(prefixes, decode_partial_prefixes(made, prefixes, N), strict=True):
         # The end of its last head, and of what stands before the next one.
         half = (ends[heads[chunks - 1]] + ends[heads[chunks] - 1]) // 2
         with open_cogs(BytesSource(data), size_bytes=int(half)) as part:
