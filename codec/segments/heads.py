@@ -73,7 +73,7 @@ def _read(
 
 
 def _read_scales(found: StreamSet, finer: RefinementSet, out: Splats) -> F32:
-    """Read the scales into `out`; return the scales without refinement, which set the steps."""
+    """Read the scales into `out`; return the unrefined scales, which set the quantiser steps."""
     stream = found.pop(Attribute.SCALES)
     refinement = finer.pop(stream)
     if refinement is None:

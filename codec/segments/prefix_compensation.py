@@ -23,8 +23,13 @@ MAX_CODE_BITS: Final = 8
 # SPEC 8.5: units of shifts and book entries, and of strengths. All are powers of two: a shift is an
 # integer below 2^16 times a power of two, exact in float32.
 SCALE_STEP: Final = 2.0**-7
+"""Unit of shifts of log scales."""
+
 OPACITY_STEP: Final = 2.0**-4
+"""Unit of shifts of logits."""
+
 STRENGTH_STEP: Final = 2.0**-6
+"""Unit of strengths."""
 
 
 @dataclass(frozen=True, eq=False)

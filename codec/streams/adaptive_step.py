@@ -19,6 +19,7 @@ U8 = NDArray[np.uint8]
 
 _COEFFICIENTS: Final = struct.Struct("<6f")
 MODEL_BYTES: Final = _COEFFICIENTS.size
+"""Bytes of a step model in a stream's parameters."""
 
 MAX_EXTRA_BITS: Final = 15
 """Most extra bits of a row: its step is at least 2^-15 of the base step (SPEC 6.10)."""

@@ -43,7 +43,7 @@ def is_compiled() -> bool:
 
 
 def chunk_reader() -> ChunkReader | None:
-    """Return the compiled pass; None if numpy is to decode."""
+    """Return the compiled pass over a chunk; None while numpy decodes."""
     return _chunk_reader
 
 

@@ -209,8 +209,8 @@ def locate(
                 stored -= 1
             size = stored
             if word & ZSTD_FLAG:
-                behind, size = parse_frame(data, start, stored)
-                if size <= 0 or size > MAX_PLANE_BYTES or behind != at:
+                frame_end, size = parse_frame(data, start, stored)
+                if size <= 0 or size > MAX_PLANE_BYTES or frame_end != at:
                     return -1, 0, 0
                 frames[frame_count, 0] = start
                 frames[frame_count, 1] = stored

@@ -1,4 +1,4 @@
-"""Compiled reading of indices into a codebook and the escape rows behind it (SPEC 6.7)."""
+"""Compiled reading of indices into a codebook followed by escape rows (SPEC 6.7)."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def read_indices(planes: ChunkPlanes, stream: I64, total: int, out: U32) -> bool
 
 @inner_exact
 def gather(codebook: F32, escapes: F32, indices: U32, out: F32) -> None:
-    """Write the (n, d) rows of a codebook, and of the escape rows behind it, that indices name."""
+    """Copy (n, d) rows of a codebook followed by escape rows, selected by indices."""
     size = len(codebook)
     columns = out.shape[1]
     for row in range(len(indices)):

@@ -52,7 +52,7 @@ def _count_rows(scales: F32, coefficients: F32, knees: F32, extra: U8, counts: I
 def _positions(data: U8, starts: I64, counts: I64) -> tuple[I64, I64, bool]:
     """Return the position of each component's symbols (byte) and low bits (bit).
 
-    The third value is False if bits behind the last low bit are set.
+    The third value is False if bits after the last low bit are set.
     """
     symbols = np.zeros((3, GROUPS), np.int64)
     bits = np.zeros(3, np.int64)

@@ -302,14 +302,14 @@ def unpack(payload: memoryview, where: str, max_rows: int) -> list[StoredStream]
     for index in range(count):
         label = f"{where}, stream {index}"
         if position + RECORD.size > len(payload):
-            raise _leaves(label, len(payload))
+            raise _overflow_error(label, len(payload))
         record = RECORD.unpack_from(payload, position)
         number, kind_number, components, flags, rows, planes, param_bytes = record
         position += RECORD.size
         end = position + param_bytes + planes * _WORD.size
         if end > len(payload):
-            raise _leaves(label, len(payload))
-        attribute, kind = _enums(number, kind_number, label)
+            raise _overflow_error(label, len(payload))
+        attribute, kind = _attribute_and_kind(number, kind_number, label)
         label = f"{where}, {attribute.name.lower()}"
         if components != COMPONENTS[attribute] or flags & ~(ESCAPE | INFINITIES):
             raise FormatError(
@@ -343,7 +343,7 @@ def unpack(payload: memoryview, where: str, max_rows: int) -> list[StoredStream]
     for attribute, kind, flags, rows, params, planes, label in heads:
         stop = first + planes
         if last > len(payload) and planes and int(located.ends[stop - 1]) > len(payload):
-            raise _leaves(label, len(payload))
+            raise _overflow_error(label, len(payload))
         own = every[first:stop]
         stored.append(
             StoredStream(attribute, kind, flags, rows, params, own, located, first, label)
@@ -352,19 +352,21 @@ def unpack(payload: memoryview, where: str, max_rows: int) -> list[StoredStream]
     if last != len(payload):
         raise FormatError(
             "stream-record",
-            f"{where}: {len(payload) - last} bytes behind the last plane, expected none",
+            f"{where}: {len(payload) - last} bytes after the last plane, expected none",
             clause="6.1",
         )
     return stored
 
 
-def _leaves(label: str, length: int) -> FormatError:
+def _overflow_error(label: str, length: int) -> FormatError:
+    """Return the error of a record that exceeds its segment of `length` bytes."""
     return FormatError(
         "stream-record", f"{label}: leaves the segment's {length} bytes", clause="6.1"
     )
 
 
-def _enums(number: int, kind_number: int, label: str) -> tuple[Attribute, Kind]:
+def _attribute_and_kind(number: int, kind_number: int, label: str) -> tuple[Attribute, Kind]:
+    """Return the attribute and the kind of a record by their numbers."""
     if number not in Attribute._value2member_map_:
         raise UnsupportedError(
             "stream-attribute-unknown",

@@ -60,7 +60,7 @@ def parse(stream: StoredStream, components: int) -> Grid:
 
 
 def infinity_codes(stream: StoredStream) -> int:
-    """Return the number of codes above the levels that mean infinities, 2 or 0."""
+    """Return the number of codes reserved for infinities above the levels, 0 or 2."""
     return 2 if stream.flags & INFINITIES else 0
 
 

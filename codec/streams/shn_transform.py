@@ -31,8 +31,8 @@ MAX_BASIS_ROWS: Final = 255
 MAX_FACTOR: Final = 2.0**32
 """Largest step, and largest magnitude in a basis: sums of products stay finite (SPEC 6.14)."""
 
-# First coordinate of each group that shares planes: strong coordinates alone, sparse ones together.
 GROUP_STARTS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 18, 26)
+"""First coordinate of each group that shares planes: strong ones alone, sparse ones together."""
 
 # Rows per block: sums and products of a block fit the second-level cache.
 _BLOCK: Final = 2048

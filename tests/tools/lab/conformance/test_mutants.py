@@ -202,7 +202,7 @@ READER = [
     ),
     Mutant(
         "blocks of a frame that states 0 bytes are not looked at",
-        zstd_frames._whole,
+        zstd_frames._decompress_frame,
         "if length:",
         "if True:",
         ("6.3",),

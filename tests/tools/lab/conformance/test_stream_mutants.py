@@ -65,14 +65,14 @@ READER = [
     ),
     Mutant(
         "escape rows and codebooks may have any kind",
-        stream_set.StreamSet._take,
+        stream_set.StreamSet._pop,
         "kinds.codec_of(stream).heads_only and",
         "kinds.codec_of(stream) is None and",
         ("6.2",),
     ),
     Mutant(
         "digits of a float stream are skipped",
-        stream_set.RefinementSet.take,
+        stream_set.RefinementSet.pop,
         "if stream.kind != wanted:",
         "if wanted is not None and stream.kind != wanted:",
         ("7.4",),
@@ -106,7 +106,7 @@ READER = [
         ("6.5",),
     ),
     Mutant(
-        "what stands behind bit fields is not looked at",
+        "bits after bit fields are ignored",
         bit_fields.require_padding,
         "if total & 7 and",
         "if False and",
@@ -124,7 +124,7 @@ READER = [
 
 @pytest.fixture
 def in_numpy():
-    """Decode without kernels: the mistakes are made in the readers that numpy runs."""
+    """Decode with numpy, whose readers the mutants change."""
     before = decoding_tiers.is_compiled()
     decoding_tiers.use_compiled(False)
     yield
