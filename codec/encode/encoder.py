@@ -178,7 +178,7 @@ def _encode_chunk(run: slice, plan: _Plan) -> tuple[Payloads, NDArray[np.float64
     rows = empty(plan.blank.sh_degree, run.stop - run.start, plan.blank.info)
     reach = _decode_chunk(payloads, plan.codebooks, rows)
     if plan.digits is not None:
-        payloads = payloads.compressed(digits=plan.digits)
+        payloads = payloads.compress(digits=plan.digits)
     return payloads, reach, rows
 
 

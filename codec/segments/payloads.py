@@ -37,8 +37,8 @@ class Payloads:
     refinement: bytes | None = None
     refinement_drop: float = 0.0
 
-    def compressed(self, *, digits: bool = True) -> Payloads:
-        """Return the payloads with their uncompressed planes compressed.
+    def compress(self, *, digits: bool = True) -> Payloads:
+        """Return the payloads with compressed planes; the planes must be uncompressed.
 
         Parameters
         ----------
@@ -46,8 +46,9 @@ class Payloads:
             Whether a byte of a plane may pack several symbols.
         """
 
-        def of(plain: bytes | None) -> bytes | None:
+        def compress_optional(plain: bytes | None) -> bytes | None:
             return None if plain is None else records.compress_payload(plain, digits=digits)
 
         head = records.compress_payload(self.head, digits=digits)
-        return replace(self, head=head, tail=of(self.tail), refinement=of(self.refinement))
+        tail, refinement = compress_optional(self.tail), compress_optional(self.refinement)
+        return replace(self, head=head, tail=tail, refinement=refinement)
