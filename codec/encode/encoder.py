@@ -132,7 +132,7 @@ def compress_chunks(
     executor = executor or LocalThreads(config.threads)
     payloads = [chunk.payloads for chunk in encoded.chunks]
     chunks: list[EncodedChunk] = []
-    for made in executor.map(partial(Payloads.compressed, digits=_digits(config)), payloads):
+    for made in executor.map(partial(Payloads.compress, digits=_digits(config)), payloads):
         chunks.append(replace(encoded.chunks[len(chunks)], payloads=made))
         progress("chunks", len(chunks), len(payloads))
     return replace(encoded, chunks=chunks, compressed=True)
