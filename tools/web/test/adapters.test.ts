@@ -9,7 +9,7 @@ import {
 import { sortBehindCameras } from "../src/adapters/playcanvas_sorting.js";
 import { toPly } from "../src/adapters/ply.js";
 import { drawBySpec as drawSparkBySpec, type SparkExtSplats, streamToSpark } from "../src/adapters/spark.js";
-import { placeOf } from "../src/adapters/texel_stream.js";
+import { originPosition } from "../src/adapters/texel_stream.js";
 import { loadKernels } from "../src/kernels/load.js";
 import { StreamedScene } from "../src/loader/streamed_scene.js";
 import { SceneFile } from "../src/scene/scene_file.js";
@@ -190,9 +190,9 @@ test("playcanvas: a view that came while the engine sorted is sorted for, once",
 test("scenes with other origins are placed beside each other", async () => {
   const scene = await StreamedScene.open(new Blob([new Uint8Array(vectorBytes("valid", "root-values"))]));
   const [x, y, z] = scene.info.origin as [number, number, number];
-  assert.deepEqual(placeOf(scene, {}), [0, 0, 0]);
+  assert.deepEqual(originPosition(scene, {}), [0, 0, 0]);
   const matrix = axesMatrix(scene.info.axes);
-  const moved = placeOf(scene, { worldOrigin: [x - 1, y - 2, z - 4] });
+  const moved = originPosition(scene, { worldOrigin: [x - 1, y - 2, z - 4] });
   [0, 1, 2].forEach((row) => {
     const expected = [1, 2, 4].reduce((sum, v, i) => sum + matrix[3 * row + i]! * v, 0);
     assert.ok(Math.abs(moved[row]! - expected) < 1e-6 * (1 + Math.abs(x) + Math.abs(y) + Math.abs(z)));

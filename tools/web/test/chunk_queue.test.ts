@@ -121,7 +121,7 @@ test("nothing is kept where no bands are wanted or the tail cannot be had", asyn
   const lost = queueOf(bytes, "packed", PLENTY);
   await lost.add([...lost.codebooks, ...lost.of("head"), ...lost.of("refinement")]);
   assert.ok(lost.queue.keptBytes > 0);
-  for (const tail of lost.of("tail")) lost.queue.lose(tail);
+  for (const tail of lost.of("tail")) lost.queue.abandon(tail);
   assert.equal(lost.queue.keptBytes, 0);
 });
 

@@ -284,7 +284,7 @@ test("a request delivers its segments however the bytes are cut, without those o
   ];
   for (let size = 1; size <= 31; size++) {
     const reader = {
-      parts: async (_: unknown, __: unknown, take: (part: Uint8Array) => void) => {
+      readParts: async (_: unknown, __: unknown, take: (part: Uint8Array) => void) => {
         for (let at = 10; at < 40; at += size) take(bytes.subarray(at, Math.min(at + size, 40)));
       },
     } as unknown as RetryingReader;

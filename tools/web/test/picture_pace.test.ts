@@ -41,7 +41,7 @@ function started(): { readonly graphics: Graphics; readonly pace: PicturePace } 
 
 /** Have a picture take some ms. */
 function take(graphics: Graphics, pace: PicturePace, milliseconds: number, scale: number): void {
-  pace.given(performance.now() - milliseconds, { scale, splats: 1000 });
+  pace.submitted(performance.now() - milliseconds, { scale, splats: 1000 });
   graphics.finish();
   assert.ok(pace.isIdle);
 }
@@ -50,7 +50,7 @@ test("no picture is begun while slow graphics work on one", () => {
   const { graphics, pace } = started();
   take(graphics, pace, 500, 1);
   assert.ok(pace.isSlow && pace.isFree);
-  pace.given(performance.now(), { scale: 1, splats: 1000 });
+  pace.submitted(performance.now(), { scale: 1, splats: 1000 });
   assert.ok(!pace.isFree && !pace.isIdle);
   graphics.finish();
   assert.ok(pace.isFree && pace.isIdle);
@@ -60,9 +60,9 @@ test("quick graphics have one picture in reserve", () => {
   const { graphics, pace } = started();
   take(graphics, pace, 5, 1);
   assert.ok(!pace.isSlow);
-  pace.given(performance.now(), { scale: 1, splats: 1000 });
+  pace.submitted(performance.now(), { scale: 1, splats: 1000 });
   assert.ok(pace.isFree);
-  pace.given(performance.now(), { scale: 1, splats: 1000 });
+  pace.submitted(performance.now(), { scale: 1, splats: 1000 });
   assert.ok(!pace.isFree);
   pace.forget();
   assert.ok(pace.isFree);

@@ -3,8 +3,15 @@ import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { test } from "node:test";
 import type { ViewTable } from "../src/container/view_table.js";
-import { along, byBoxes, bySgss, byViewTable, countedSplats, type PoseRatios } from "../src/schedule/chunk_ratios.js";
-import { type Pose, path } from "../src/schedule/poses.js";
+import {
+  byBoxes,
+  bySgss,
+  byViewTable,
+  effectiveSplats,
+  type PoseRatios,
+  sumAlongPath,
+} from "../src/schedule/chunk_ratios.js";
+import { type Pose, predictPath } from "../src/schedule/poses.js";
 import { Scheduler, type Unit } from "../src/schedule/scheduler.js";
 
 /** Contents of the file of `tools/lab/make_decisions.py`. */
@@ -69,12 +76,15 @@ test("the scheduler decides as the reference does in every state", () => {
       isHead: isHead === 1,
       end,
       size,
-      after,
+      dependencies: after,
     }));
-    const ratios = along(ratiosOf(scene, state.rule), path(poseOf(state.now), poseOf(state.before), state.elapsed));
+    const ratios = sumAlongPath(
+      ratiosOf(scene, state.rule),
+      predictPath(poseOf(state.now), poseOf(state.before), state.elapsed),
+    );
     const { stop, evict, fetch } = new Scheduler(units, scene.splats).decide(ratios, {
-      there: new Set(state.there),
-      underWay: new Set(state.under_way),
+      arrived: new Set(state.there),
+      inFlight: new Set(state.under_way),
       received: new Map(state.received),
       budgetSplats: state.budget_splats,
       bytesPerSecond: state.bytes_per_second,
@@ -86,5 +96,5 @@ test("the scheduler decides as the reference does in every state", () => {
 
 test("chunks count by what a pose shows of them, and never for more than they have", () => {
   const ratios = Float64Array.of(2, 0.5, 1 / 512, 1 / 512);
-  assert.deepEqual(countedSplats([8192, 1000, 100, 1], ratios), [8192, 500, 1, 1]);
+  assert.deepEqual(effectiveSplats([8192, 1000, 100, 1], ratios), [8192, 500, 1, 1]);
 });

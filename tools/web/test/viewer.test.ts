@@ -83,7 +83,7 @@ test("the camera starts at the first view", () => {
 test("the camera goes to a pose, whatever the height of the canvas", () => {
   const { scene } = new SceneFile(vectorBytes("valid", "sh0"), kernels());
   const camera = new OrbitCamera(scene);
-  camera.place({ height: 200, fx: 300, fy: 280, rotation: [0, 0, 1, 0, 1, 0, -1, 0, 0], translation: [1, 2, 3] });
+  camera.setPose({ height: 200, fx: 300, fy: 280, rotation: [0, 0, 1, 0, 1, 0, -1, 0, 0], translation: [1, 2, 3] });
   const view = camera.view(400);
   assert.deepEqual(view.rotation, [0, 0, 1, 0, 1, 0, -1, 0, 0]);
   assert.deepEqual(view.focal, [600, 560]);

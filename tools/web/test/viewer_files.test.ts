@@ -302,7 +302,7 @@ test("a scene without a first view is framed, one with it keeps its picture", as
     assert.ok(Math.abs(value - before.translation[i]!) < 1e-9);
   });
   const { position } = camera;
-  camera.look(40, -20);
+  camera.turnInPlace(40, -20);
   camera.position.forEach((value, i) => {
     assert.ok(Math.abs(value - position[i]!) < 1e-9);
   });

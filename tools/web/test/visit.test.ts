@@ -10,8 +10,8 @@ import { segmentUnits, type UnitIndex } from "../src/loader/segment_units.js";
 import { StreamedScene } from "../src/loader/streamed_scene.js";
 import { Visit, type VisitOptions } from "../src/loader/visit.js";
 import { SceneFile } from "../src/scene/scene_file.js";
-import { along, byBoxes } from "../src/schedule/chunk_ratios.js";
-import { type Pose, path } from "../src/schedule/poses.js";
+import { byBoxes, sumAlongPath } from "../src/schedule/chunk_ratios.js";
+import { type Pose, predictPath } from "../src/schedule/poses.js";
 import { Scheduler } from "../src/schedule/scheduler.js";
 import { FolderServer } from "./folder_server.js";
 import { padSegments } from "./padded_file.js";
@@ -50,8 +50,8 @@ function smallIndex(): UnitIndex {
 /** Return the segments of an index in the order that a pose requests. */
 function order(index: UnitIndex, pose: Pose): number[] {
   const units = segmentUnits(index, 0, false);
-  const ratios = along(byBoxes(index.chunks.box, index.chunks.contribution), path(pose, pose, 0));
-  const nothing = { there: new Set<number>(), underWay: new Set<number>(), received: new Map<number, number>() };
+  const ratios = sumAlongPath(byBoxes(index.chunks.box, index.chunks.contribution), predictPath(pose, pose, 0));
+  const nothing = { arrived: new Set<number>(), inFlight: new Set<number>(), received: new Map<number, number>() };
   const { fetch } = new Scheduler(units, index.chunks.splats).decide(ratios, {
     ...nothing,
     budgetSplats: 0,
@@ -82,17 +82,17 @@ test("chunks that end are no units", () => {
 test("a connection is judged by what has come lately, pauses left aside", () => {
   const link = new LinkEstimate();
   assert.equal(link.bytesPerSecond, 250_000);
-  link.answered(0.3);
+  link.recordLatency(0.3);
   assert.equal(link.latency, 0.1);
-  link.answered(0.02);
+  link.recordLatency(0.02);
   assert.equal(link.latency, 0.02);
-  for (let i = 0; i <= 100; i++) link.came(10_000, 5 + 0.01 * i);
+  for (let i = 0; i <= 100; i++) link.recordBytes(10_000, 5 + 0.01 * i);
   assert.ok(Math.abs(link.bytesPerSecond - 1e6) < 1);
-  link.rest();
+  link.pause();
   // A first part after a pause says nothing yet.
-  link.came(10_000, 90);
+  link.recordBytes(10_000, 90);
   assert.ok(Math.abs(link.bytesPerSecond - 1e6) < 1);
-  for (let i = 1; i <= 300; i++) link.came(1000, 90 + 0.01 * i);
+  for (let i = 1; i <= 300; i++) link.recordBytes(1000, 90 + 0.01 * i);
   assert.ok(Math.abs(link.bytesPerSecond - 1e5) < 1);
 });
 
@@ -270,7 +270,7 @@ test("what was stopped goes on from the byte where it was, and what was asked fo
   const asked: [number, number, string | undefined][] = [];
   const takes: ((part: Uint8Array) => void)[] = [];
   const reader = {
-    parts: (
+    readParts: (
       range: { offset: number; length: number },
       signal: AbortSignal,
       take: (part: Uint8Array) => void,

@@ -49,7 +49,7 @@ function watched(capacity: number, ratios: () => Float64Array | undefined) {
   const take = (...chunks: number[]): void => {
     for (const chunk of chunks) {
       const firstRow = SPLATS.slice(0, chunk).reduce((sum, count) => sum + count, 0);
-      visited.take({
+      visited.apply({
         kind: "rows",
         chunk,
         firstRow,
@@ -92,7 +92,7 @@ test("where a visitor stands still, chunks are changed for what is seen from the
   ratios = Float64Array.from([1, 1, 1 / 512, 1, 1, 1]);
   assert.ok(!visited.work(Infinity));
   assert.equal(prefixes.get(0), 2);
-  visited.look();
+  visited.poseChanged();
   while (visited.work(Infinity)) await new Promise((resolve) => setTimeout(resolve, 10));
   assert.equal(prefixes.get(0), 4);
 });
@@ -107,8 +107,8 @@ test("chunks take the rows of those that went, and bring what they add with them
   assert.deepEqual(drawn(), wanted(0, 1, 3, 4));
   assert.deepEqual(shifts, rows);
   assert.ok(layer.compensated);
-  visited.take({ kind: "evicted", chunk: 3 });
-  visited.take({ kind: "evicted", chunk: 4 });
+  visited.apply({ kind: "evicted", chunk: 3 });
+  visited.apply({ kind: "evicted", chunk: 4 });
   visited.work(Infinity);
   assert.deepEqual(drawn(), wanted(0, 1));
   assert.equal(visited.splats, 20);
@@ -118,7 +118,7 @@ test("chunks take the rows of those that went, and bring what they add with them
   assert.deepEqual(drawn(), wanted(0, 1, 2));
   for (const [row, added] of shifts.entries())
     assert.ok(added === 0 || added === rows[row], `row ${row} is shifted by ${added}`);
-  visited.take({ kind: "evicted", chunk: 1 });
+  visited.apply({ kind: "evicted", chunk: 1 });
   take(5);
   visited.work(Infinity);
   assert.deepEqual(drawn(), wanted(0, 2, 5));

@@ -11,8 +11,8 @@ import { editShader, glslFloat } from "./shader_edits.js";
 import {
   type AdapterOptions,
   type AdapterStream,
-  ownAbort,
-  placeOf,
+  followingAbort,
+  originPosition,
   sceneArrays,
   streamTexels,
   wantedDegree,
@@ -290,12 +290,12 @@ export function streamToPlayCanvas<D, C extends PlayCanvasContainer>(
     sortBehindCameras(application, () => {
       if (drawn > 0) redraw(drawn, false);
     });
-  const abort = ownAbort(options.signal);
+  const abort = followingAbort(options.signal);
   const done = streamTexels(scene, "playcanvas", { arrays, upload }, options, abort.signal);
   return {
     resource,
     rotation: axesRotation(scene.info.axes),
-    position: placeOf(scene, options),
+    position: originPosition(scene, options),
     done,
     dispose(): void {
       abort.abort();

@@ -9,8 +9,8 @@ import { editShader } from "./shader_edits.js";
 import {
   type AdapterOptions,
   type AdapterStream,
-  ownAbort,
-  placeOf,
+  followingAbort,
+  originPosition,
   sceneArrays,
   streamTexels,
   wantedDegree,
@@ -152,7 +152,7 @@ export function streamToSpark<M extends SparkMesh>(
   const splats = new spark.ExtSplats({ extArrays: [centers, shapes], numSplats: 0, extra });
   const mesh = new spark.SplatMesh({ extSplats: splats });
   mesh.quaternion.set(...axesRotation(scene.info.axes));
-  mesh.position.set(...placeOf(scene, options));
+  mesh.position.set(...originPosition(scene, options));
   const upload = (rows: number): void => {
     splats.numSplats = rows;
     mesh.numSplats = rows;
@@ -160,7 +160,7 @@ export function streamToSpark<M extends SparkMesh>(
     for (const name of BANDS) refreshTexture(splats.extra[TEXTURES[name]]);
     mesh.updateVersion();
   };
-  const abort = ownAbort(options.signal);
+  const abort = followingAbort(options.signal);
   const done = streamTexels(scene, "spark", { arrays, upload }, options, abort.signal);
   return {
     mesh,

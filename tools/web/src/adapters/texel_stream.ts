@@ -141,7 +141,7 @@ class Pace {
 }
 
 /** Return an abort controller that follows a signal. */
-export function ownAbort(signal: AbortSignal | undefined): AbortController {
+export function followingAbort(signal: AbortSignal | undefined): AbortController {
   const abort = new AbortController();
   if (signal?.aborted) abort.abort(signal.reason);
   else signal?.addEventListener("abort", () => abort.abort(signal.reason), { once: true });
@@ -149,7 +149,7 @@ export function ownAbort(signal: AbortSignal | undefined): AbortController {
 }
 
 /** Return the position of the scene's origin in a world with the renderer's axes. */
-export function placeOf(scene: StreamedScene, { worldOrigin }: AdapterOptions): [number, number, number] {
+export function originPosition(scene: StreamedScene, { worldOrigin }: AdapterOptions): [number, number, number] {
   const away = scene.info.origin.map((value, axis) => value - (worldOrigin ?? scene.info.origin)[axis]!);
   const matrix = axesMatrix(scene.info.axes);
   return [0, 1, 2].map((row) => away.reduce((sum, value, i) => sum + matrix[3 * row + i]! * value, 0)) as [

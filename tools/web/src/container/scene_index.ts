@@ -49,8 +49,8 @@ export interface ChunkSegments {
 /**
  * The index of a file: the root and the pages read so far (SPEC 3 to 5).
  *
- * Files are refused in the order of SPEC 8.1: `open` and `addPage` check each table by itself, and `settle` checks them
- * together. `settle` makes the chunks of new pages available.
+ * Files are refused in the order of SPEC 8.1: `open` and `addPage` check each table by itself, and `crossCheck` checks them
+ * together. `crossCheck` makes the chunks of new pages available.
  */
 export class SceneIndex {
   readonly scene: SceneInfo;
@@ -79,7 +79,7 @@ export class SceneIndex {
   private readonly codebookSegments: Map<number, number>[];
   /** End of the segments read so far, bytes. */
   private end: number;
-  /** Number of segments that `settle` has entered. */
+  /** Number of segments that `crossCheck` has entered. */
   private settled = 0;
 
   private constructor(bytes: Uint8Array) {
@@ -261,7 +261,7 @@ export class SceneIndex {
    *
    * Checks of the whole file run once all pages are read.
    */
-  settle(): void {
+  crossCheck(): void {
     const first = this.settled;
     this.settled = this.segments.kind.length;
     if (this.end > this.fileLength || (this.complete && this.end !== this.fileLength)) {

@@ -24,7 +24,7 @@ export class Beginning {
   }
 
   /** Bytes received so far. */
-  get here(): Uint8Array {
+  get available(): Uint8Array {
     return this.bytes.subarray(0, this.received);
   }
 
@@ -34,7 +34,7 @@ export class Beginning {
   }
 
   /** Wait until `length` bytes are received or the file has ended; start the request if none is running. */
-  async upTo(length: number, signal: AbortSignal | undefined): Promise<void> {
+  async waitFor(length: number, signal: AbortSignal | undefined): Promise<void> {
     const stop = (): void => this.stop();
     signal?.addEventListener("abort", stop, { once: true });
     try {
@@ -60,7 +60,7 @@ export class Beginning {
   private fill(): Promise<void> {
     this.abort = new AbortController();
     const { signal } = this.abort;
-    const filled = this.reader.beginning({ offset: this.received, length: this.length - this.received }, signal, {
+    const filled = this.reader.readBeginning({ offset: this.received, length: this.length - this.received }, signal, {
       begin: ({ total, whole }) => {
         this.total ??= total;
         this.sequential ||= whole;

@@ -15,7 +15,7 @@ export interface DecodeOptions {
 }
 
 /** Payloads that were part of a chunk's last update. */
-interface Given {
+interface Emitted {
   readonly tail: boolean;
   readonly refined: boolean;
   /** Number of later levels with opacities. */
@@ -34,10 +34,10 @@ export class ChunkQueue {
   private readonly codebooks = new Set<number>();
   /** Segments that cannot be fetched. */
   private readonly lost = new Set<number>();
-  private readonly given = new Map<number, Given>();
+  private readonly emitted = new Map<number, Emitted>();
   private readonly decoding = new Set<number>();
   /** Expected chunks whose last update is still to come. */
-  private readonly open = new Set<number>();
+  private readonly pending = new Set<number>();
 
   constructor(
     private readonly index: SceneIndex,
@@ -59,12 +59,12 @@ export class ChunkQueue {
 
   /** Decode a chunk as its payloads arrive from now on. */
   expect(chunk: number): void {
-    this.open.add(chunk);
+    this.pending.add(chunk);
   }
 
   /** Return the missing segments of the expected chunks, chunk by chunk. */
   allMissing(): number[] {
-    return [...this.open].flatMap((chunk) => this.missing(chunk));
+    return [...this.pending].flatMap((chunk) => this.missing(chunk));
   }
 
   /** Return the missing segments of a chunk, the most useful first. */
@@ -88,15 +88,18 @@ export class ChunkQueue {
   }
 
   /** Return the received opacities of a chunk: of all levels for packed chunks, otherwise of the last level. */
-  private opacitiesHere(chunk: number): {
+  private receivedOpacities(chunk: number): {
     readonly count: number;
     readonly payloads: readonly (Uint8Array | undefined)[] | undefined;
   } {
     const { format, level } = this.options;
     const all = this.opacities(chunk).map((segment) => this.payloads.get(segment));
-    const here = all.filter((payload) => payload !== undefined);
+    const received = all.filter((payload) => payload !== undefined);
     const ofLevels = format === "packed" && level === undefined && this.index.scene.levels.length > 0;
-    return { count: here.length, payloads: ofLevels ? all : here.length > 0 ? here.slice(-1) : undefined };
+    return {
+      count: received.length,
+      payloads: ofLevels ? all : received.length > 0 ? received.slice(-1) : undefined,
+    };
   }
 
   /** Return whether a segment has been received. */
@@ -111,17 +114,17 @@ export class ChunkQueue {
     if (kind >= 3 && kind <= 6) {
       this.codebooks.add(segment);
       this.service.addCodebook(owner, kind, payload);
-      for (const chunk of this.open) this.decode(chunk);
-    } else if (this.open.has(owner)) {
+      for (const chunk of this.pending) this.decode(chunk);
+    } else if (this.pending.has(owner)) {
       this.payloads.set(segment, payload);
       this.decode(owner);
     }
   }
 
   /** Continue without a segment; return the chunks that lack it. */
-  lose(segment: number): number[] {
+  abandon(segment: number): number[] {
     this.lost.add(segment);
-    const touched = [...this.open].filter((chunk) => {
+    const touched = [...this.pending].filter((chunk) => {
       const { head, refinement, tail } = this.index.chunkSegments(chunk);
       const parts = [head, refinement, tail, ...this.opacities(chunk)].filter((part) => part >= 0);
       return parts.some((part) => part === segment || this.index.codebookSegmentsOf(part, 3)?.includes(segment));
@@ -136,7 +139,7 @@ export class ChunkQueue {
   }
 
   private decode(chunk: number): void {
-    if (this.decoding.has(chunk) || !this.open.has(chunk)) return;
+    if (this.decoding.has(chunk) || !this.pending.has(chunk)) return;
     const { head, refinement, tail } = this.index.chunkSegments(chunk);
     const { needs } = this.index.segments;
     const { degree, format, ranges } = this.options;
@@ -146,8 +149,8 @@ export class ChunkQueue {
     }
     const withTail = degree > 0 && tail >= 0 && this.ready(tail, degree);
     const refined = refinement >= 0 && this.payloads.has(refinement);
-    const opacities = this.opacitiesHere(chunk);
-    const before = this.given.get(chunk);
+    const opacities = this.receivedOpacities(chunk);
+    const before = this.emitted.get(chunk);
     // An unread page may announce a tail or a refinement.
     const final = this.index.complete && this.missing(chunk).length === 0;
     if (
@@ -177,7 +180,7 @@ export class ChunkQueue {
           refinement: refined ? this.payloads.get(refinement)! : undefined,
           opacities: opacities.payloads,
         };
-    this.given.set(chunk, { tail: withTail, refined, opacities: opacities.count });
+    this.emitted.set(chunk, { tail: withTail, refined, opacities: opacities.count });
     if (final) this.close(chunk);
     this.service
       .decode({
@@ -208,7 +211,7 @@ export class ChunkQueue {
   /** Return whether a chunk's tail may still arrive. */
   private expectsTail(chunk: number): boolean {
     const { tail } = this.index.chunkSegments(chunk);
-    if (!this.open.has(chunk) || this.options.degree === 0) return false;
+    if (!this.pending.has(chunk) || this.options.degree === 0) return false;
     return tail >= 0 ? !this.isLost(tail, this.options.degree) : !this.index.complete;
   }
 
@@ -225,9 +228,9 @@ export class ChunkQueue {
 
   /** Drop the payloads of a chunk, until it is expected again. */
   close(chunk: number): void {
-    this.open.delete(chunk);
+    this.pending.delete(chunk);
     this.heads.take(chunk);
-    this.given.delete(chunk);
+    this.emitted.delete(chunk);
     const { head, refinement, tail, opacities } = this.index.chunkSegments(chunk);
     for (const segment of [head, refinement, tail, ...opacities]) this.payloads.delete(segment);
   }

@@ -14,8 +14,8 @@ import type { FolderReader } from "./streamed_scene.js";
  * ```
  */
 export const folders: FolderReader = {
-  open(manifest, { here, length, hasRanges }, index) {
-    const places = new FolderIndex(index, here);
+  open(manifest, { available, length, hasRanges }, index) {
+    const places = new FolderIndex(index, available);
     if (length !== undefined) places.checkLength(length);
     return { places, source: new FolderSource(manifest, places, hasRanges) };
   },

@@ -23,12 +23,12 @@ export class LinkEstimate {
   }
 
   /** Record the latency of an answer, seconds. */
-  answered(seconds: number): void {
+  recordLatency(seconds: number): void {
     this.shortest = Math.min(this.shortest, seconds);
   }
 
   /** Record received bytes and their time, seconds. */
-  came(bytes: number, seconds: number): void {
+  recordBytes(bytes: number, seconds: number): void {
     const { parts } = this;
     parts.push({ seconds, bytes });
     while (parts[0]!.seconds < seconds - REMEMBERED) parts.shift();
@@ -40,7 +40,7 @@ export class LinkEstimate {
   }
 
   /** Record that no request is in flight, so that the pause does not count. */
-  rest(): void {
+  pause(): void {
     this.parts.length = 0;
   }
 }

@@ -1,4 +1,4 @@
-import { type Pose, path, type WeightedPose } from "../schedule/poses.js";
+import { type Pose, predictPath, type WeightedPose } from "../schedule/poses.js";
 
 /** Age of the pose with which the latest one is compared, seconds (docs/streaming.md, 11). */
 const OBSERVED_SECONDS = 0.25;
@@ -35,6 +35,6 @@ export class PoseHistory {
     const now = seen.at(-1);
     if (before === undefined || now === undefined) return undefined;
     this.isMoving = before !== now;
-    return path(now.pose, before.pose, seconds - before.seconds);
+    return predictPath(now.pose, before.pose, seconds - before.seconds);
   }
 }

@@ -20,7 +20,7 @@ export function isRetryable(error: unknown): boolean {
 }
 
 /** Return the wait that a server asked for with an error, ms; 0 for none. */
-export function askedWait(error: unknown): number {
+export function requestedWait(error: unknown): number {
   return error instanceof SourceError ? (error.retryAfter ?? 0) : 0;
 }
 

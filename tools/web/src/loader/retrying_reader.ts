@@ -1,7 +1,7 @@
 import type { ByteRange } from "../container/scene_index.js";
 import { SourceError } from "../errors.js";
 import { type Answer, type ByteSource, readAll } from "./byte_source.js";
-import { askedWait, backOff, isRetryable, type RetryOptions } from "./retry.js";
+import { backOff, isRetryable, type RetryOptions, requestedWait } from "./retry.js";
 
 /** Reader of ranges that retries failed requests after a pause, from the first missing byte. */
 export class RetryingReader {
@@ -15,7 +15,7 @@ export class RetryingReader {
    *
    * @param receiver - `begin` receives each answer, `take` the parts in order, without gaps.
    */
-  async beginning(
+  async readBeginning(
     range: ByteRange,
     signal: AbortSignal,
     receiver: { readonly begin: (answer: Answer) => void; readonly take: (part: Uint8Array) => void },
@@ -50,7 +50,7 @@ export class RetryingReader {
   }
 
   /** Read all bytes of a range. */
-  async all(range: ByteRange, signal: AbortSignal | undefined, fresh = false): Promise<Uint8Array> {
+  async readAll(range: ByteRange, signal: AbortSignal | undefined, fresh = false): Promise<Uint8Array> {
     return this.attempt(signal, () => readAll(this.source, range, { signal, fresh }));
   }
 
@@ -60,7 +60,7 @@ export class RetryingReader {
    * @param take - Receives the parts in order, without gaps.
    * @param priority - Priority among other requests.
    */
-  async parts(
+  async readParts(
     range: ByteRange,
     signal: AbortSignal,
     take: (part: Uint8Array) => void,
@@ -105,7 +105,7 @@ export class RetryingReader {
         return await work();
       } catch (error) {
         if (received() > had) [had, attempt] = [received(), 1];
-        const asked = askedWait(error);
+        const asked = requestedWait(error);
         const isLast = attempt > this.retry.retries || asked > this.retry.longestWait;
         if (signal?.aborted || isLast || !isRetryable(error)) throw error;
         await backOff(attempt, this.retry, signal, asked);

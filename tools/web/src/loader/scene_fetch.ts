@@ -76,7 +76,7 @@ export abstract class SceneFetch<Change> {
     );
     this.requests = new SegmentRequests(reader, this.rangeOf, {
       received: (segment, payload) => this.accept(segment, payload),
-      failed: (error, segments) => this.lose(error, segments),
+      failed: (error, segments) => this.abandon(error, segments),
       ended: () => this.chooseSoon(),
     });
   }
@@ -206,7 +206,7 @@ export abstract class SceneFetch<Change> {
   protected acceptFromBeginning(segments: readonly number[]): number[] {
     const { beginning } = this.source;
     const held = new Set(segments.filter((segment) => beginning.holds(this.endOf(segment))));
-    const isHere = (segment: number): boolean => this.endOf(segment) <= beginning.here.length;
+    const isHere = (segment: number): boolean => this.endOf(segment) <= beginning.available.length;
     const here = [...held].filter(isHere);
     const coming = [...held].filter((segment) => !isHere(segment)).sort((a, b) => a - b);
     void this.acceptInSlices([...here, ...coming]);
@@ -226,21 +226,22 @@ export abstract class SceneFetch<Change> {
     for (const segment of segments) {
       const end = this.endOf(segment);
       try {
-        if (beginning.here.length < end) {
-          await beginning.upTo(end, this.abort.signal);
+        if (beginning.available.length < end) {
+          await beginning.waitFor(end, this.abort.signal);
           slice = performance.now();
         } else if (performance.now() - slice > SLICE_MILLISECONDS) {
           await new Promise((resolve) => setTimeout(resolve, 0));
           this.abort.signal.throwIfAborted();
           slice = performance.now();
         }
-        if (beginning.here.length < end) throw new SourceError(`the file ends before byte ${end}`, undefined, true);
+        if (beginning.available.length < end)
+          throw new SourceError(`the file ends before byte ${end}`, undefined, true);
         // A segment that was evicted meanwhile is no longer expected.
         if (this.uncancellable.delete(segment)) {
-          this.accept(segment, beginning.here.slice(this.rangeOf(segment).offset, end));
+          this.accept(segment, beginning.available.slice(this.rangeOf(segment).offset, end));
         }
       } catch (error) {
-        if (this.uncancellable.delete(segment)) this.lose(error, [segment]);
+        if (this.uncancellable.delete(segment)) this.abandon(error, [segment]);
       }
       this.chooseSoon();
     }
@@ -253,7 +254,7 @@ export abstract class SceneFetch<Change> {
       this.use(segment, payload);
     } catch (error) {
       if (error instanceof CogsplatError && error.code === "segment-crc") void this.fetchAgain(segment);
-      else this.lose(error, [segment]);
+      else this.abandon(error, [segment]);
     }
     this.chooseSoon();
   }
@@ -261,12 +262,12 @@ export abstract class SceneFetch<Change> {
   private async fetchAgain(segment: number): Promise<void> {
     this.uncancellable.add(segment);
     try {
-      const payload = await this.source.reader.all(this.rangeOf(segment), this.abort.signal, true);
+      const payload = await this.source.reader.readAll(this.rangeOf(segment), this.abort.signal, true);
       this.index.checkCrc(segment, payload);
       if (this.uncancellable.delete(segment)) this.use(segment, payload);
     } catch (error) {
       this.uncancellable.delete(segment);
-      this.lose(error, [segment]);
+      this.abandon(error, [segment]);
     }
     this.chooseSoon();
   }
@@ -279,7 +280,7 @@ export abstract class SceneFetch<Change> {
   }
 
   /** Continue without segments that cannot be fetched; end after an error of the whole source. */
-  protected lose(error: unknown, segments: readonly number[]): void {
+  protected abandon(error: unknown, segments: readonly number[]): void {
     if (this.abort.signal.aborted) return;
     const isOfSegment =
       error instanceof CogsplatError
@@ -291,7 +292,7 @@ export abstract class SceneFetch<Change> {
     }
     for (const segment of segments) {
       this.requests.forget(segment);
-      const chunks = this.queue.lose(segment);
+      const chunks = this.queue.abandon(segment);
       this.onLost(segment);
       this.reportDamage(error, chunks);
     }

@@ -124,13 +124,13 @@ export class SegmentRequests {
     const receive = (part: Uint8Array): void => {
       if (signal.aborted) return;
       const now = performance.now();
-      if (isFirst) this.link.answered((now - start) / 1000);
+      if (isFirst) this.link.recordLatency((now - start) / 1000);
       isFirst = false;
-      this.link.came(part.length, now / 1000);
+      this.link.recordBytes(part.length, now / 1000);
       this.distribute(part, request);
     };
     try {
-      await this.reader.parts(range, signal, receive, priority);
+      await this.reader.readParts(range, signal, receive, priority);
     } catch (error) {
       if (signal.aborted) return;
       this.requests.delete(request);
@@ -138,7 +138,7 @@ export class SegmentRequests {
     }
     if (signal.aborted) return;
     this.requests.delete(request);
-    if (this.requests.size === 0) this.link.rest();
+    if (this.requests.size === 0) this.link.pause();
     this.receiver.ended();
   }
 

@@ -44,10 +44,10 @@ export function segmentUnits(index: UnitIndex, degree: number, compensates: bool
     const chunk = OF_CHUNKS.includes(kind[segment]!) ? owner[segment]! : -1;
     const books = chunk < 0 ? [] : (index.codebookSegmentsOf(segment, degree) ?? []);
     const before = chunk < 0 ? undefined : heads.get(isHead ? parents[chunk]! : chunk);
-    const after = [...books.map((book) => unitOf.get(book)), before].filter((unit) => unit !== undefined);
+    const dependencies = [...books.map((book) => unitOf.get(book)), before].filter((unit) => unit !== undefined);
     // The view table decides the order, so it counts as the beginning of the file.
     const end = kind[segment] === SegmentKind.viewTable ? length : offset + length;
-    return { segment, chunk, isHead, end, size: length, after };
+    return { segment, chunk, isHead, end, size: length, dependencies };
   });
 }
 

@@ -50,7 +50,7 @@ export interface FolderReader {
    */
   open(
     manifest: ByteSource,
-    beginning: { readonly here: Uint8Array; readonly length: number | undefined; readonly hasRanges: boolean },
+    beginning: { readonly available: Uint8Array; readonly length: number | undefined; readonly hasRanges: boolean },
     index: SceneIndex,
   ): { readonly places: ScenePlaces; readonly source: ByteSource };
 }
@@ -134,15 +134,19 @@ export class StreamedScene implements FetchSource {
     const given = sourceOf(source, options.http);
     const reader = new RetryingReader(given, { ...DEFAULT_RETRY, ...options.retry });
     const beginning = new Beginning(reader, FIRST_BYTES);
-    await beginning.upTo(PREAMBLE_BYTES, options.signal);
-    if (isManifest(beginning.here)) return StreamedScene.beginFolder(given, beginning, source, options, isReopened);
+    await beginning.waitFor(PREAMBLE_BYTES, options.signal);
+    if (isManifest(beginning.available))
+      return StreamedScene.beginFolder(given, beginning, source, options, isReopened);
     // Other files are refused by their first bytes.
-    const { rootLength } = readPreamble(beginning.here);
+    const { rootLength } = readPreamble(beginning.available);
     // Where the source does not state the file's length, its end does.
-    await beginning.upTo(beginning.total === undefined ? FIRST_BYTES : PREAMBLE_BYTES + rootLength, options.signal);
-    const { here, total } = beginning;
-    const index = SceneIndex.open(here.slice(), total ?? (here.length < FIRST_BYTES ? here.length : undefined));
-    index.settle();
+    await beginning.waitFor(beginning.total === undefined ? FIRST_BYTES : PREAMBLE_BYTES + rootLength, options.signal);
+    const { available, total } = beginning;
+    const index = SceneIndex.open(
+      available.slice(),
+      total ?? (available.length < FIRST_BYTES ? available.length : undefined),
+    );
+    index.crossCheck();
     return new StreamedScene(index, index, reader, beginning, source, options, isReopened);
   }
 
@@ -157,12 +161,16 @@ export class StreamedScene implements FetchSource {
     if (options.folders === undefined)
       throw new SourceError("a scene that is kept as a folder, expected the option `folders`", undefined, false);
     // The first 64 KiB contain the root and its places (SPEC 8.8).
-    await beginning.upTo(FIRST_BYTES, options.signal);
-    const { here, total, sequential } = beginning;
-    const index = SceneIndex.open(fileBeginning(here));
-    const length = total ?? (here.length < FIRST_BYTES ? here.length : undefined);
-    const { places, source: objects } = options.folders.open(manifest, { here, length, hasRanges: !sequential }, index);
-    index.settle();
+    await beginning.waitFor(FIRST_BYTES, options.signal);
+    const { available, total, sequential } = beginning;
+    const index = SceneIndex.open(fileBeginning(available));
+    const length = total ?? (available.length < FIRST_BYTES ? available.length : undefined);
+    const { places, source: objects } = options.folders.open(
+      manifest,
+      { available, length, hasRanges: !sequential },
+      index,
+    );
+    index.crossCheck();
     const reader = new RetryingReader(objects, { ...DEFAULT_RETRY, ...options.retry });
     return new StreamedScene(index, places, reader, beginning, source, options, isReopened);
   }
@@ -223,7 +231,7 @@ export class StreamedScene implements FetchSource {
       this.places.addPage(bytes);
     } catch (error) {
       if (!isDamagedPage(error)) throw error;
-      this.places.addPage(await this.reader.all(page, undefined, true));
+      this.places.addPage(await this.reader.readAll(page, undefined, true));
     }
   }
 
@@ -233,12 +241,12 @@ export class StreamedScene implements FetchSource {
       for (let page = this.places.nextPage(); page && this.index.pagesRead < count; page = this.places.nextPage()) {
         const end = page.offset + page.length;
         const isHere = this.beginning.holds(end);
-        if (isHere) await this.beginning.upTo(end, undefined);
+        if (isHere) await this.beginning.waitFor(end, undefined);
         await this.addPage(
           page,
-          isHere ? this.beginning.here.slice(page.offset, end) : await this.reader.all(page, undefined),
+          isHere ? this.beginning.available.slice(page.offset, end) : await this.reader.readAll(page, undefined),
         );
-        this.index.settle();
+        this.index.crossCheck();
       }
     };
     // A page that failed for one caller is read again for the next.

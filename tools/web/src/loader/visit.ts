@@ -2,7 +2,7 @@ import { parentsOf } from "../container/chunk_sets.js";
 import { SegmentKind } from "../container/tables.js";
 import { readViewTable, type ViewTable } from "../container/view_table.js";
 import { SourceError } from "../errors.js";
-import { along, byBoxes, byViewTable, type PoseRatios } from "../schedule/chunk_ratios.js";
+import { byBoxes, byViewTable, type PoseRatios, sumAlongPath } from "../schedule/chunk_ratios.js";
 import type { Pose } from "../schedule/poses.js";
 import { type Holdings, Scheduler } from "../schedule/scheduler.js";
 import type { ChunkService } from "../workers/decode_task.js";
@@ -12,8 +12,15 @@ import { type SegmentUnit, segmentUnits, unitsByChunk } from "./segment_units.js
 import { bytesPerSplat, type StreamOptions } from "./stream_options.js";
 import type { StreamedScene } from "./streamed_scene.js";
 
-export { along, byBoxes, bySgss, byViewTable, countedSplats, type PoseRatios } from "../schedule/chunk_ratios.js";
-export { type Pose, path, predicted, type WeightedPose } from "../schedule/poses.js";
+export {
+  byBoxes,
+  bySgss,
+  byViewTable,
+  effectiveSplats,
+  type PoseRatios,
+  sumAlongPath,
+} from "../schedule/chunk_ratios.js";
+export { type Pose, predictPath, predictPose, type WeightedPose } from "../schedule/poses.js";
 export { type Decision, type Holdings, Scheduler, type Unit } from "../schedule/scheduler.js";
 
 /** Shortest time between two evaluations of the pose, seconds (docs/streaming.md, 11). */
@@ -47,7 +54,7 @@ export class Visit extends SceneFetch<VisitChange> {
   private scheduler: Scheduler | undefined;
   private parents: Int32Array = new Int32Array();
   /** Units that have arrived, or cannot. */
-  private readonly there = new Set<number>();
+  private readonly arrived = new Set<number>();
   /** Chunks whose rows the caller has. */
   private readonly yielded = new Set<number>();
   /** Decoded rows whose parent the caller does not have yet. */
@@ -127,7 +134,7 @@ export class Visit extends SceneFetch<VisitChange> {
   }
 
   protected override get hasMore(): boolean {
-    return this.there.size < this.units.length;
+    return this.arrived.size < this.units.length;
   }
 
   protected override onEnd(): void {
@@ -162,8 +169,8 @@ export class Visit extends SceneFetch<VisitChange> {
     const { link, partial, inFlight } = this.requests;
     const unit = (segment: number): number => this.unitOf.get(segment)!;
     return {
-      there: this.there,
-      underWay: new Set([...inFlight, ...this.uncancellable].map(unit)),
+      arrived: this.arrived,
+      inFlight: new Set([...inFlight, ...this.uncancellable].map(unit)),
       received: new Map([...partial].map(([segment, bytes]) => [unit(segment), bytes])),
       budgetSplats: this.budget === Infinity ? 0 : this.budget,
       bytesPerSecond: link.bytesPerSecond,
@@ -178,7 +185,8 @@ export class Visit extends SceneFetch<VisitChange> {
     const isDue = now - this.evaluatedAt >= EVALUATION_SECONDS;
     if (this.pathRatios === undefined || this.poseRatios === undefined || (isDue && this.poses.hasChanged)) {
       const ratios = this.ratiosOfPose();
-      this.pathRatios = path === undefined ? new Float64Array(this.index.chunkCount).fill(1) : along(ratios, path);
+      this.pathRatios =
+        path === undefined ? new Float64Array(this.index.chunkCount).fill(1) : sumAlongPath(ratios, path);
       this.evaluatedAt = now;
       this.poses.hasChanged = false;
     }
@@ -213,7 +221,7 @@ export class Visit extends SceneFetch<VisitChange> {
   }
 
   protected override use(segment: number, payload: Uint8Array): void {
-    this.there.add(this.unitOf.get(segment)!);
+    this.arrived.add(this.unitOf.get(segment)!);
     if (this.index.segments.kind[segment] === SegmentKind.viewTable) void this.useTable(payload, segment);
     else super.use(segment, payload);
   }
@@ -225,13 +233,13 @@ export class Visit extends SceneFetch<VisitChange> {
       this.poseRatios = undefined;
       this.chooseSoon();
     } catch (error) {
-      this.lose(error, [segment]);
+      this.abandon(error, [segment]);
     }
   }
 
   protected override onLost(segment: number): void {
     const unit = this.unitOf.get(segment)!;
-    this.there.add(unit);
+    this.arrived.add(unit);
     const { chunk, isHead } = this.units[unit]!;
     if (isHead) this.onUndecodable(chunk);
   }
@@ -259,13 +267,13 @@ export class Visit extends SceneFetch<VisitChange> {
   }
 
   private isHeld(chunk: number): boolean {
-    return this.unitsOf[chunk]!.some((unit) => this.units[unit]!.isHead && this.there.has(unit));
+    return this.unitsOf[chunk]!.some((unit) => this.units[unit]!.isHead && this.arrived.has(unit));
   }
 
   private evict(chunk: number): void {
     for (const unit of this.unitsOf[chunk]!) {
       const { segment } = this.units[unit]!;
-      this.there.delete(unit);
+      this.arrived.delete(unit);
       this.uncancellable.delete(segment);
       this.requests.forget(segment);
     }

@@ -47,7 +47,7 @@ export class SceneFile {
       if (page.offset + page.length > bytes.length) break;
       this.index.addPage(bytes.slice(page.offset, page.offset + page.length));
     }
-    this.index.settle();
+    this.index.crossCheck();
     this.decoder = new ChunkDecoder(k, this.index);
     this.maxDecodedBytes = options.maxDecodedBytes ?? defaultLimit(bytes.length);
   }
@@ -65,15 +65,15 @@ export class SceneFile {
   }
 
   /** Return whether a chunk's coefficients above DC are present up to a degree. */
-  tailIsThere(chunk: number, degree = this.scene.shDegree): boolean {
+  hasTail(chunk: number, degree = this.scene.shDegree): boolean {
     const { tail } = this.index.chunkSegments(chunk);
-    return tail >= 0 && this.isThere(tail) && this.booksAreThere(tail, degree);
+    return tail >= 0 && this.isPresent(tail) && this.hasCodebooks(tail, degree);
   }
 
   /** Return whether a chunk's refinement is present. */
-  refinementIsThere(chunk: number): boolean {
+  hasRefinement(chunk: number): boolean {
     const { refinement } = this.index.chunkSegments(chunk);
-    return refinement >= 0 && this.isThere(refinement);
+    return refinement >= 0 && this.isPresent(refinement);
   }
 
   /**
@@ -109,14 +109,14 @@ export class SceneFile {
     const { head, tail, refinement } = this.index.chunkSegments(chunk);
     const { needs } = this.index.segments;
     const rows = this.index.chunks.splats[chunk]!;
-    const withTail = this.tailIsThere(chunk, degree) && degree > 0;
+    const withTail = this.hasTail(chunk, degree) && degree > 0;
     this.checkSize(rows, degree);
     this.addCodebooks(chunk, degree);
     const opacities = this.opacitiesSegment(chunk, level);
     const payloads = {
       chunk,
       head: this.payload(head),
-      refinement: refine && this.refinementIsThere(chunk) ? this.payload(refinement) : undefined,
+      refinement: refine && this.hasRefinement(chunk) ? this.payload(refinement) : undefined,
       opacities: opacities === undefined ? undefined : [this.payload(opacities)],
       tail: withTail ? this.payload(tail) : undefined,
     };
@@ -128,14 +128,14 @@ export class SceneFile {
     if (level !== undefined) return this.index.opacitiesAt(chunk, level);
     return this.index
       .chunkSegments(chunk)
-      .opacities.filter((segment) => this.isThere(segment))
+      .opacities.filter((segment) => this.isPresent(segment))
       .at(-1);
   }
 
   /** Decode the codebooks that a chunk needs, unless they were decoded before. */
   private addCodebooks(chunk: number, degree: number): void {
     const { head, tail } = this.index.chunkSegments(chunk);
-    const parts = this.tailIsThere(chunk, degree) && degree > 0 ? [head, tail] : [head];
+    const parts = this.hasTail(chunk, degree) && degree > 0 ? [head, tail] : [head];
     for (const part of parts) {
       // Heads use shape codebooks alone, whatever their needs state.
       for (const segment of this.index.codebookSegmentsOf(part, part === head ? 0 : degree)!) this.addCodebook(segment);
@@ -172,7 +172,7 @@ export class SceneFile {
   /** Return a chunk's extra attributes; undefined where it has none, or they are missing. */
   attributes(chunk: number): Map<string, AttributeArray> | undefined {
     const segment = this.index.chunkSegments(chunk).attributes;
-    if (segment < 0 || !this.isThere(segment)) return undefined;
+    if (segment < 0 || !this.isPresent(segment)) return undefined;
     const rows = this.index.chunks.splats[chunk]!;
     this.checkBytes(rows * (attributeBytes(this.scene) + WORKING_BYTES));
     return this.decoder.attributes(this.payload(segment), rows);
@@ -181,13 +181,13 @@ export class SceneFile {
   /** Return the cameras of the file; undefined where it has none. */
   cameras(): Camera[] | undefined {
     const [segment] = this.index.cameras;
-    return segment === undefined || !this.isThere(segment) ? undefined : readCameras(this.payload(segment));
+    return segment === undefined || !this.isPresent(segment) ? undefined : readCameras(this.payload(segment));
   }
 
   /** Return the view table of the file; undefined where it has none, or it is missing. */
   viewTable(): ViewTable | undefined {
     const [segment] = this.index.viewTables;
-    if (segment === undefined || !this.isThere(segment)) return undefined;
+    if (segment === undefined || !this.isPresent(segment)) return undefined;
     return readViewTable(this.k, this.payload(segment), this.index.totalChunkCount, this.maxDecodedBytes);
   }
 
@@ -242,7 +242,7 @@ export class SceneFile {
     this.viewTable();
     for (let chunk = 0; chunk < this.index.chunkCount; chunk++) {
       this.checkBox(this.decodeChunk(chunk, 0, false), chunk);
-      if (this.refinementIsThere(chunk)) this.checkBox(this.decodeChunk(chunk, 0), chunk);
+      if (this.hasRefinement(chunk)) this.checkBox(this.decodeChunk(chunk, 0), chunk);
       for (let level = 0; level < scene.levels.length; level++) {
         if (this.index.opacitiesAt(chunk, level) !== undefined) this.decodeChunk(chunk, 0, true, level);
       }
@@ -265,23 +265,23 @@ export class SceneFile {
   private readLayers(): PrefixCompensation {
     const layers = new PrefixCompensation(this.index);
     this.index.compensation.forEach((segment, layer) => {
-      if (this.isThere(segment)) layers.add(layer, this.payload(segment));
+      if (this.isPresent(segment)) layers.add(layer, this.payload(segment));
     });
     return layers;
   }
 
   private headIsThere(chunk: number): boolean {
     const { head } = this.index.chunkSegments(chunk);
-    return this.isThere(head) && this.booksAreThere(head, 0);
+    return this.isPresent(head) && this.hasCodebooks(head, 0);
   }
 
   /** Return whether the codebooks that a segment needs are present, colours up to a degree. */
-  private booksAreThere(segment: number, degree: number): boolean {
+  private hasCodebooks(segment: number, degree: number): boolean {
     const books = this.index.codebookSegmentsOf(segment, degree);
-    return books?.every((book) => this.isThere(book)) ?? false;
+    return books?.every((book) => this.isPresent(book)) ?? false;
   }
 
-  private isThere(segment: number): boolean {
+  private isPresent(segment: number): boolean {
     const { offset, length } = this.index.range(segment);
     return offset + length <= this.bytes.length;
   }

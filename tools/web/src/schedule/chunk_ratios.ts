@@ -32,7 +32,7 @@ function total(values: Float64Array): number {
 }
 
 /** Return the weighted sum of the ratios along a path. */
-export function along(ratios: PoseRatios, path: readonly WeightedPose[]): Float64Array {
+export function sumAlongPath(ratios: PoseRatios, path: readonly WeightedPose[]): Float64Array {
   const [[first, weight], ...rest] = path as [WeightedPose, ...WeightedPose[]];
   const sum = ratios(first).map((ratio) => ratio * weight);
   for (const [pose, share] of rest)
@@ -104,7 +104,7 @@ function overUsual(shown: Float64Array, contribution: Float64Array): Float64Arra
 }
 
 /** Return the effective number of splats of each chunk when the picture is compensated (docs/streaming.md, 10). */
-export function countedSplats(splats: ArrayLike<number>, ratios: Float64Array): number[] {
+export function effectiveSplats(splats: ArrayLike<number>, ratios: Float64Array): number[] {
   return Array.from(ratios, (ratio, chunk) => Math.max(Math.floor(splats[chunk]! * Math.min(ratio, 1)), 1));
 }
 

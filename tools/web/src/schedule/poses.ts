@@ -31,7 +31,7 @@ const SHORTEST = 1e-6;
  * @param elapsed - Time between the two poses, seconds.
  * @param ahead - Prediction time, seconds.
  */
-export function predicted(now: Pose, before: Pose, elapsed: number, ahead: number): Pose {
+export function predictPose(now: Pose, before: Pose, elapsed: number, ahead: number): Pose {
   if (!(elapsed > 0) || !(ahead > 0)) return now;
   const times = Math.min(ahead / elapsed, MOST_EXTRAPOLATED);
   const goOn = (a: readonly number[], b: readonly number[]): number[] => a.map((x, i) => x + (x - b[i]!) * times);
@@ -40,8 +40,8 @@ export function predicted(now: Pose, before: Pose, elapsed: number, ahead: numbe
 }
 
 /** Return the latest pose and the predicted ones, each with its weight. */
-export function path(now: Pose, before: Pose, elapsed: number): WeightedPose[] {
-  return AHEAD.map(([seconds, weight]) => [predicted(now, before, elapsed, seconds), weight]);
+export function predictPath(now: Pose, before: Pose, elapsed: number): WeightedPose[] {
+  return AHEAD.map(([seconds, weight]) => [predictPose(now, before, elapsed, seconds), weight]);
 }
 
 /** Orthonormalise a rotation, keeping its forward direction; undefined for a degenerate one. */

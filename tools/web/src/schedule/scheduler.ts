@@ -16,15 +16,15 @@ export interface Unit {
   readonly end: number;
   readonly size: number;
   /** Units without which this one is useless: codebooks, and for a head that of the parent chunk. */
-  readonly after: readonly number[];
+  readonly dependencies: readonly number[];
 }
 
 /** State of a client: units, memory and connection. */
 export interface Holdings {
   /** Units that have arrived. */
-  readonly there: ReadonlySet<number>;
+  readonly arrived: ReadonlySet<number>;
   /** Units in flight. */
-  readonly underWay: ReadonlySet<number>;
+  readonly inFlight: ReadonlySet<number>;
   /** Bytes received of incomplete units, in flight or stopped. */
   readonly received: ReadonlyMap<number, number>;
   /** Splats of chunks whose heads have arrived or are in flight, at most; 0 for no limit. */
@@ -75,12 +75,12 @@ export class Scheduler {
   decide(ratios: Float64Array, holdings: Holdings): Decision {
     const { urgency, order } = this.ordered(ratios);
     const round = new Round(this.units, this.splats, this.heads, urgency, holdings);
-    round.stopWhatWaits(order);
+    round.stopLessUrgent(order);
     round.makeRoom(Infinity, []);
     while (!round.isFull) {
       const best = round.best(order);
       if (best === undefined) break;
-      round.want(best);
+      round.request(best);
     }
     return { stop: round.stopped, evict: round.evicted, fetch: round.chosen };
   }
@@ -106,13 +106,13 @@ class Round {
   readonly stopped: number[] = [];
   readonly evicted: number[] = [];
   readonly chosen: number[] = [];
-  private readonly there: Set<number>;
-  private readonly coming: Set<number>;
+  private readonly arrived: Set<number>;
+  private readonly inFlight: Set<number>;
   private readonly received: Map<number, number>;
-  private readonly aside = new Set<number>();
+  private readonly skipped = new Set<number>();
   private readonly window: number;
   /** Bytes missing of the units in flight. */
-  private bytesComing = 0;
+  private bytesInFlight = 0;
   /** Chunks whose heads are held; computed when a budget first applies. */
   private held: { readonly chunks: Set<number>; splats: number; leastWorth: number | undefined } | undefined;
 
@@ -123,24 +123,24 @@ class Round {
     private readonly urgency: Float64Array,
     private readonly holdings: Holdings,
   ) {
-    this.there = new Set(holdings.there);
-    this.coming = new Set(holdings.underWay);
+    this.arrived = new Set(holdings.arrived);
+    this.inFlight = new Set(holdings.inFlight);
     this.received = new Map(holdings.received);
     this.window = windowBytes(holdings.bytesPerSecond, holdings.latency);
-    for (const unit of this.coming) this.bytesComing += this.left(unit);
+    for (const unit of this.inFlight) this.bytesInFlight += this.missingBytes(unit);
   }
 
   /** Whether the bytes in flight fill the window. */
   get isFull(): boolean {
-    return this.bytesComing >= this.window && this.coming.size > 0;
+    return this.bytesInFlight >= this.window && this.inFlight.size > 0;
   }
 
   /** Return the most urgent chain, without units that found no room. */
   best(order: readonly number[]): Chain | undefined {
     let best: Chain | undefined;
     for (const unit of order) {
-      if (this.isHeld(unit) || this.aside.has(unit)) continue;
-      const units = this.needed(unit);
+      if (this.isHeld(unit) || this.skipped.has(unit)) continue;
+      const units = this.withDependencies(unit);
       const worth = units.length === 1 ? this.urgency[unit]! : this.mean(units);
       if (best === undefined || worth > best.worth) best = { units, worth };
       if (units.length === 1) break;
@@ -161,26 +161,26 @@ class Round {
   }
 
   /** Stop units in flight that are far less urgent than the best missing chain. */
-  stopWhatWaits(order: readonly number[]): void {
+  stopLessUrgent(order: readonly number[]): void {
     const best = this.best(order);
     if (best === undefined) return;
-    const { underWay, bytesPerSecond, latency } = this.holdings;
+    const { inFlight, bytesPerSecond, latency } = this.holdings;
     const worths = this.worths();
-    for (const unit of [...underWay].sort((a, b) => worths.get(a)! - worths.get(b)! || b - a)) {
+    for (const unit of [...inFlight].sort((a, b) => worths.get(a)! - worths.get(b)! || b - a)) {
       if (worths.get(unit)! * ABORT_FACTOR >= best.worth) break;
       // A unit that would arrive before another answer could begin is kept.
-      if (this.left(unit) / bytesPerSecond <= latency || this.isNeeded(unit)) continue;
-      this.leave(unit);
+      if (this.missingBytes(unit) / bytesPerSecond <= latency || this.hasDependents(unit)) continue;
+      this.stop(unit);
     }
   }
 
   /** Return the worth of each unit in flight: the urgency of the most urgent missing unit that depends on it. */
   private worths(): Map<number, number> {
-    const worths = new Map([...this.coming].map((unit) => [unit, this.urgency[unit]!]));
+    const worths = new Map([...this.inFlight].map((unit) => [unit, this.urgency[unit]!]));
     this.units.forEach((_, unit) => {
       const left = this.isHeld(unit) ? [] : [unit];
       for (let next = left.pop(); next !== undefined; next = left.pop()) {
-        for (const before of this.units[next]!.after) {
+        for (const before of this.units[next]!.dependencies) {
           left.push(before);
           const worth = worths.get(before);
           if (worth !== undefined) worths.set(before, Math.max(worth, this.urgency[unit]!));
@@ -191,54 +191,54 @@ class Round {
   }
 
   /** Request the first unit of a chain, or skip the chain from now on if there is no room for it. */
-  want({ units }: Chain): void {
+  request({ units }: Chain): void {
     const first = units[0]!;
     const last = units[units.length - 1]!;
     const { chunk, isHead } = this.units[first]!;
     // A decision does not request again what it stops or evicts.
     const isGone = units.some((unit) => this.stopped.includes(unit) || this.evicted.includes(this.units[unit]!.chunk));
-    if (isGone || (isHead && !this.makeRoom(this.keep(last), units))) {
-      this.aside.add(last);
+    if (isGone || (isHead && !this.makeRoom(this.holdingWorth(last), units))) {
+      this.skipped.add(last);
       return;
     }
     if (isHead) this.hold(chunk);
-    this.coming.add(first);
-    this.bytesComing += this.left(first);
+    this.inFlight.add(first);
+    this.bytesInFlight += this.missingBytes(first);
     this.chosen.push(first);
   }
 
   /** Stop a unit in flight. */
-  private leave(unit: number): void {
-    this.coming.delete(unit);
-    this.bytesComing -= this.left(unit);
+  private stop(unit: number): void {
+    this.inFlight.delete(unit);
+    this.bytesInFlight -= this.missingBytes(unit);
     this.stopped.push(unit);
   }
 
   /** Return the worth of holding a unit, without the cost of its position in the file. */
-  private keep(unit: number): number {
+  private holdingWorth(unit: number): number {
     return this.urgency[unit]! * this.units[unit]!.end;
   }
 
-  private left(unit: number): number {
+  private missingBytes(unit: number): number {
     return this.units[unit]!.size - (this.received.get(unit) ?? 0);
   }
 
   private isHeld(unit: number): boolean {
-    return this.there.has(unit) || this.coming.has(unit);
+    return this.arrived.has(unit) || this.inFlight.has(unit);
   }
 
   /** Return the missing dependencies of a unit, then the unit. */
-  private needed(unit: number): number[] {
+  private withDependencies(unit: number): number[] {
     const out: number[] = [];
-    for (const before of this.units[unit]!.after) {
-      if (!this.isHeld(before)) out.push(...this.needed(before).filter((other) => !out.includes(other)));
+    for (const before of this.units[unit]!.dependencies) {
+      if (!this.isHeld(before)) out.push(...this.withDependencies(before).filter((other) => !out.includes(other)));
     }
     return [...out, unit];
   }
 
   /** Return whether a unit that has arrived or is in flight depends on this one. */
-  private isNeeded(unit: number): boolean {
-    return this.units.some(({ after }, other) => after.includes(unit) && this.isHeld(other));
+  private hasDependents(unit: number): boolean {
+    return this.units.some(({ dependencies }, other) => dependencies.includes(unit) && this.isHeld(other));
   }
 
   /**
@@ -269,7 +269,7 @@ class Round {
     const kept = this.ancestors(chain);
     const going: number[] = [];
     while (used + rows > budget) {
-      const chunk = this.least(held, kept, keep);
+      const chunk = this.leastWorthy(held, kept, keep);
       if (chunk === undefined) return false;
       held.delete(chunk);
       used -= this.splats[chunk]!;
@@ -307,14 +307,14 @@ class Round {
     this.held = undefined;
     this.units.forEach((part, unit) => {
       if (part.chunk !== chunk) return;
-      this.there.delete(unit);
-      if (this.coming.has(unit)) this.leave(unit);
+      this.arrived.delete(unit);
+      if (this.inFlight.has(unit)) this.stop(unit);
       this.received.delete(unit);
     });
   }
 
   private worth(chunk: number): number {
-    return this.keep(this.heads.get(chunk)!);
+    return this.holdingWorth(this.heads.get(chunk)!);
   }
 
   /** Return the chunks of some units and of all their dependencies. */
@@ -322,17 +322,19 @@ class Round {
     const found = new Set<number>();
     const left = [...chain];
     for (let unit = left.pop(); unit !== undefined; unit = left.pop()) {
-      const { chunk, after } = this.units[unit]!;
+      const { chunk, dependencies } = this.units[unit]!;
       if (chunk >= 0) found.add(chunk);
-      left.push(...after);
+      left.push(...dependencies);
     }
     return found;
   }
 
   /** Return the chunk to evict first: the least worth, and parent of no chunk held. */
-  private least(held: ReadonlySet<number>, kept: ReadonlySet<number>, urgency: number): number | undefined {
+  private leastWorthy(held: ReadonlySet<number>, kept: ReadonlySet<number>, urgency: number): number | undefined {
     const parents = new Set(
-      [...held].flatMap((chunk) => this.units[this.heads.get(chunk)!]!.after.map((unit) => this.units[unit]!.chunk)),
+      [...held].flatMap((chunk) =>
+        this.units[this.heads.get(chunk)!]!.dependencies.map((unit) => this.units[unit]!.chunk),
+      ),
     );
     const chosen = new Set(this.chosen.map((unit) => this.units[unit]!.chunk));
     return [...held]

@@ -81,13 +81,13 @@ export class CogsFeed implements SceneFeed {
     } catch (error) {
       if (!(error instanceof CogsplatError) || error.code !== "source-changed" || signal.aborted) throw error;
       // The file was replaced while it was read: the new one is shown, bypassing caches; a second change ends it.
-      this.forget();
+      this.reset();
       await this.stream(source(true), signal);
     }
   }
 
   /** Reset to an empty scene. */
-  private forget(): void {
+  private reset(): void {
     this.rowsOf.clear();
     this.shifted.clear();
     this.temporary.clear();
@@ -124,7 +124,7 @@ export class CogsFeed implements SceneFeed {
       info,
     );
     this.report();
-    if (this.isVisited(scene)) await this.beVisited(scene, signal);
+    if (this.usesViewOrder(scene)) await this.runVisit(scene, signal);
     else await this.streamAll(scene, signal);
     this.report();
     // All other chunks are shown by now.
@@ -144,14 +144,14 @@ export class CogsFeed implements SceneFeed {
   }
 
   /** Return whether to fetch by the view; scenes with levels or chunks that end need the order of the file. */
-  private isVisited({ answersRanges, index, info }: StreamedScene): boolean {
+  private usesViewOrder({ answersRanges, index, info }: StreamedScene): boolean {
     const { cell, until } = index.chunks;
     const isAsked =
       this.order === "view" || (this.order === undefined && cell.length > 0 && cell.every((number) => number > 0));
     return isAsked && answersRanges && info.levels.length === 0 && until.every((end) => end === 0);
   }
 
-  private async beVisited(scene: StreamedScene, signal: AbortSignal): Promise<void> {
+  private async runVisit(scene: StreamedScene, signal: AbortSignal): Promise<void> {
     const host = this.host!;
     const layer = this.layer!;
     const visited = new VisitedScene(scene, layer, this.shifted, () => this.visit?.ratios());
@@ -170,8 +170,8 @@ export class CogsFeed implements SceneFeed {
     this.visit = visit;
     if (this.pose !== undefined) visit.setPose(this.pose);
     for await (const change of visit.changes()) {
-      if (change.kind === "rows") host.rowsCame(change.packed!, visited.splats === 0);
-      visited.take(change);
+      if (change.kind === "rows") host.rowsArrived(change.packed!, visited.splats === 0);
+      visited.apply(change);
       this.splats = visited.splats;
       this.report();
     }
@@ -186,13 +186,13 @@ export class CogsFeed implements SceneFeed {
     this.visit = this.visited = undefined;
   }
 
-  look(pose: Pose): void {
+  setPose(pose: Pose): void {
     this.pose = pose;
     this.visit?.setPose(pose);
-    this.visited?.look();
+    this.visited?.poseChanged();
   }
 
-  limit(splats: number): boolean {
+  setSplatBudget(splats: number): boolean {
     this.visit?.setSplatBudget(Math.min(splats, this.layer!.capacity));
     return this.visit !== undefined;
   }
@@ -298,7 +298,7 @@ export class CogsFeed implements SceneFeed {
     if (isNew) this.splats += count;
     this.rowsOf.set(chunk, { firstRow, count });
     this.prefix = update.prefix;
-    this.host!.rowsCame(packed!, first);
+    this.host!.rowsArrived(packed!, first);
     const { index } = this.scene!;
     const { hasLevels } = this.layer!.scene;
     const drawnBy = hasLevels ? index.levelsOf(chunk) : [];

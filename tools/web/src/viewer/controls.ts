@@ -124,7 +124,7 @@ export class Controls {
   private turn(camera: OrbitCamera, dx: number, dy: number): void {
     if (dx === 0 && dy === 0) return;
     if (this.movement === "orbit") camera.turn(dx, dy);
-    else camera.look(dx, dy);
+    else camera.turnInPlace(dx, dy);
   }
 
   private zoom(factor: number): void {

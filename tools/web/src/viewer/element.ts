@@ -219,7 +219,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
       scene.limit(value === null ? (phone ? BUDGET_OF_PHONES : Infinity) : Number(value));
     } else if (name === "order") scene.order = value === "view" || value === "file" ? value : undefined;
     else if (name === "pixel-ratio") scene.mostPixelRatio = value === null ? 2 : Number(value);
-    else if (name === "resolution") scene.mayHaste = value !== "full";
+    else if (name === "resolution") scene.allowsLowResolution = value !== "full";
     else if (name === "fill-holes") this.fillHoles = value !== "off";
     else if (name === "controls") this.find("#tools").hidden = value === "none";
     else if (name === "label" || name === "against-label") this.nameScenes();

@@ -38,7 +38,7 @@ export class OrbitCamera {
     this.target = lo.map((value, i) => (value + hi[i]!) / 2) as Vector;
     if (scene.firstView) {
       this.distance = Math.max(size / 8, 1e-3);
-      this.place(scene.firstView);
+      this.setPose(scene.firstView);
     }
   }
 
@@ -53,7 +53,7 @@ export class OrbitCamera {
   }
 
   /** Set the pose; the target keeps its distance. */
-  place(view: ViewerPose): void {
+  setPose(view: ViewerPose): void {
     const r = view.rotation;
     this.axes = [0, 3, 6].map((i) => [r[i]!, r[i + 1]!, r[i + 2]!]) as Axes;
     const position = [0, 1, 2].map(
@@ -89,7 +89,7 @@ export class OrbitCamera {
   }
 
   /** Turn the camera in place by a movement of the pointer, pixels. */
-  look(dx: number, dy: number): void {
+  turnInPlace(dx: number, dy: number): void {
     const position = this.position;
     this.turn(-dx, -dy);
     this.target = add(position, this.axes[2], this.distance);

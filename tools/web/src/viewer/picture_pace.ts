@@ -54,13 +54,13 @@ export class PicturePace {
 
   /** Whether no picture is in progress. */
   get isIdle(): boolean {
-    this.look();
+    this.poll();
     return this.underWay.length === 0;
   }
 
   /** Whether another picture may begin; fast graphics work on one while the next is prepared. */
   get isFree(): boolean {
-    this.look();
+    this.poll();
     return this.underWay.length < (this.isSlow ? 1 : 2);
   }
 
@@ -69,7 +69,7 @@ export class PicturePace {
    *
    * @param begun - Time of the first command, from `performance.now`.
    */
-  given(begun: number, picture: Picture): void {
+  submitted(begun: number, picture: Picture): void {
     this.follow(begun, picture);
   }
 
@@ -90,7 +90,7 @@ export class PicturePace {
     this.underWay.length = 0;
   }
 
-  private look(): void {
+  private poll(): void {
     const { gl, underWay } = this;
     while (underWay.length > 0 && gl.clientWaitSync(underWay[0]!.sync, 0, 0) !== gl.TIMEOUT_EXPIRED) {
       const { sync, begun, picture } = underWay.shift()!;

@@ -71,7 +71,7 @@ export class PlyFeed implements SceneFeed {
             bitsPerSecond = meter.bitsPerSecond;
             worker.postMessage({ type: "rate", bitsPerSecond } satisfies RateRequest);
           }
-          host.rowsCame(response.packed, response.firstRow === 0);
+          host.rowsArrived(response.packed, response.firstRow === 0);
           this.layer!.write(response.packed, response.firstRow);
           host.progressed({ splats, totalSplats, bytes: response.bytes, totalBytes, predictedDb: undefined });
         } else {

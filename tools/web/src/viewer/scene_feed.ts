@@ -35,7 +35,7 @@ export interface FeedHost {
    */
   begin(scene: LayerScene, info: Pick<SceneInfo, "axes" | "box" | "firstView" | "origin" | "levels">): SplatLayer;
   /** Called when rows are in the layer. */
-  rowsCame(packed: PackedSplats, first: boolean): void;
+  rowsArrived(packed: PackedSplats, first: boolean): void;
   progressed(progress: FeedProgress): void;
   /** Called when all chunks that the pose is worth have arrived, or some are missing again. */
   settled(isSettled: boolean): void;
@@ -64,9 +64,9 @@ export interface SceneFeed {
    */
   drawLevel(focal: number, chosen: number | undefined): number | undefined;
   /** Set the pose, in the space of the means, for feeds that fetch by the view. */
-  look?(pose: Pose): void;
+  setPose?(pose: Pose): void;
   /** Limit the splats held; return whether the feed supports it. */
-  limit?(splats: number): boolean;
+  setSplatBudget?(splats: number): boolean;
   /** Work for at most some ms; return whether more is left. */
   work(milliseconds: number): boolean;
 }

@@ -70,7 +70,7 @@ export class SceneView {
   /** Levels of the scene, coarsest first; empty without levels. */
   levels: readonly LevelEntry[] = [];
   /** Whether slow graphics draw moving and arriving pictures at reduced resolution. */
-  mayHaste = true;
+  allowsLowResolution = true;
   /** Fetch order of scenes loaded later. */
   order: FetchOrder;
   private readonly renderer: SplatRenderer;
@@ -198,7 +198,7 @@ export class SceneView {
 
   set view(view: ViewerPose | undefined) {
     this.pose = view;
-    if (view !== undefined) this.camera?.place(view);
+    if (view !== undefined) this.camera?.setPose(view);
     this.redraw();
   }
 
@@ -212,7 +212,7 @@ export class SceneView {
   limit(splats: number): void {
     this.budget = splats;
     for (const shown of [this.main, this.other]) {
-      if (!(shown?.feed.limit?.(splats) ?? false)) shown?.layer?.limit(splats);
+      if (!(shown?.feed.setSplatBudget?.(splats) ?? false)) shown?.layer?.limit(splats);
     }
   }
 
@@ -241,7 +241,7 @@ export class SceneView {
     this.camera = this.homeCamera?.();
     if (this.camera !== undefined) {
       this.home?.(this.camera);
-      if (this.pose !== undefined) this.camera.place(this.pose);
+      if (this.pose !== undefined) this.camera.setPose(this.pose);
     }
     this.touched = false;
     this.redraw();
@@ -328,7 +328,7 @@ export class SceneView {
         shown.layer = this.layerOf(scene, shown.workers.known);
         return shown.layer;
       },
-      rowsCame: (packed, first) => {
+      rowsArrived: (packed, first) => {
         if (!first || this.camera === undefined) return;
         // What turning goes around, and without a first view where to stand, follow from the first splats.
         const { position, forward } = this.camera;
@@ -358,7 +358,7 @@ export class SceneView {
         shown.layer = this.layerOf(scene, shown.workers.known);
         return shown.layer;
       },
-      rowsCame: () => undefined,
+      rowsArrived: () => undefined,
       progressed: () => undefined,
       settled: () => undefined,
       damaged: (error) => this.host.failed(error, "other"),
@@ -409,7 +409,7 @@ export class SceneView {
     this.scheduled = false;
     if (this.abort.signal.aborted || this.lost) return;
     const { controls, layers, pace } = this;
-    this.look();
+    this.passPose();
     const more = [this.main, this.other].map((shown) => shown?.feed.work(WORK_MILLISECONDS) ?? false).some(Boolean);
     if (!this.canDraw()) return;
     this.drawLevels();
@@ -430,19 +430,19 @@ export class SceneView {
     this.lastFrame = time;
     const moves = controls.step(passed / 1000);
     if (moves) this.lastChange = time;
-    const hastes = moves || this.dirty;
-    if (hastes || !this.isSharp) {
+    const isUrgent = moves || this.dirty;
+    if (isUrgent || !this.isSharp) {
       // More rows usually follow soon, and a full picture would delay them; so would any picture that ends after they
       // arrive.
       const isSorting = layers.some((layer) => layer.isSorting);
       const isBusy = controls.active || isSorting || this.statistics.state === "streaming";
-      const waits = !hastes || (!moves && !controls.active && pace.isSlow && (isSorting || this.restComesSoon()));
+      const waits = !isUrgent || (!moves && !controls.active && pace.isSlow && (isSorting || this.restComesSoon()));
       if (isBusy && waits && performance.now() - this.lastChange < QUIET_MILLISECONDS) {
         this.schedule(LOOK_MILLISECONDS);
         return;
       }
       this.dirty = false;
-      const scale = hastes && this.mayHaste && this.pixelRatio === undefined ? pace.scale : 1;
+      const scale = isUrgent && this.allowsLowResolution && this.pixelRatio === undefined ? pace.scale : 1;
       this.isSharp = scale === 1;
       this.isWhole = this.draw(scale);
       if (!isUploaded) this.dirty = true;
@@ -455,7 +455,7 @@ export class SceneView {
   };
 
   /** Pass a changed pose to the feeds. */
-  private look(): void {
+  private passPose(): void {
     const { camera } = this;
     if (camera === undefined) return;
     const [width, height] = this.size(1);
@@ -466,7 +466,7 @@ export class SceneView {
     this.looked = key;
     for (const shown of [this.main, this.other]) {
       const origin = shown?.layer?.scene.origin ?? this.origin;
-      shown?.feed.look?.({
+      shown?.feed.setPose?.({
         ...pose,
         position: camera.position.map((x, axis) => x + this.origin[axis]! - origin[axis]!),
       });
@@ -533,7 +533,7 @@ export class SceneView {
       fill,
     });
     if (this.drawnRows > 0)
-      pace.given(start, { scale, splats: layers.reduce((sum, layer) => sum + layer.drawnRows, 0) });
+      pace.submitted(start, { scale, splats: layers.reduce((sum, layer) => sum + layer.drawnRows, 0) });
     this.note({
       frames: statistics.frames + 1,
       drawMilliseconds: performance.now() - start,

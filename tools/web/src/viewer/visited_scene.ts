@@ -2,7 +2,7 @@ import { equivalentPrefixes, isClosed, parentsOf } from "../container/chunk_sets
 import type { StreamedScene } from "../loader/streamed_scene.js";
 import type { VisitChange } from "../loader/visit.js";
 import { type PackedSplats, SH_WORDS } from "../scene/packed_splats.js";
-import { countedSplats } from "../schedule/chunk_ratios.js";
+import { effectiveSplats } from "../schedule/chunk_ratios.js";
 import { type RowRun, RowSlots } from "./row_slots.js";
 import type { SplatLayer } from "./splat_layer.js";
 
@@ -29,19 +29,19 @@ export class VisitedScene {
   /**
    * @param layer - Layer, perhaps with fewer rows than the scene.
    * @param shifted - Chunks drawn with compensation.
-   * @param shown - Returns the ratios of the latest pose (`Visit.ratios`).
+   * @param ratios - Returns the ratios of the latest pose (`Visit.ratios`).
    */
   constructor(
     private readonly scene: StreamedScene,
     private readonly layer: SplatLayer,
     private readonly shifted: Set<number>,
-    private readonly shown: () => Float64Array | undefined,
+    private readonly ratios: () => Float64Array | undefined,
   ) {
     if (layer.capacity < scene.info.splats) this.slots = new RowSlots(layer.capacity);
   }
 
   /** Draw the rows of a change, or hide an evicted chunk. */
-  take(change: VisitChange): void {
+  apply(change: VisitChange): void {
     this.isStale = true;
     const { chunk } = change;
     if (change.kind === "evicted") {
@@ -74,7 +74,7 @@ export class VisitedScene {
   }
 
   /** Record a change of the pose. */
-  look(): void {
+  poseChanged(): void {
     this.movedAt = performance.now();
   }
 
@@ -104,8 +104,8 @@ export class VisitedScene {
     const parents = parentsOf(cell);
     const isPrefix = held.every((chunk, i) => chunk === i);
     const isDefined = isPrefix || (cell.every((number) => number > 0) && isClosed(held, parents));
-    const ratios = this.shown();
-    const counts = ratios === undefined ? splats : countedSplats(splats, ratios);
+    const ratios = this.ratios();
+    const counts = ratios === undefined ? splats : effectiveSplats(splats, ratios);
     const prefixes = isDefined ? equivalentPrefixes(held, parents, counts) : held.map(() => index.totalChunkCount);
     this.waiting = [];
     held.forEach((chunk, i) => {
