@@ -36,7 +36,7 @@ def test_records_come_one_after_the_other_across_blocks(tmp_path: Path) -> None:
         reader.require_end()
 
 
-def test_what_is_not_there_is_refused(tmp_path: Path) -> None:
+def test_truncated_files_are_refused(tmp_path: Path) -> None:
     path = written(tmp_path, COUNT.pack(2) + bytes(8))
     with path.open("rb") as file:
         reader = RecordReader(file, "a.bin")

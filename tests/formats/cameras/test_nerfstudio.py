@@ -88,7 +88,7 @@ def test_intrinsics_of_frames_go_first(tmp_path: Path) -> None:
     assert (second.width, second.fx) == (640, 500.0)
 
 
-def test_angles_and_what_is_left_out(tmp_path: Path) -> None:
+def test_angles_and_default_values(tmp_path: Path) -> None:
     frame = {"transform_matrix": POSE}
     angle = {"w": 800, "h": 600, "camera_angle_x": 0.6911112070083618}
     (camera,) = read_transforms(saved(tmp_path, {**angle, "frames": [frame]}))
@@ -185,7 +185,7 @@ def test_what_was_applied_can_be_undone(tmp_path: Path) -> None:
     assert_same(read_transforms(plain, original_frame=True), turned)
 
 
-def test_distortion_is_left_out_and_said(tmp_path: Path) -> None:
+def test_distortion_is_ignored_with_a_warning(tmp_path: Path) -> None:
     bent = {"transform_matrix": POSE, "k1": 0.1}
     value = document(bent, {"transform_matrix": POSE}, p1=0, k2=0.0)
     with pytest.warns(CogsplatWarning, match="1 of 2 cameras have lens distortion") as caught:
@@ -299,7 +299,7 @@ def test_limits(tmp_path: Path) -> None:
 )
 @given(st.data())
 @pytest.mark.filterwarnings("ignore::cogsplat.codec.errors.CogsplatWarning")
-def test_wild_files_raise_nothing_else(tmp_path: Path, data: st.DataObject) -> None:
+def test_wild_files_raise_only_cogsplat_errors(tmp_path: Path, data: st.DataObject) -> None:
     value = document(applied_transform=APPLIED, k1=0.0, camera_model="OPENCV")
     wild = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3)
     key = data.draw(st.sampled_from([*value, "camera_angle_x", "applied_scale"]))

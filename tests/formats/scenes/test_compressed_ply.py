@@ -335,7 +335,7 @@ def change(elements: dict[str, Table], what: str) -> None:
         ("sh type", "compressed-ply-properties", "f_rest_0 as uchar"),
     ],
 )
-def test_says_what_is_wrong(tmp_path: Path, what: str, code: str, said: str) -> None:
+def test_messages_name_the_fault(tmp_path: Path, what: str, code: str, said: str) -> None:
     elements = tables(300, 3)
     change(elements, what)
     error = refused(saved(tmp_path / "a.ply", elements))
@@ -372,7 +372,7 @@ def test_hostile_counts_allocate_nothing(tmp_path: Path) -> None:
     deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(st.data())
-def test_damaged_files_raise_nothing_else(tmp_path: Path, data: st.DataObject) -> None:
+def test_damaged_files_raise_only_cogsplat_errors(tmp_path: Path, data: st.DataObject) -> None:
     good = tmp_path / "good.ply"
     if not good.exists():
         saved(good, tables(260, 3))

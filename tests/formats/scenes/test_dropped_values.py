@@ -1,4 +1,4 @@
-"""What a format cannot hold, in one warning."""
+"""Values that a format cannot store, listed in one warning."""
 
 import warnings
 from dataclasses import replace
@@ -11,16 +11,16 @@ from cogsplat.codec.splats import SceneInfo, empty
 from cogsplat.formats.scenes.dropped_values import dropped_extras, dropped_info, warn_dropped
 
 
-def test_a_default_scene_loses_nothing() -> None:
+def test_a_default_scene_drops_no_values() -> None:
     assert dropped_info(SceneInfo()) == []
     assert dropped_extras(empty(0)) == []
 
 
 def test_every_field_of_the_information_is_named() -> None:
     info = SceneInfo(origin=(1.0, 2.0, 3.0), colour_space="linear", kernel_px=0.1, antialiased=True)
-    told = dropped_info(info)
-    assert len(told) == 4
-    for word, line in zip(("origin", "linear", "0.1", "anti-aliasing"), told, strict=True):
+    result = dropped_info(info)
+    assert len(result) == 4
+    for word, line in zip(("origin", "linear", "0.1", "anti-aliasing"), result, strict=True):
         assert word in line
     assert len(dropped_info(info, antialiased=True)) == 3
     # Axes are converted by every writer, so that they are never lost.

@@ -317,7 +317,7 @@ def test_no_memory_for_counts_the_file_does_not_bear_out(tmp_path: Path) -> None
         max_size=4,
     ),
 )
-def test_flipped_bytes_raise_nothing_else(
+def test_flipped_bytes_raise_only_cogsplat_errors(
     tmp_path: Path, level: int, flips: list[tuple[int, int]]
 ) -> None:
     parts = [section(rows(6, 2, seed), level, 2) for seed in (1, 2)]

@@ -76,7 +76,7 @@ def test_a_cap_that_is_too_small_is_refused_before_anything_is_read(folder):
     assert not (folder / "no.cogs").exists()
 
 
-def test_what_is_in_memory_already_counts(folder):
+def test_scenes_in_memory_count_towards_the_cap(folder):
     scene = cogsplat.read(folder / "scene.ply")
     with working_memory(folder / "scene.ply", CONFIG, 500_000_000, folder) as mapped:
         assert mapped.in_files

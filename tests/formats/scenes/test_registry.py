@@ -60,7 +60,7 @@ def test_first_bytes_go_before_the_extension(tmp_path: Path) -> None:
     assert len(read_scene(tmp_path / "a.splat")) == 2
 
 
-def test_an_extension_finds_the_reader_that_says_what_is_wrong(tmp_path: Path) -> None:
+def test_an_extension_selects_the_reader_that_reports_the_error(tmp_path: Path) -> None:
     (tmp_path / "a.ply").write_bytes(b"nothing")
     with pytest.raises(FormatError) as caught:
         read_scene(tmp_path / "a.ply")

@@ -109,7 +109,7 @@ def test_same_bytes_every_time_and_from_any_axes(tmp_path: Path) -> None:
     assert a.read_bytes() == b.read_bytes()
 
 
-def test_what_is_lost_is_said_in_one_line(tmp_path: Path) -> None:
+def test_dropped_values_give_one_warning(tmp_path: Path) -> None:
     info = SceneInfo(origin=(1.0, 0.0, 0.0), antialiased=True)
     with pytest.warns(CogsplatWarning) as caught:
         write_splat(replace(scene(5, 8), info=info), tmp_path / "a.splat")

@@ -1,4 +1,4 @@
-"""Checkpoints of gsplat and nerfstudio, as their trainers save them."""
+"""Checkpoints in the formats of gsplat and nerfstudio."""
 
 from pathlib import Path
 
@@ -79,7 +79,7 @@ def test_other_tensors_are_not_read(tmp_path: Path):
         (lambda state: {**state, "quats": state["means"]}, "bad-shape"),
     ],
 )  # fmt: skip
-def test_what_is_no_checkpoint_is_refused(tmp_path: Path, wrap, code):
+def test_other_files_are_no_checkpoints(tmp_path: Path, wrap, code):
     write(tmp_path / "a.pt", wrap, arrays(GSPLAT))
     with pytest.raises(FormatError, match=r"a\.pt") as caught:
         cogsplat.read(tmp_path / "a.pt")

@@ -230,7 +230,7 @@ def _refuse(item: int) -> int:
     return item
 
 
-def test_a_worker_that_ends_midway_changes_nothing(
+def test_a_worker_that_dies_does_not_change_the_results(
     scene: tuple[Splats, list[Camera]], expected: bytes, tmp_path: Path
 ) -> None:
     with cluster(tmp_path, 2) as (address, started), connected(address) as executor:

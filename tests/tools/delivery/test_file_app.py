@@ -63,7 +63,7 @@ def test_a_head_has_no_body(folder):
     assert headers["content-length"] == str(len(DATA))
 
 
-def test_names_are_decoded_and_types_told(folder):
+def test_names_are_decoded_and_types_set(folder):
     assert asked(app_of(folder), "/%C3%A4%20b.cogs")[2] == b"named"
     assert asked(app_of(folder), "/page.html")[1]["content-type"].startswith("text/html")
 
@@ -86,7 +86,7 @@ def test_names_are_decoded_and_types_told(folder):
         "//etc/passwd",
     ],
 )
-def test_nothing_outside_or_hidden_is_served(folder, path):
+def test_outside_and_hidden_files_are_not_served(folder, path):
     (folder / "link.txt").symlink_to(folder.parent / "outside.txt")
     status, _, body = asked(app_of(folder), path)
     assert status == 404
@@ -118,7 +118,7 @@ def test_pages_of_other_origins_may_read(folder):
     assert asked(app, "/scene.cogs", "POST")[0] == 405
 
 
-def test_what_is_named_by_its_content_is_kept_for_ever(folder):
+def test_objects_named_by_their_hash_are_immutable(folder):
     app = app_of(folder)
     assert "immutable" in asked(app, "/segments/0f.bin")[1]["cache-control"]
     assert asked(app, "/scene.cogs")[1]["cache-control"] == "no-cache, no-transform"
@@ -141,7 +141,7 @@ def test_a_bad_link_fails_and_breaks(folder):
     assert asked(app_of(folder, bits_per_second=1e9), "/scene.cogs")[2] == DATA
 
 
-def test_starting_and_stopping_take_nothing(folder):
+def test_the_lifespan_protocol_is_acknowledged(folder):
     kinds = ["lifespan.startup", "lifespan.shutdown"]
     sent = []
 

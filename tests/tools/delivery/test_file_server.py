@@ -106,7 +106,7 @@ def made_certificate(folder):
     return files
 
 
-def test_a_port_that_is_taken_is_told(scene):
+def test_a_port_in_use_is_an_error(scene):
     with served(scene) as server:
         app = FileApp(scene, ShapedLink(LinkQuality()))
         with pytest.raises(StorageError, match=str(server.port)):
@@ -120,7 +120,7 @@ def test_stopping_before_it_began(scene):
     server.close()
 
 
-def test_without_the_extra_its_name_is_told(scene, monkeypatch):
+def test_the_missing_extra_is_named(scene, monkeypatch):
     monkeypatch.setitem(sys.modules, "hypercorn.asyncio", None)
     with pytest.raises(MissingExtraError, match=r"cogsplat\[serve\]"):
         FileServer(FileApp(scene, ShapedLink(LinkQuality())))

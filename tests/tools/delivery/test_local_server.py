@@ -107,7 +107,7 @@ def test_etag_changes_with_the_file(server: SceneServer, tmp_path: Path) -> None
         "scene.cogs",
     ],
 )
-def test_nothing_else_is_served(server: SceneServer, path: str) -> None:
+def test_other_paths_are_not_found(server: SceneServer, path: str) -> None:
     answer, body = ask(server, path)
     assert answer.status == 404
     assert b"secret" not in body

@@ -19,7 +19,7 @@ def test_answers_share_the_bandwidth():
     assert time.monotonic() - start >= 0.3 - 0.001
 
 
-def test_an_open_link_waits_for_nothing_and_never_fails():
+def test_an_unlimited_link_never_waits_or_fails():
     link = ShapedLink(LinkQuality())
 
     async def use():

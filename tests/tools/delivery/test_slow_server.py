@@ -1,4 +1,4 @@
-"""The slow server sends files and ranges in small blocks, and keeps count of them."""
+"""The slow server sends files and ranges in small blocks, and logs each block."""
 
 from collections.abc import Iterator
 from http import HTTPStatus

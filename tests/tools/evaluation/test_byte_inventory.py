@@ -1,4 +1,4 @@
-"""What is in a COGS file: listed to the byte, or refused, whatever the file says."""
+"""The byte inventory accounts for every byte of a file, or rejects the file."""
 
 from pathlib import Path
 

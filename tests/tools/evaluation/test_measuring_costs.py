@@ -1,4 +1,4 @@
-"""What measuring costs grows with what is measured."""
+"""Estimated costs grow with splats, pixels and versions."""
 
 import pytest
 

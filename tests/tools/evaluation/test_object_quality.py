@@ -1,4 +1,4 @@
-"""Which pixels an object has, and the PSNR over them."""
+"""Pixels of each object, and PSNR over the object's pixels."""
 
 from dataclasses import replace
 

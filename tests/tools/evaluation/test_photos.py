@@ -46,7 +46,7 @@ def test_a_link_out_of_the_folder(tmp_path: Path) -> None:
     assert caught.value.code == "photo-name"
 
 
-def test_what_is_no_photo(tmp_path: Path) -> None:
+def test_invalid_photos_are_refused(tmp_path: Path) -> None:
     hostile.eps(tmp_path / "a.jpg", side=8)
     hostile.png_with_text_bomb(tmp_path / "b.jpg", side=8, inflated=64 << 20)
     Image.new("RGB", (6, 8)).save(tmp_path / "c.jpg")

@@ -56,11 +56,11 @@ def photos(small: SmallScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_report_stands_alone(run: Run, small: SmallScene, photos: Path, tmp_path: Path) -> None:
     out, page = tmp_path / "a&b.cogs", tmp_path / "report.html"
-    told = run(
+    result = run(
         "encode", small.ply, out, "--cameras", small.cameras, "--eval-every", 4, "--report", page,
         "--images", photos, "--preset", "fast", "--json",
     )  # fmt: skip
-    assert (told.code, told.err) == (0, "")
+    assert (result.code, result.err) == (0, "")
     text = page.read_text()
     parser = Balanced()
     parser.feed(text)
@@ -75,7 +75,7 @@ def test_a_report_stands_alone(run: Run, small: SmallScene, photos: Path, tmp_pa
     assert "a&amp;b.cogs" in text
     assert "url(" not in text
     assert "<script" not in text
-    whole = told.json["prefixes"][-1]  # type: ignore[index]
+    whole = result.json["prefixes"][-1]  # type: ignore[index]
     for figure in (f"{whole['held_out_db']:.2f} dB", f"{whole['photos_db']:.2f} dB"):
         assert figure in text
     with cogsplat.open(out) as file:
@@ -93,11 +93,11 @@ def test_the_summary_shows_quality_at_several_lengths(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     arguments = ["encode", small.ply, tmp_path / "o.cogs", "--cameras", small.cameras]
-    told = run(*arguments, "--eval-every", 4, "--measure")
-    assert told.code == 0
-    assert all(f"{share:.0%}" in told.out for share in PREFIX_FRACTIONS)
-    assert "roam" in told.out
-    assert "bits/splat" in told.out
+    result = run(*arguments, "--eval-every", 4, "--measure")
+    assert result.code == 0
+    assert all(f"{share:.0%}" in result.out for share in PREFIX_FRACTIONS)
+    assert "roam" in result.out
+    assert "bits/splat" in result.out
     plain = run(*arguments, "--force")
     assert "roam" not in plain.out
 
@@ -128,13 +128,13 @@ def test_a_share_is_what_the_first_bytes_hold(small: SmallScene) -> None:
 def test_reports_are_refused_before_any_work(run: Run, small: SmallScene, tmp_path: Path) -> None:
     out, page = tmp_path / "o.cogs", tmp_path / "there.html"
     page.write_text("mine")
-    told = run("encode", small.ply, out, "--cameras", small.cameras, "--report", page)
-    assert told.code == 2
-    assert "[exists]" in told.err
+    result = run("encode", small.ply, out, "--cameras", small.cameras, "--report", page)
+    assert result.code == 2
+    assert "[exists]" in result.err
     assert page.read_text() == "mine"
     assert not out.exists()
-    told = run("encode", small.ply, out, "--cameras", small.cameras, "--images", tmp_path)
-    assert told.code == 4
+    result = run("encode", small.ply, out, "--cameras", small.cameras, "--images", tmp_path)
+    assert result.code == 4
     assert not out.exists()
 
 
@@ -145,20 +145,20 @@ def test_a_size_is_met_by_the_whole_file(run: Run, small: SmallScene, tmp_path: 
     for wanted, limit in (("40KB", 40_000), ("8%", small.ply.stat().st_size * 8 // 100)):
         out = tmp_path / f"{limit}.cogs"
         arguments = ["--cameras", small.cameras, "--target-size", wanted, "--no-prune", "--json"]
-        told = run("encode", small.ply, out, *arguments)
-        assert told.code == 0, told
-        assert told.json["bytes"] == out.stat().st_size
+        result = run("encode", small.ply, out, *arguments)
+        assert result.code == 0, result
+        assert result.json["bytes"] == out.stat().st_size
         assert 0.97 * limit <= out.stat().st_size <= limit
 
 
-def test_a_psnr_is_met_in_the_views_that_compare_takes(
+def test_a_target_psnr_is_met_in_the_views_of_compare(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     out = tmp_path / "o.cogs"
     arguments = ["--cameras", small.cameras, "--target-psnr", 34, "--no-prune", "--json"]
-    told = run("encode", small.ply, out, *arguments)
-    assert told.code == 0, told
-    assert told.json["predicted_psnr_db"] == pytest.approx(34, abs=0.1)
+    result = run("encode", small.ply, out, *arguments)
+    assert result.code == 0, result
+    assert result.json["predicted_psnr_db"] == pytest.approx(34, abs=0.1)
     every = ["--cameras", small.cameras, "--eval-every", 0, "--json"]
     seen = run("compare", small.ply, out, *every).json["held_out"]
     assert seen["psnr_db"] == pytest.approx(34, abs=0.1)  # type: ignore[index]
@@ -193,7 +193,7 @@ def test_aims_that_contradict_are_misuse(
 
 def test_a_size_too_small_is_refused(run: Run, small: SmallScene, tmp_path: Path) -> None:
     arguments = ["--cameras", small.cameras, "--target-size", 900]
-    told = run("encode", small.ply, tmp_path / "o.cogs", *arguments)
-    assert told.code == 3
-    assert "[target-out-of-reach]" in told.err
+    result = run("encode", small.ply, tmp_path / "o.cogs", *arguments)
+    assert result.code == 3
+    assert "[target-out-of-reach]" in result.err
     assert list(tmp_path.iterdir()) == []

@@ -95,7 +95,7 @@ def test_rows_that_cannot_be_drawn_are_counted() -> None:
     assert found.fill_ratio == math.inf
 
 
-def test_nothing_has_no_figures() -> None:
+def test_an_empty_array_has_no_figures() -> None:
     found = statistics(empty(1))
     assert (found.opaque_share, found.fill_ratio, found.num_invalid) == (None, None, 0)
     assert all(values.mean is None for values in found.values.values())

@@ -43,7 +43,7 @@ def test_faults_of_the_scene_are_findings(small: SmallScene) -> None:
         assert codes(server.url()) == ({"http-status"}, [])
 
 
-def test_without_ranges_a_file_is_read_and_that_is_said(small: SmallScene) -> None:
+def test_a_host_without_ranges_is_read_and_reported(small: SmallScene) -> None:
     with serving(FaultServer(small.cogs.read_bytes(), always=no_ranges)) as server:
         host, content = codes(server.url())
         assert "http-ranges-ignored" in host

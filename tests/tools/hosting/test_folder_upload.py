@@ -27,7 +27,7 @@ NOW = timedelta(0)
 
 
 class Recorded(Bucket):
-    """A bucket that notes what is written, and fails after so many objects."""
+    """A bucket that records writes, and fails after a number of objects."""
 
     def __init__(self, store: MemoryStore, most: int = 1000) -> None:
         super().__init__("memory", store=store)
@@ -128,7 +128,7 @@ def test_only_segments_that_no_manifest_needs_are_deleted(
 
 
 @pytest.mark.parametrize("manifest", [None, b"", b"no manifest"])
-def test_without_a_manifest_that_can_be_read_nothing_is_unused(
+def test_a_bucket_without_a_readable_manifest_has_no_unused_objects(
     folder: Path, manifest: bytes | None
 ) -> None:
     bucket = Recorded(MemoryStore())
@@ -151,7 +151,7 @@ def test_paged_manifests_name_all_their_objects(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("url", ["http://example.org/a", "bucket", "s3://", "ftp://a/b"])
-def test_what_is_no_bucket_is_refused(url: str) -> None:
+def test_other_addresses_are_no_buckets(url: str) -> None:
     with pytest.raises(CogsplatError) as refused:
         Bucket(url)
     assert refused.value.code == "bucket-address"

@@ -1,4 +1,4 @@
-"""What is asked of a server, and what is kept of its answers."""
+"""Probe requests, and the recorded responses."""
 
 import pytest
 from fault_server import Exchange, FaultServer, no_ranges, reset, serving, status
@@ -9,7 +9,7 @@ from cogsplat.tools.hosting.probe import FIRST_BYTES, Prober, Response, content_
 DATA = bytes(range(256)) * 400
 
 
-def test_a_server_is_asked_as_readers_and_browsers_ask() -> None:
+def test_probe_requests_are_those_of_readers_and_browsers() -> None:
     with serving(FaultServer(DATA)) as server, Prober() as prober:
         found = prober.probe(server.url())
     assert found.first.body == DATA[:FIRST_BYTES]
@@ -28,7 +28,7 @@ def test_a_server_is_asked_as_readers_and_browsers_ask() -> None:
     assert all("origin" in asked.headers for asked in server.asked)
 
 
-def test_no_more_is_read_than_was_asked_for() -> None:
+def test_no_more_than_the_requested_bytes_are_read() -> None:
     data = DATA * 100
     with serving(FaultServer(data, always=no_ranges)) as server, Prober() as prober:
         found = prober.probe(server.url())
@@ -37,7 +37,7 @@ def test_no_more_is_read_than_was_asked_for() -> None:
     assert server.sent < 5 * len(data)
 
 
-def test_servers_that_do_not_answer_are_said() -> None:
+def test_unresponsive_servers_are_errors() -> None:
     with serving(FaultServer(DATA, always=reset)) as server, Prober() as prober:
         with pytest.raises(StorageError) as broken:
             prober.probe(server.url())
@@ -58,5 +58,5 @@ def test_servers_that_do_not_answer_are_said() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "bytes */10", "bytes 1-2", "bytes a-b/c", "bytes 1-2/*"])
-def test_what_is_no_range_is_none(text: str) -> None:
+def test_a_malformed_content_range_is_none(text: str) -> None:
     assert content_range(Response("", 206, "", {"content-range": text}, b"", 0.0)) is None

@@ -1,4 +1,4 @@
-"""What to change on hosts: for every finding that a host can mend."""
+"""Remedies exist for every finding that a configuration can fix."""
 
 import re
 from pathlib import Path
@@ -32,7 +32,7 @@ def test_hosts_are_known_by_their_headers(server: str, host: str | None) -> None
     assert host_of(server) == host
 
 
-def test_only_what_is_wanted_is_said() -> None:
+def test_remedies_of_the_given_codes_and_hosts() -> None:
     found = remedies(["http-status", "cors-origin", "cors-origin"], ["nginx"])
     assert list(found) == ["cors-origin"]
     assert list(found["cors-origin"]) == ["nginx"]

@@ -50,7 +50,7 @@ def found(given: ProbeResult, *, manifest: bool = False) -> dict[str, str]:
     return {x.code: x.severity for x in file_findings(given, manifest=manifest)}
 
 
-def test_nothing_is_wrong_with_a_right_host() -> None:
+def test_a_correct_host_has_no_findings() -> None:
     assert found(probed()) == {}
     assert list(length_findings(probed(), SIZE)) == []
 

@@ -99,7 +99,7 @@ def codes(found: Diagnosis) -> set[str]:
 
 
 @needs("nginx")
-def test_nginx_as_the_page_has_it_has_nothing_to_change(www: Path) -> None:
+def test_the_documented_nginx_configuration_has_no_findings(www: Path) -> None:
     text = recipe("nginx").replace("listen 80", f"listen 127.0.0.1:{free_port()}")
     file, folder = examined(nginx(www, text.replace("/var/www", str(www))), www)
     assert (codes(file), codes(folder)) == (set(), set())
@@ -117,7 +117,7 @@ def test_nginx_that_compresses_scenes_ignores_ranges(www: Path) -> None:
 
 
 @needs("caddy")
-def test_caddy_as_the_page_has_it_has_nothing_to_change(www: Path) -> None:
+def test_the_documented_caddy_configuration_has_no_findings(www: Path) -> None:
     text = recipe("Caddy").replace("http://:80", f"http://127.0.0.1:{free_port()}")
     path = www.parent / "Caddyfile"
     path.write_text("{\n admin off\n}\n" + text.replace("/var/www", str(www)))

@@ -23,7 +23,7 @@ def test_what_no_picture_shows_is_clipped() -> None:
     assert np.asarray(to_image(row)).tolist() == [[[0, 255, 0], [0, 255, 0]]]
 
 
-def test_files_are_pngs_of_the_size_that_is_told(tmp_path: Path) -> None:
+def test_files_are_pngs_of_the_returned_size(tmp_path: Path) -> None:
     pixels = np.random.default_rng(4).random((5, 7, 3))
     size = write_png(to_image(pixels), tmp_path / "a.png")
     assert size == (tmp_path / "a.png").stat().st_size

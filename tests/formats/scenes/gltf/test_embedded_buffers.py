@@ -43,7 +43,7 @@ def test_text_in_strings_is_no_buffer() -> None:
         ("data:é,", "gltf-uri"),
     ],
 )
-def test_what_is_no_base64(uri: str, code: str) -> None:
+def test_invalid_base64_is_refused(uri: str, code: str) -> None:
     embedded = extract_buffers(json.dumps({"uri": uri}, ensure_ascii=False).encode())
     with pytest.raises(CogsplatError) as caught:
         embedded.decode(json.loads(embedded.text)["uri"], "a.gltf")

@@ -378,7 +378,7 @@ def test_flat_splats_and_rows_that_are_no_numbers(tmp_path: Path) -> None:
     assert read.opacities[0] == np.inf
 
 
-def test_what_gltf_has_no_place_for_is_said(tmp_path: Path) -> None:
+def test_dropped_values_give_a_warning(tmp_path: Path) -> None:
     info = SceneInfo((1.0, 2.0, 3.0), "RUB", "srgb", 0.1, True)
     with pytest.warns(CogsplatWarning, match="origin.*kernel.*anti-aliasing") as caught:
         write_gltf(scene(3, 3, info), tmp_path / "a.glb")
@@ -494,7 +494,7 @@ SPLATTING = f"{PRIMITIVE}/extensions/{EXT}"
         ("buffers/0/uri", "data:;base64,AAAA", "gltf-truncated"),
     ],
 )
-def test_says_what_is_wrong(tmp_path: Path, path: str, value: object, code: str) -> None:
+def test_messages_name_the_fault(tmp_path: Path, path: str, value: object, code: str) -> None:
     maker = simple(scene(5, 3))
     maker.json["buffers"] = [{"byteLength": len(maker.data)}]
     put(maker.json, path, value)
@@ -573,7 +573,7 @@ def test_hostile_counts_allocate_nothing(tmp_path: Path) -> None:
 )
 @given(st.data())
 @pytest.mark.filterwarnings("ignore::cogsplat.codec.errors.CogsplatWarning")
-def test_damaged_files_raise_nothing_else(tmp_path: Path, data: st.DataObject) -> None:
+def test_damaged_files_raise_only_cogsplat_errors(tmp_path: Path, data: st.DataObject) -> None:
     good = tmp_path / "good.glb"
     if not good.exists():
         maker = simple(scene(3, 3))
@@ -592,7 +592,7 @@ def test_damaged_files_raise_nothing_else(tmp_path: Path, data: st.DataObject) -
 )
 @given(st.data())
 @pytest.mark.filterwarnings("ignore::cogsplat.codec.errors.CogsplatWarning")
-def test_wild_json_raises_nothing_else(tmp_path: Path, data: st.DataObject) -> None:
+def test_wild_json_raises_only_cogsplat_errors(tmp_path: Path, data: st.DataObject) -> None:
     maker = simple(scene(3, 0))
     maker.json["buffers"] = [{"byteLength": len(maker.data)}]
     maker.json["nodes"][0].update({"matrix": np.eye(4).reshape(-1).tolist(), "children": []})

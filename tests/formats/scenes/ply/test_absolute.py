@@ -35,7 +35,7 @@ def test_doubles_hold_the_world_coordinates(tmp_path: Path) -> None:
     assert b"origin" not in path.read_bytes()[:400]
 
 
-def test_what_is_read_again_lies_where_it_was(tmp_path: Path) -> None:
+def test_absolute_centres_survive_a_round_trip(tmp_path: Path) -> None:
     scene = replace(synth(50), info=SceneInfo(origin=ORIGIN, kernel_px=0.1))
     first, second = tmp_path / "first.ply", tmp_path / "second.ply"
     cogsplat.write(scene, first, absolute=True)

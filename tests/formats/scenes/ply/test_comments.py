@@ -19,7 +19,7 @@ from cogsplat.formats.scenes.ply.comments import parse_scene_info, scene_comment
         SceneInfo((1.0, 2.0, 3.0), "RUB", "linear", 0.0, True),
     ],
 )
-def test_what_is_written_is_read(info: SceneInfo) -> None:
+def test_comments_survive_a_round_trip(info: SceneInfo) -> None:
     assert parse_scene_info(scene_comments(info), "here") == info
 
 

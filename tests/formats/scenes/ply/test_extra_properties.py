@@ -1,4 +1,4 @@
-"""What a PLY's vertices hold beside their splats: kept, typed, written back; far-off doubles."""
+"""Extra properties of a PLY: round trips, types, and doubles in map coordinates."""
 
 import itertools
 import warnings
@@ -106,7 +106,7 @@ def test_components_become_columns(tmp_path):
     )
 
 
-def test_names_that_no_property_can_have_are_said(tmp_path):
+def test_invalid_property_names_give_a_warning(tmp_path):
     numbers = np.arange(4, dtype=np.int8)
     extras = {
         "two words": numbers,
@@ -121,7 +121,7 @@ def test_names_that_no_property_can_have_are_said(tmp_path):
     same_extras(read_ply(tmp_path / "a.ply").extras, {"kept": numbers, "a_0": numbers})
 
 
-def test_more_than_a_scene_can_hold_is_said(tmp_path):
+def test_too_many_extras_give_a_warning(tmp_path):
     write_ply(scene(3), tmp_path / "a.ply")
     table = np.array(table_of(tmp_path / "a.ply"))
     more = np.zeros(

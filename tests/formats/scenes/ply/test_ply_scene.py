@@ -358,7 +358,7 @@ def test_refuses(tmp_path: Path, code: str, data: bytes) -> None:
     assert refused(tmp_path / "a.ply", data).code == code
 
 
-def test_names_what_is_missing_and_what_is_there(tmp_path: Path) -> None:
+def test_message_lists_missing_and_existing_properties(tmp_path: Path) -> None:
     data = header_of(LITTLE, "element vertex 0", *properties("scale_2"))
     message = refused(tmp_path / "a.ply", data).message
     assert "lacks scale_2;" in message

@@ -85,7 +85,7 @@ def test_what_no_index_says_is_refused(tmp_path: Path, changes: Json, code: str)
     assert "lod-meta.json" in str(caught.value)
 
 
-def test_what_is_no_json_or_too_long_is_refused(tmp_path: Path) -> None:
+def test_invalid_or_long_json_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "lod-meta.json"
     path.write_bytes(b"{")
     with pytest.raises(FormatError) as broken:

@@ -264,7 +264,7 @@ def test_an_empty_scene(tmp_path: Path, degree: int) -> None:
     assert (len(read), read.sh_degree) == (0, degree)
 
 
-def test_antialiasing_is_carried_and_the_rest_said(tmp_path: Path) -> None:
+def test_antialiasing_is_stored_and_other_metadata_gives_a_warning(tmp_path: Path) -> None:
     write_sog(scene(5, 3, SceneInfo(antialiased=True)), tmp_path / "a.sog")
     assert read_sog(tmp_path / "a.sog").info == SceneInfo(antialiased=True)
     meta, images = parts(0)
@@ -350,7 +350,7 @@ def put(meta: Meta, path: str, value: object) -> None:
         ("quats.files", ["sh0"], "sog-bad-quaternion"),
     ],
 )
-def test_says_what_is_wrong(tmp_path: Path, key: str, value: object, code: str) -> None:
+def test_messages_name_the_fault(tmp_path: Path, key: str, value: object, code: str) -> None:
     meta, images = parts()
     put(meta, key, value)
     error = refused(saved(tmp_path / "a.sog", meta, images))
@@ -494,7 +494,7 @@ def test_a_canvas_of_another_size(tmp_path: Path) -> None:
     deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(st.data())
-def test_damaged_bundles_raise_nothing_else(tmp_path: Path, data: st.DataObject) -> None:
+def test_damaged_bundles_raise_only_cogsplat_errors(tmp_path: Path, data: st.DataObject) -> None:
     good = tmp_path / "good.sog"
     if not good.exists():
         saved(good, *parts(1))
@@ -514,7 +514,9 @@ def test_damaged_bundles_raise_nothing_else(tmp_path: Path, data: st.DataObject)
     deadline=None, max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(st.data())
-def test_damaged_images_and_numbers_raise_nothing_else(tmp_path: Path, data: st.DataObject) -> None:
+def test_damaged_images_and_numbers_raise_only_cogsplat_errors(
+    tmp_path: Path, data: st.DataObject
+) -> None:
     meta, images = parts(1)
     files = {name: webp(pixels) for name, pixels in images.items()}
     name = data.draw(st.sampled_from(sorted(files)))
@@ -543,7 +545,7 @@ def test_a_folder_holds_the_files_of_the_bundle(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.shN, bundled_again.shN)
 
 
-def test_a_folder_keeps_what_is_there_unless_forced(tmp_path: Path) -> None:
+def test_existing_files_of_a_folder_are_kept_unless_forced(tmp_path: Path) -> None:
     (tmp_path / "sh0.webp").write_bytes(b"mine")
     with pytest.raises(CogsplatError) as caught:
         write_scene(scene(50), tmp_path / "meta.json")

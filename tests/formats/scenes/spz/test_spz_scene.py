@@ -369,7 +369,7 @@ def test_same_bytes_every_time(tmp_path: Path, version: int) -> None:
     assert a.read_bytes() == b.read_bytes()
 
 
-def test_written_again_nothing_more_is_lost(tmp_path: Path) -> None:
+def test_a_second_round_trip_is_lossless(tmp_path: Path) -> None:
     write_spz(scene(), tmp_path / "a.spz")
     once = read_spz(tmp_path / "a.spz")
     write_spz(once, tmp_path / "b.spz")
@@ -429,7 +429,7 @@ def test_the_usual_precision_is_that_of_other_programs(
         write_spz(splats, tmp_path / "low.spz", precision="low")
 
 
-def test_what_is_lost_is_said_in_one_line(tmp_path: Path) -> None:
+def test_dropped_values_give_one_warning(tmp_path: Path) -> None:
     info = SceneInfo(origin=(1.0, 2.0, 3.0), colour_space="linear", kernel_px=0.1)
     splats = replace(scene(100), info=info)
     splats.means[3] = 1e9
@@ -630,7 +630,7 @@ def test_no_memory_for_counts_the_file_does_not_bear_out(tmp_path: Path) -> None
     unwrapped=st.booleans(),
     flips=st.lists(st.tuples(st.integers(0, 2000), st.integers(1, 255)), min_size=1, max_size=4),
 )
-def test_flipped_bytes_raise_nothing_else(
+def test_flipped_bytes_raise_only_cogsplat_errors(
     tmp_path: Path, version: int, unwrapped: bool, flips: list[tuple[int, int]]
 ) -> None:
     extension = record(0xADBE0003, struct.pack("<I", 13))
@@ -672,7 +672,7 @@ def test_biker_equals_its_ply(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("threads", ["1", "4"])
-def test_threads_change_nothing(
+def test_results_do_not_depend_on_the_number_of_threads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: str
 ) -> None:
     module = "cogsplat.formats.scenes.spz."
