@@ -1,4 +1,4 @@
-"""``cogsplat lab bench``: COGS profiles against foreign formats, on one scene."""
+"""``cogsplat lab bench``: size, quality and speed of COGS profiles and other formats on a scene."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ _ABLATION_FILES: Final = ("ablation.csv", "ablation.json", "ablation.svg")
 
 
 def _names(text: str, known: Sequence[str]) -> tuple[str, ...]:
-    """Parse a list of names or of their beginnings, separated by commas; ``all`` and ``none``."""
+    """Parse names or their beginnings, separated by commas, or ``all``, or ``none``."""
     if text.strip().lower() in ("all", "none"):
         return tuple(known) if text.strip().lower() == "all" else ()
     found: list[str] = []
@@ -95,18 +95,18 @@ def profile_names(text: str) -> tuple[str, ...]:
     Raises
     ------
     click.BadParameter
-        One is unknown or ambiguous.
+        A name is unknown or ambiguous.
     """
     return _names(text, _PROFILES)
 
 
 def format_names(text: str) -> tuple[str, ...]:
-    """Parse the names of foreign formats given to ``--formats``.
+    """Parse the names of other formats given to ``--formats``.
 
     Raises
     ------
     click.BadParameter
-        One is unknown or ambiguous.
+        A name is unknown or ambiguous.
     """
     return _names(text, benches.FOREIGN)
 
@@ -117,7 +117,7 @@ def decibels(text: str) -> tuple[float, ...]:
     Raises
     ------
     click.BadParameter
-        They are no numbers from 10 to 90.
+        The text is no list of numbers from 10 to 90.
     """
     try:
         values = tuple(sorted({float(part) for part in text.split(",")}))
@@ -135,15 +135,15 @@ def decibels(text: str) -> tuple[float, ...]:
 )
 @click.argument("scene", type=INPUT)
 @cameras_option(
-    "Without it, views to score in are planned, and test views are eval_cameras.json beside SCENE, "
-    "else some of the planned ones."
+    "Without it, views to score in are planned, and the test views are eval_cameras.json in "
+    "SCENE's folder, else some planned views."
 )
 @eval_every_option(8, "do not score in it, measure in it.")
 @click.option(
     "--out",
     type=PATH,
     metavar="DIR",
-    help="Also write the figures as CSV, JSON and SVG into this folder.",
+    help="Folder for the results as CSV, JSON and SVG.",
 )
 @click.option(
     "--profiles",
@@ -151,7 +151,7 @@ def decibels(text: str) -> tuple[float, ...]:
     default="all",
     show_default=True,
     metavar="NAMES",
-    help=f"Of ours, separated by commas: {', '.join(_PROFILES)}; all or none.",
+    help=f"COGS profiles, separated by commas: {', '.join(_PROFILES)}; all or none.",
 )
 @click.option(
     "--formats",
@@ -159,24 +159,24 @@ def decibels(text: str) -> tuple[float, ...]:
     default="all",
     show_default=True,
     metavar="NAMES",
-    help=f"To compare with: {', '.join(benches.FOREIGN)}; all or none.",
+    help=f"Other formats, separated by commas: {', '.join(benches.FOREIGN)}; all or none.",
 )
 @click.option(
     "--qualities",
     type=decibels,
     metavar="DB,…",
-    help="Nominal PSNRs of the profiles that have one.  [default: a range for each]",
+    help="Nominal PSNRs of the profiles for viewing.  [default: a range for each]",
 )
 @click.option(
     "--images",
     type=PATH,
     metavar="DIR",
-    help="Photos named as the cameras: also what each loses against them.",
+    help="Folder of photos named like the cameras: also measure the PSNR lost against them.",
 )
 @click.option(
     "--ablation",
     is_flag=True,
-    help="In place of all that: what each technique of the transform profile buys.",
+    help="Instead measure the bytes that each technique of the transform profile saves.",
 )
 @background_option
 @partial_option
@@ -201,18 +201,18 @@ def bench(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Compare COGS profiles with foreign formats on SCENE.
+    """Compare COGS profiles with other formats on SCENE.
 
-    SCENE is written in each, read back and measured in the same views against renders of SCENE.
-    Seconds are of this machine and of one run; those of our profiles include scoring. Bytes per
-    splat count the source's splats, pruned ones included.
+    SCENE is written in each format, read back and compared with renders of SCENE in the same views.
+    Durations are of one run; those of COGS include scoring. Bytes per splat are per splat of
+    SCENE, pruned splats included.
     """
     if ablation and qualities is not None and len(qualities) != 1:
         raise click.UsageError("--ablation measures at one quality, expected one in --qualities")
     if not ablation and not profiles and not formats:
         raise click.UsageError("--profiles none and --formats none: nothing to measure")
     if out is not None:
-        # Before minutes of work, not after.
+        # Checked before minutes of work.
         with storage_errors(out):
             out.mkdir(parents=True, exist_ok=True)
         for name in _ABLATION_FILES if ablation else _FILES:
@@ -264,13 +264,13 @@ def bench(
         seconds = {"seconds": stages.rounded(), "cpu_seconds": stages.cpu_rounded()}
         print_json({**report, **seconds})
         return
-    _tell_about(scene, given, what)
+    _print_about(scene, given, what)
     if ablation:
-        _tell_ablation(found)
+        _print_ablation(found)
     else:
-        _tell_rows(measured.rows)
-        _tell_stages(measured.stages)
-        _tell_prefixes(measured)
+        _print_rows(measured.rows)
+        _print_stages(measured.stages)
+        _print_prefixes(measured)
     if not quiet:
         print_line("")
         print_facts(
@@ -290,14 +290,14 @@ def _gather(
     threads: int,
     stages: Stages,
 ) -> tuple[BenchInput, str]:
-    """Read and score a scene; `work` says what comes then, for splats, scored and test views."""
+    """Read and score a scene; `work` returns the cost of the later stages from scene and views."""
     from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
     from cogsplat.codec.encode.scored_views import score_given
     from cogsplat.codec.encode.stage_costs import score_cost
 
     with stages.stage("read"):
         views = scoring_cameras(cameras, eval_every)
-        # Formats are compared by what they draw; most hold nothing else.
+        # Most formats hold no extra attributes.
         drawn = read_any(scene, threads=threads).splats.without_extras()
         splats = drop_invalid_splats(drawn, scene)
         if not len(splats):
@@ -322,6 +322,7 @@ def _gather(
 
 
 def _about(scene: Path, given: BenchInput, what: str) -> dict[str, object]:
+    """Return the JSON keys about scene, views and machine."""
     return {
         "source": display_name(scene),
         "splats": len(given.splats),
@@ -340,7 +341,8 @@ def _about(scene: Path, given: BenchInput, what: str) -> dict[str, object]:
     }
 
 
-def _tell_about(scene: Path, given: BenchInput, what: str) -> None:
+def _print_about(scene: Path, given: BenchInput, what: str) -> None:
+    """Print the scene and its views."""
     splats = given.splats
     print_line(f"{scene}: {len(splats):,} splats, SH degree {splats.sh_degree}")
     photo = "" if given.photos is None else f"{given.photos.source_db:.2f} dB for the source"
@@ -352,7 +354,8 @@ def _tell_about(scene: Path, given: BenchInput, what: str) -> None:
     print_line("")
 
 
-def _tell_rows(rows: Sequence[Row]) -> None:
+def _print_rows(rows: Sequence[Row]) -> None:
+    """Print size, quality and durations of each method."""
     with_photos = any(row.photo_loss_db is not None for row in rows)
     columns = ["", "bytes", "B/splat", "held-out", "worst", "roam", "SSIM"]
     columns += ["lost", "enc s", "dec s"] if with_photos else ["enc s", "dec s"]
@@ -378,7 +381,8 @@ def _tell_rows(rows: Sequence[Row]) -> None:
     print_table(columns, cells)
 
 
-def _tell_prefixes(measured: Bench) -> None:
+def _print_prefixes(measured: Bench) -> None:
+    """Print the PSNR of prefixes by their bytes."""
     named = list(dict.fromkeys(prefix.label for prefix in measured.prefixes))
     if not named:
         return
@@ -394,8 +398,8 @@ def _tell_prefixes(measured: Bench) -> None:
     print_table(["received", *named], cells)
 
 
-def _tell_stages(stages: Sequence[StageTime]) -> None:
-    """Print where the time of an encode goes, stage by stage; scoring is told above."""
+def _print_stages(stages: Sequence[StageTime]) -> None:
+    """Print the seconds of each stage of an encode after scoring."""
     if not stages:
         return
     whole: dict[str, float] = {}
@@ -415,7 +419,8 @@ def _tell_stages(stages: Sequence[StageTime]) -> None:
     print_table(["", "stage", "s", "share", "CPU s"], cells, left=2)
 
 
-def _tell_ablation(found: AblationTable) -> None:
+def _print_ablation(found: AblationTable) -> None:
+    """Print the bytes without each technique."""
     print_line(f" bytes at {found.held_out_db:.2f} dB held-out, without")
     cells = [
         [
@@ -431,6 +436,7 @@ def _tell_ablation(found: AblationTable) -> None:
 
 
 def _bench_report(measured: Bench, about: Mapping[str, object]) -> dict[str, object]:
+    """Return the JSON object of a comparison."""
     return {
         **about,
         "methods": [row.report() for row in measured.rows],
@@ -440,11 +446,13 @@ def _bench_report(measured: Bench, about: Mapping[str, object]) -> dict[str, obj
 
 
 def _ablation_report(found: AblationTable, about: Mapping[str, object]) -> dict[str, object]:
+    """Return the JSON object of an ablation."""
     rows = [row.report() for row in found.rows]
     return {**about, "held_out_db": found.held_out_db, "without": rows}
 
 
 def _bench_pages(measured: Bench, about: Mapping[str, object], title: str) -> dict[str, str]:
+    """Return the contents of the files of a comparison by file name."""
     report = _bench_report(measured, about)
     pages = (
         _csv([row.report() for row in measured.rows]),
@@ -459,6 +467,7 @@ def _bench_pages(measured: Bench, about: Mapping[str, object], title: str) -> di
 def _ablation_pages(
     found: AblationTable, about: Mapping[str, object], title: str
 ) -> dict[str, str]:
+    """Return the contents of the files of an ablation by file name."""
     bars = [(row.technique, 100 * row.more) for row in found.rows[1:]]
     drawn = bar_chart(f"{title}: more bytes at {found.held_out_db:.1f} dB, without", bars, unit="%")
     pages = (
@@ -469,7 +478,8 @@ def _ablation_pages(
     return dict(zip(_ABLATION_FILES, pages, strict=True))
 
 
-def _look(method: str) -> int:
+def _style(method: str) -> int:
+    """Return the index of the colour and marker of a method in charts."""
     return (*_PROFILES, *benches.FOREIGN).index(method)
 
 
@@ -480,43 +490,46 @@ def _series(measured: Bench) -> list[Series]:
         rows = [row for row in measured.rows if row.method == method and not row.refused]
         points = [(row.bytes_per_splat, row.held_out_db) for row in rows if not row.is_identical]
         if points:
-            series.append(Series(method, tuple(points), _look(method), joined=len(points) > 1))
+            series.append(Series(method, tuple(points), _style(method), joined=len(points) > 1))
     return series
 
 
 def _rate_distortion(measured: Bench, title: str) -> str:
+    """Return the chart of PSNR over bytes per splat, SVG."""
     identical = [row.label for row in measured.rows if row.is_identical and not row.refused]
     return line_chart(
         f"{title}: quality for size",
         "bytes per splat",
         "PSNR of held-out views, dB",
         _series(measured),
-        note=f"Not drawn, for identical: {', '.join(identical)}" if identical else "",
+        note=f"Not drawn because lossless: {', '.join(identical)}" if identical else "",
     )
 
 
 def _received(measured: Bench, title: str) -> str:
+    """Return the chart of PSNR over received bytes, SVG."""
     series: list[Series] = []
     for label in dict.fromkeys(prefix.label for prefix in measured.prefixes):
         own = [prefix for prefix in measured.prefixes if prefix.label == label]
         points = tuple((prefix.prefix_bytes, prefix.held_out_db) for prefix in own)
-        series.append(Series(label, points, _look(own[0].method)))
+        series.append(Series(label, points, _style(own[0].method)))
     series += [
-        Series(row.label, ((row.file_bytes, row.held_out_db),), _look(row.method), joined=False)
+        Series(row.label, ((row.file_bytes, row.held_out_db),), _style(row.method), joined=False)
         for row in measured.rows
         if not (row.is_ours or row.refused or row.is_identical)
     ]
     return line_chart(
-        f"{title}: quality by what has arrived",
+        f"{title}: quality by bytes received",
         "bytes received",
         "PSNR of held-out views, dB",
         series,
         x_text=lambda x: f"{x / 1024:g} KiB" if x < 1 << 20 else f"{x / (1 << 20):g} MiB",
-        note="Single points: foreign formats show nothing before their last byte.",
+        note="Single points: other formats show nothing before their last byte.",
     )
 
 
 def _csv(rows: Sequence[Mapping[str, object]]) -> str:
+    """Return rows as CSV."""
     page = io.StringIO()
     if rows:
         writer = csv.DictWriter(page, list(rows[0]), lineterminator="\n")

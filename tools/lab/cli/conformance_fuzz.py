@@ -1,4 +1,4 @@
-"""``cogsplat lab conformance fuzz``: decoders against each other, on damaged files."""
+"""``cogsplat lab conformance fuzz``: a comparison of decoders on damaged files."""
 
 from __future__ import annotations
 
@@ -35,28 +35,30 @@ _INVALID_STATUS: Final = 3
     required=True,
     multiple=True,
     metavar="CMD",
-    help="Command line of a decoder, two of them or more; docs/conformance.md has the protocol.",
+    help="Command line of a decoder, two or more; docs/conformance.md has the protocol.",
 )
 @click.option(
-    "--count", type=click.IntRange(min=1), default=1000, show_default=True, help="Mutants."
+    "--count",
+    type=click.IntRange(min=1),
+    default=1000,
+    show_default=True,
+    help="Number of mutants.",
 )
-@click.option(
-    "--seed", type=int, default=1, show_default=True, help="The same seed makes the same mutants."
-)
+@click.option("--seed", type=int, default=1, show_default=True, help="Seed of the mutants.")
 @click.option(
     "--first",
     type=click.IntRange(min=0),
     default=0,
     show_default=True,
     metavar="NUMBER",
-    help="Begin with this mutant of the run.",
+    help="Number of the first mutant.",
 )
 @VECTORS
 @click.option(
     "--keep",
     type=PATH,
     metavar="DIR",
-    help="Folder to write the mutants to of which decoders say different things.",
+    help="Folder for the mutants on which decoders differ.",
 )
 @timeout_option("mutant")
 @quiet_option
@@ -73,15 +75,15 @@ def fuzz(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Ask decoders about damaged and deceiving files; all must say the same of each.
+    """Compare the answers of decoders on damaged and malicious files.
 
-    Mutants are made from the valid conformance vectors and from FILES, small ones best. Compared
-    are verdict, reason code and the bits of decoded arrays. Exit status 3 where decoders differ.
+    Mutants are made from the valid conformance vectors and from FILES, preferably small ones.
+    Verdict, reason code and decoded arrays must be equal. Exit status 3 if decoders differ.
     """
     if len(decoders) < 2:
         raise click.UsageError("one --decoder, expected two or more to compare")
     if keep is not None:
-        # Before the mutants are made, not after.
+        # Checked before the mutants are made.
         with storage_errors(keep):
             keep.mkdir(parents=True, exist_ok=True)
     sources = vector_files(vectors or own_vectors())
@@ -105,12 +107,13 @@ def fuzz(
     if as_json:
         print_json({**_json(report), "seconds": stages.rounded()})
     else:
-        _tell(report, quiet=quiet)
+        _print_summary(report, quiet=quiet)
     if report.disagreements:
         raise click.exceptions.Exit(_INVALID_STATUS)
 
 
 def _json(report: FuzzReport) -> dict[str, object]:
+    """Return the JSON object."""
     return {
         "decoders": [
             asdict(decoder) | {"most_memory_bytes": memory}
@@ -133,7 +136,8 @@ def _json(report: FuzzReport) -> dict[str, object]:
     }
 
 
-def _tell(report: FuzzReport, *, quiet: bool) -> None:
+def _print_summary(report: FuzzReport, *, quiet: bool) -> None:
+    """Print the disagreements and the cost of each decoder."""
     accepted = report.verdicts.get("accepted", 0)
     print_line(
         f"{count_text(report.mutants, 'mutant')}, {accepted:,} of them read, "

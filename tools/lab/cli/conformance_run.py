@@ -37,10 +37,10 @@ _INVALID_STATUS: Final = 3
 @quiet_option
 @json_option
 def run(decoder: str, vectors: Path | None, timeout: float, quiet: bool, as_json: bool) -> None:
-    """Drive a decoder over all vectors and list what it fails, by clause of SPEC.md.
+    """Run a decoder over all vectors and list failures by clause of SPEC.md.
 
-    The decoder is a program in any language. It reads one JSON request a line from standard input
-    and answers each with one line. Exit status 3 where it fails a vector.
+    The decoder is a program in any language that reads JSON requests from standard input, one a
+    line, and answers each with one line. Exit status 3 if any vector fails.
     """
     folder = vectors or own_vectors()
     with Stages(shown=not (quiet or as_json)) as stages:
@@ -48,12 +48,13 @@ def run(decoder: str, vectors: Path | None, timeout: float, quiet: bool, as_json
     if as_json:
         print_json({**_json(report), "seconds": stages.rounded()})
     else:
-        _tell(report, quiet=quiet)
+        _print_summary(report, quiet=quiet)
     if report.failures:
         raise click.exceptions.Exit(_INVALID_STATUS)
 
 
 def _json(report: Report) -> dict[str, object]:
+    """Return the JSON object."""
     return {
         "decoder": asdict(report.decoder),
         "passed": report.passed,
@@ -66,7 +67,8 @@ def _json(report: Report) -> dict[str, object]:
     }
 
 
-def _tell(report: Report, *, quiet: bool) -> None:
+def _print_summary(report: Report, *, quiet: bool) -> None:
+    """Print the result of all vectors and the first failures."""
     decoder = report.decoder
     print_line(
         f"{decoder.name} {decoder.version}, level {decoder.level}: "
@@ -89,5 +91,6 @@ def _tell(report: Report, *, quiet: bool) -> None:
 
 
 def _line(failure: Failure) -> str:
+    """Return a failure as a line of text."""
     clauses = ", ".join(failure.clauses)
     return f"  {failure.vector} (SPEC {clauses}): {failure.found}; expected {failure.expected}"

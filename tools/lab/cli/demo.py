@@ -34,7 +34,12 @@ _DEMO_SPLATS: Final = 60_000
 
 @click.command(epilog="\b\nExample:\n  cogsplat demo --out demo --force")
 @click.option(
-    "--out", type=PATH, default="demo", show_default=True, metavar="DIR", help="Where files go."
+    "--out",
+    type=PATH,
+    default="demo",
+    show_default=True,
+    metavar="DIR",
+    help="Folder for the files.",
 )
 @click.option(
     "--splats",
@@ -42,17 +47,17 @@ _DEMO_SPLATS: Final = 60_000
     default=_DEMO_SPLATS,
     show_default=True,
     metavar="N",
-    help="Size of the scene.",
+    help="Splats of the scene.",
 )
 @threads_option
 @force_option
 @quiet_option
 @json_option
 def demo(out: Path, splats: int, threads: int, force: bool, quiet: bool, as_json: bool) -> None:
-    """Encode a synthetic scene and decode prefixes of it.
+    """Encode a synthetic scene and compare its prefixes.
 
-    Make it, encode it, decode 3, 6, 12, 25 and 100 % of the bytes, compare each with the original,
-    and draw a film-strip of them.
+    The first 3, 6, 12, 25 and 100 % of the bytes are decoded, compared with the original and drawn
+    as a film strip.
     """
     from cogsplat.tools.cli.warm import every_kernel
 

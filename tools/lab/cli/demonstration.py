@@ -1,4 +1,4 @@
-"""The demonstration: make a scene, encode it, decode prefixes, compare and draw a film-strip."""
+"""Demonstration: a synthetic scene is encoded, and its prefixes are measured and drawn."""
 
 from __future__ import annotations
 
@@ -20,67 +20,69 @@ from cogsplat.formats.storage.atomic import check_output, storage_errors
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 SHARES: Final = (0.03, 0.06, 0.12, 0.25, 1.0)
-"""Shares of the file that the film-strip shows."""
+"""Prefixes in the film strip, as shares of the file."""
 
 EVERY: Final = 8
-"""Cameras with this index are held out: encoding never sees them."""
+"""Interval of the held-out cameras, which the encoder does not get."""
 
-# Of the held-out cameras, the one that has all objects in its picture.
+# Index of the held-out camera whose picture shows all objects.
 _SHOWN: Final = 3
 
-# As `codec.encode.stage_costs` counts: making and writing, and decoding and writing, a splat; and
-# renders of each view in a comparison, those of the views away from it and the PSNR included.
+# Costs per splat of generating and writing, and of decoding and writing, in the unit of
+# `codec.encode.stage_costs`; and renders per view of a comparison, including its roaming views.
 _SECONDS_A_SPLAT: Final = (1.5e-5, 5e-6)
 _RENDERS: Final = 4
 
 
 @dataclass(frozen=True)
 class DemoFiles:
-    """Paths of the files that a demonstration writes, all in one folder."""
+    """Paths of the files of a demonstration in its folder."""
 
     folder: Path
 
     @property
     def scene(self) -> Path:
-        """The synthetic scene, PLY."""
+        """Path of the synthetic scene, PLY."""
         return self.folder / "scene.ply"
 
     @property
     def cameras(self) -> Path:
-        """The cameras of the synthetic scene."""
+        """Path of the cameras of the scene."""
         return self.folder / "cameras.json"
 
     @property
     def cogs(self) -> Path:
-        """The encoded scene."""
+        """Path of the encoded scene."""
         return self.folder / "scene.cogs"
 
     @property
     def decoded(self) -> Path:
-        """The decoded scene, PLY."""
+        """Path of the decoded scene, PLY."""
         return self.folder / "decoded.ply"
 
     @property
     def strip(self) -> Path:
-        """The film-strip."""
+        """Path of the film strip, PNG."""
         return self.folder / "filmstrip.png"
 
     def all(self) -> tuple[Path, ...]:
-        """Return every file."""
+        """Return the paths of all files."""
         return self.scene, self.cameras, self.cogs, self.decoded, self.strip
 
 
 @dataclass(frozen=True)
 class DemoPrefix:
-    """Splats and PSNR in the first bytes of the file.
+    """Splats and PSNR of a prefix of the file.
 
     Parameters
     ----------
     share : float
-        Of the file.
+        Share of the file.
     size_bytes, splats : int
+        Bytes and splats of the prefix.
     held_out_db, worst_db, roam_db : float
-        PSNR against the scene as it was made.
+        PSNR against the synthetic scene, dB: mean and worst of the held-out views, mean of the
+        roaming views.
     """
 
     share: float
@@ -98,9 +100,12 @@ class Demo:
     Parameters
     ----------
     files : DemoFiles
-    splats, scene_bytes, cogs_bytes : int
+    splats : int
+        Splats of the synthetic scene.
+    scene_bytes, cogs_bytes : int
+        Sizes of the PLY and of the COGS file.
     prefixes : tuple of DemoPrefix
-        By `SHARES`.
+        One for each of `SHARES`.
     """
 
     files: DemoFiles
@@ -111,7 +116,7 @@ class Demo:
 
 
 def stage_costs(splats: int) -> list[StageCost]:
-    """Return what the stages of `run` will cost, in their order."""
+    """Return the expected costs of the stages of `run`."""
     from cogsplat.codec.encode import stage_costs as encoding
     from cogsplat.codec.encode.request import EncodeRequest
 
@@ -136,22 +141,22 @@ def run(
     before_encoding: Callable[[Progress], None] | None = None,
     progress: Progress = silent,
 ) -> Demo:
-    """Make a scene, encode it, decode it whole and in part, compare, and draw the film-strip.
+    """Make a scene, encode it, measure its prefixes and draw the film strip.
 
     Parameters
     ----------
     folder : Path
-        Made where it is not there.
+        Folder for the files; created if missing.
     splats : int
         Size of the scene.
     threads : int
-        0 for all cores.
+        Number of threads; 0 for all cores.
     force : bool
-        Replace files of an earlier run.
+        Whether files of an earlier run are replaced.
     before_encoding : callable, optional
-        Called with `progress` once the scene is made.
+        Function called with `progress` after the scene is made.
     progress : Progress
-        Called with the stages of the way.
+        Receives the stages.
 
     Returns
     -------
@@ -160,7 +165,7 @@ def run(
     Raises
     ------
     CogsplatError
-        A file cannot be written, or is there already and `force` is not set.
+        A file cannot be written, or exists without `force`.
     """
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.quality_prediction import PrefixEvaluator
@@ -193,7 +198,7 @@ def run(
     cogsplat.write(decoded, files.decoded, force=force)
     progress("decode", 1, 1)
 
-    draw = _drawer(held[_SHOWN], threads)
+    draw = _renderer(held[_SHOWN], threads)
     evaluator = PrefixEvaluator(scene, [*held, *roam(scene, held)], threads)
     prefixes, pictures = [], []
     for step, share in enumerate(SHARES):
@@ -202,7 +207,7 @@ def run(
         if share < 1.0:
             part = decode_prefix(files.cogs, int(share * size), compensate=True, threads=threads)
         prefixes.append(
-            _measured(evaluator.views_db(part), len(held), part, share, int(share * size))
+            _prefix_result(evaluator.views_db(part), len(held), part, share, int(share * size))
         )
         pictures.append(draw(part))
     progress("compare", len(SHARES), len(SHARES))
@@ -213,18 +218,18 @@ def run(
     strip = filmstrip(
         [*pictures, draw(scene)],
         captions,
-        title=f"One .cogs file of {_size(size)} as its bytes arrive, compensated; a view never "
-        "given to the encoder",
+        title=f"One .cogs file of {_size(size)} as its bytes arrive, with compensation, in "
+        "a held-out view",
     )
     write_png(strip, files.strip, force=force)
     progress("film-strip", 1, 1)
     return Demo(files, splats, scene_bytes, size, tuple(prefixes))
 
 
-def _measured(
+def _prefix_result(
     views_db: list[float], held: int, part: Splats, share: float, size: int
 ) -> DemoPrefix:
-    """Return the figures of a prefix from the PSNR of its held-out views and, behind, of others."""
+    """Return a prefix with its PSNRs: `views_db` has `held` held-out views, then roaming views."""
     return DemoPrefix(
         share=share,
         size_bytes=size,
@@ -235,7 +240,8 @@ def _measured(
     )
 
 
-def _drawer(camera: Camera, threads: int) -> Callable[[Splats], NDArray[np.float32]]:
+def _renderer(camera: Camera, threads: int) -> Callable[[Splats], NDArray[np.float32]]:
+    """Return a function that renders splats in a camera."""
     from cogsplat.codec.render.rasteriser import RenderConfig, render
 
     def draw(splats: Splats) -> NDArray[np.float32]:
@@ -247,6 +253,7 @@ def _drawer(camera: Camera, threads: int) -> Callable[[Splats], NDArray[np.float
 
 
 def _caption(prefix: DemoPrefix) -> list[str]:
+    """Return the lines under the picture of a prefix."""
     return [
         f"{prefix.share:.0%}, {_size(prefix.size_bytes)}",
         f"{prefix.splats:,} splats",
@@ -255,6 +262,7 @@ def _caption(prefix: DemoPrefix) -> list[str]:
 
 
 def _size(size_bytes: int) -> str:
+    """Return a byte count as text."""
     from cogsplat.tools.terminal.output import size_text
 
     return size_text(size_bytes)

@@ -137,8 +137,8 @@ _GROUPS: Final = {
 )
 @click.argument("scene", type=INPUT)
 @cameras_option(
-    "Without it, views to score in are planned, and test views are eval_cameras.json beside SCENE, "
-    "else some of the planned ones."
+    "Without it, views to score in are planned, and the test views are eval_cameras.json in "
+    "SCENE's folder, else some planned views."
 )
 @eval_every_option(8, "do not score in it, measure in it.")
 @orders_option
@@ -149,8 +149,7 @@ _GROUPS: Final = {
     type=INPUT,
     multiple=True,
     metavar="PATH",
-    help="A COGS file of SCENE to measure by bytes, in place of encoding every order; may be given "
-    "again.",
+    help="COGS file of SCENE to measure by bytes instead of encoding every order. Repeatable.",
 )
 @click.option(
     "--shares",
@@ -159,21 +158,21 @@ _GROUPS: Final = {
     default=",".join(f"{100 * share:g}" for share in SHARES),
     show_default=True,
     metavar="P,…",
-    help="Percents of the splats to measure orders at; none for none.",
+    help="Prefixes of each order, percent of the splats; or none.",
 )
 @click.option(
     "--sizes",
     "lengths",
     type=sizes,
     metavar="N|P%,…",
-    help="Lengths of files to measure at; none for none.  [default: 32 KiB, doubled to the end]",
+    help="Prefixes of each file, bytes; or none.  [default: 32 KiB, doubled to the end]",
 )
 @click.option(
     "--codecs",
     type=codecs,
     default=None,
     metavar="NAME,…",
-    help="Also write each prefix of every order as these formats and measure it by its bytes: "
+    help="Also write each prefix of every order in these formats and measure by bytes: "
     f"{', '.join(WRITABLE)}.",
 )
 @click.option(
@@ -181,33 +180,33 @@ _GROUPS: Final = {
     "wanted_objects",
     type=objects,
     metavar="N,…|all",
-    help="Also measure these objects over their own pixels at --shares, in every order and with "
-    "the object's splats first.",
+    help="Also measure these objects in their own pixels at --shares, in every order and with the "
+    "object's splats first.",
 )
 @click.option(
     "--compensate",
     is_flag=True,
-    help="Measure prefixes of files with prefix compensation.",
+    help="Apply prefix compensation to prefixes of files.",
 )
-@quality_option("Nominal PSNR of the files that are encoded.")
-@target_psnr_option("Encode every file to this PSNR instead, in other views than the test views.")
+@quality_option("Nominal PSNR of encoded files.")
+@target_psnr_option("PSNR of every encoded file instead, in other views than the test views.")
 @click.option(
     "--out",
     type=PATH,
     metavar="DIR",
-    help="Also write the figures as CSV, JSON and SVG, and film-strips, into this folder.",
+    help="Folder for the results as CSV, JSON and SVG, and for film strips.",
 )
 @click.option(
     "--images",
     type=PATH,
     metavar="DIR",
-    help="Photos named as the cameras: measure against them, too.",
+    help="Folder of photos named like the cameras: also measure against the photos.",
 )
 @click.option(
     "--lpips-weights",
     type=PATH,
     metavar="FILE",
-    help="State dict of LPIPS, AlexNet or VGG-16, as torch.save or .npz: measure it, too.",
+    help="Also measure LPIPS with these weights of AlexNet or VGG-16: torch.save or .npz.",
 )
 @jitter_option
 @top_k_option(20)
@@ -247,10 +246,10 @@ def evaluate(
 ) -> None:
     """Measure prefixes of SCENE under several orders of its splats.
 
-    Each order is cut after shares of its splats, nothing quantised, and a COGS file in that order
-    after some of its bytes; what is left is compared with the full render. Measured are the mean
-    PSNR of held-out views, the worst of them, and the mean of roaming views, which stand back and
-    turn away; each also as one figure, its mean over the logarithm of splats or bytes.
+    Prefixes of each order, without quantisation, and prefixes of a COGS file in that order are
+    compared with the whole scene. PSNR is the mean and the worst of held-out views, and the mean of
+    roaming views, which step back and turn away. Each is also averaged over the logarithm of
+    splats or bytes.
     """
     cut = bool(files) or lengths != ()
     by = ([SPLATS] if wanted else []) + ([BYTES] if cut or codecs else [])
@@ -260,7 +259,7 @@ def evaluate(
         raise click.UsageError("--shares none and --sizes none: nothing to measure")
     require_octree(choice.names, octree_depths)
     if out is not None:
-        # Before minutes of work, not after.
+        # Checked before minutes of work.
         with storage_errors(out):
             out.mkdir(parents=True, exist_ok=True)
         for name in ("eval.csv", "eval.json", *picture_names(by)):
@@ -396,6 +395,7 @@ def evaluate(
 
 
 def _size_of(path: Path) -> int:
+    """Return the size of a file, bytes."""
     with storage_errors(path):
         return path.stat().st_size
 
@@ -416,7 +416,7 @@ def _gather(
     threads: int,
     stages: Stages,
 ) -> EvaluationInput:
-    """Read and score a scene; `work` says what that and all that comes then will cost."""
+    """Read and score a scene; `work` returns the costs of the later stages from scene and views."""
     from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
     from cogsplat.codec.encode.scored_views import score_given
     from cogsplat.codec.encode.stage_costs import score_cost

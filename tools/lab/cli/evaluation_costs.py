@@ -1,4 +1,4 @@
-"""What the stages of ``cogsplat lab evaluate`` will cost, for one bar over the whole."""
+"""Expected costs of the stages of ``cogsplat lab evaluate``, for its progress bar."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from cogsplat.codec.splats import Splats
 from cogsplat.tools.evaluation.measuring_costs import objects_cost, versions_cost
 from cogsplat.tools.lab.evaluation.progs_protocol import SHARES, sizes_of
 
-# Bytes of a splat in a file of ours, roughly: they decide how many prefixes are measured.
+# Approximate bytes per splat of a COGS file; sets the expected number of prefixes.
 _BYTES_A_SPLAT: Final = 9
-# Writing and reading a splat in another format, as `codec.encode.stage_costs` counts.
+# Cost of writing and reading a splat in another format, in the unit of `codec.encode.stage_costs`.
 _CODEC: Final = 1e-5
 
 
@@ -37,33 +37,34 @@ def eval_costs(
     quality_db: float,
     target_psnr: float | None,
 ) -> list[StageCost]:
-    """Return what comes after scoring.
+    """Return the expected costs of the stages after scoring.
 
     Parameters
     ----------
     splats : Splats
+        Scene.
     scored_on, test_views : sequence of Camera
-        At least one of each.
+        Cameras that splats are scored in, and test views.
     orders : sequence of str
-        Of every curve.
+        Order of every curve.
     sorts : bool
         Whether the orders themselves are measured, rather than files alone.
     shares : int
-        Prefixes of each order.
+        Number of prefixes of each order.
     objects : tuple of int or None
-        Objects that are measured; empty for all.
+        Labels of the objects that are measured; empty for all.
     files : int
-        That were given; without any, each order is encoded.
+        Number of files given; with 0, each order is encoded.
     cut : bool
         Whether files are measured at all.
     lengths : int or None
-        Prefixes of each file; None for doubled lengths.
+        Number of prefixes of each file; None for doubled lengths.
     codecs : int
-        Other formats that each order is written in.
+        Number of other formats that each order is written in.
     quality_db : float
-        Of the files that are encoded.
+        Nominal PSNR of encoded files, dB.
     target_psnr : float or None
-        Of the same.
+        Target PSNR of encoded files, dB.
     """
     from cogsplat.codec.encode.config import EncodeConfig, Target
     from cogsplat.codec.encode.request import EncodeRequest

@@ -1,4 +1,4 @@
-"""Values of options of ``cogsplat lab evaluate``: shares, lengths of files, codecs, objects."""
+"""Parsers of the option values of ``cogsplat lab evaluate``."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from cogsplat.tools.terminal.values import byte_count, object_labels
 
 
 def shares(text: str) -> tuple[float, ...]:
-    """Parse shares of the splats such as ``1,5,20`` in percent, or ``none``.
+    """Parse shares of the splats in percent, such as ``1,5,20``, or ``none``.
 
     Raises
     ------
     click.BadParameter
-        They are none.
+        The text has another form.
     """
     if text.strip().lower() == "none":
         return ()
@@ -29,12 +29,12 @@ def shares(text: str) -> tuple[float, ...]:
 
 
 def sizes(text: str) -> tuple[ByteCount, ...]:
-    """Parse lengths of a file such as ``32KiB,64KiB,10%``, or ``none``.
+    """Parse prefix lengths such as ``32KiB,64KiB,10%``, or ``none``.
 
     Raises
     ------
     click.BadParameter
-        They are none.
+        The text has another form.
     """
     if text.strip().lower() == "none":
         return ()
@@ -47,7 +47,7 @@ def codecs(text: str) -> tuple[str, ...]:
     Raises
     ------
     click.BadParameter
-        One is none that can be written.
+        A format is unknown or only read.
     """
     names = tuple(dict.fromkeys(part.strip() for part in text.split(",")))
     unknown = [name for name in names if name not in WRITABLE]
@@ -57,11 +57,11 @@ def codecs(text: str) -> tuple[str, ...]:
 
 
 def objects(text: str) -> tuple[int, ...]:
-    """Parse labels of objects such as ``1,4``, or ``all``, which gives none.
+    """Parse labels of objects such as ``1,4``; ``all`` gives an empty tuple.
 
     Raises
     ------
     click.BadParameter
-        They are neither.
+        The text is neither.
     """
     return () if text.strip().lower() == "all" else object_labels(text)

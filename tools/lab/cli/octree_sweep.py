@@ -14,20 +14,21 @@ from cogsplat.codec.order.orders import OrderConfig, split_name
 Command = TypeVar("Command", bound=Callable[..., object])
 
 OF_ONE_DEPTH: Final = ("octree-round-robin", "octree-quota")
-"""Orders whose octree has all its leaves at `OrderConfig.octree_depth`."""
+"""Orders whose octree has all leaves at `OrderConfig.octree_depth`."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """An order that is measured.
+    """An order to measure.
 
     Parameters
     ----------
     label : str
-        As figures and tables call it.
+        Name in charts and tables.
     order : str
-        As `order_rows` takes it.
+        Name of the order (`order_rows`).
     config : OrderConfig
+        Parameters of the order.
     """
 
     label: str
@@ -41,7 +42,7 @@ def depths(text: str) -> tuple[int, ...]:
     Raises
     ------
     click.BadParameter
-        They are none.
+        The text is no list of depths.
     """
     parts = [part.strip() for part in text.split(",")]
     if not all(part.isascii() and part.isdigit() and len(part) <= 3 for part in parts) or not all(
@@ -57,18 +58,18 @@ def octree_depths_option(command: Command) -> Command:
         "--octree-depths",
         type=depths,
         metavar="N,…",
-        help="Measure octree-round-robin and octree-quota at each of these depths, one curve for "
-        "each, in place of --octree-depth.",
+        help="Measure octree-round-robin and octree-quota at each of these depths instead of "
+        "--octree-depth.",
     )(command)
 
 
 def require_octree(names: Sequence[str], octree_depths: Sequence[int] | None) -> None:
-    """Refuse depths where no order has one.
+    """Refuse octree depths without an order that has a depth.
 
     Raises
     ------
     click.UsageError
-        There are depths, and none of the orders is one of `OF_ONE_DEPTH`.
+        There are depths, and no order is one of `OF_ONE_DEPTH`.
     """
     if octree_depths and not any(split_name(name)[0] in OF_ONE_DEPTH for name in names):
         raise click.UsageError(
@@ -80,16 +81,16 @@ def require_octree(names: Sequence[str], octree_depths: Sequence[int] | None) ->
 def curves(
     names: Sequence[str], config: OrderConfig, octree_depths: Sequence[int] | None
 ) -> list[Curve]:
-    """Return what to measure, in the order of the names and then of the depths.
+    """Return the curves to measure, by order and then by depth.
 
     Parameters
     ----------
     names : sequence of str
         Orders.
     config : OrderConfig
-        Of all of them.
+        Parameters of all orders.
     octree_depths : sequence of int or None
-        Depths that replace the configuration's, where an order has one (PRoGS, figure 6).
+        Octree depths, each a curve of its own (PRoGS, figure 6); None for the depth of `config`.
     """
     found = []
     for name in names:

@@ -113,7 +113,7 @@ def order(
 ) -> None:
     """Write an order of the splats of SCENE as a permutation.
 
-    OUT.npy holds an int64 for each splat: the rows of the file, first to last. Nothing is pruned.
+    OUT.npy holds the row numbers of all splats, int64, first splat first. No splat is pruned.
     """
     from cogsplat.codec.scoring.contribution import ScoreConfig, score, zero_scores
 
@@ -148,7 +148,7 @@ def order(
     invalid = int(splats.invalid_rows().sum())
     if invalid:
         warnings.warn(
-            f"{path}: {invalid:,} of {len(splats):,} splats cannot be drawn",
+            f"{path}: {invalid:,} of {len(splats):,} splats have invalid values",
             CogsplatWarning,
             stacklevel=1,
         )

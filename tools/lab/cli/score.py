@@ -49,7 +49,7 @@ from cogsplat.tools.workflow.inputs import input_files, plan_cameras, read_any, 
 @eval_every_option(0, "do not score in it.")
 @partial_option
 @limits_option
-@device_option("Where views are drawn.")
+@device_option("Device that renders.")
 @threads_option
 @force_option
 @quiet_option
@@ -69,8 +69,9 @@ def score(
 ) -> None:
     """Measure the contribution of each splat of SCENE.
 
-    OUT.npy holds a float64 for each splat, in the order of the file: the sum of its weights over
-    a view's pixels, averaged over the cameras, plus the same over their jittered copies.
+    OUT.npy holds a float64 for each splat in the order of the file: its blending weights summed
+    over the pixels of a view, averaged over the cameras, plus the average over their jittered
+    copies.
     """
     from cogsplat.codec.scoring.contribution import ScoreConfig
     from cogsplat.codec.scoring.contribution import score as score_splats
@@ -89,7 +90,7 @@ def score(
     invalid = int(splats.invalid_rows().sum())
     if invalid:
         warnings.warn(
-            f"{path}: {invalid:,} of {len(splats):,} splats cannot be drawn and score 0",
+            f"{path}: {invalid:,} of {len(splats):,} splats have invalid values and score 0",
             CogsplatWarning,
             stacklevel=1,
         )
@@ -122,13 +123,14 @@ def score(
 
 
 def _share_holding(contribution: NDArray[np.float64], goal: float) -> float:
-    """Return the smallest share of the splats that has a given share of the contribution."""
+    """Return the smallest share of the splats with a given share of the contribution."""
     so_far = np.cumsum(np.sort(contribution)[::-1])
     return round((int(np.searchsorted(so_far, goal * so_far[-1])) + 1) / len(so_far), 5)
 
 
 def _write_npy(values: NDArray[np.float64], path: Path, *, force: bool) -> None:
-    # In memory first: numpy's own writing to files loses the reason of a failure.
+    """Write an array as .npy."""
+    # Through memory, because numpy's own writing loses the reason of a failure.
     page = io.BytesIO()
     np.save(page, values)
     with atomic_write(path, force=force) as file:

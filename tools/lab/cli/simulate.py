@@ -58,7 +58,7 @@ from cogsplat.tools.workflow.inputs import (
     read_any,
 )
 
-# Moments that a strip shows: as many as fit beside each other on a page.
+# Moments in a film strip at most; more do not fit on a page.
 _STRIP_PICTURES: Final = 6
 
 
@@ -92,14 +92,14 @@ _GROUPS: Final = {
     "  cogsplat lab simulate house.cogs --cameras views.json --trace walk.json",
 )
 @click.argument("path", type=INPUT, metavar="IN.cogs")
-@click.option("--cameras", type=PATH, required=True, metavar="PATH", help="Views of the scene.")
+@click.option("--cameras", type=PATH, required=True, metavar="PATH", help="Cameras of the scene.")
 @click.option(
     "--trace",
     default="orbital",
     show_default=True,
     metavar="orbital|dolly|PATH",
-    help="Where a visitor goes: to 40 of the test views, 2 s each; from the first test view to "
-    "the second in 20 s; or through the cameras of a file.",
+    help="Path of the visitor: to 40 of the test views, 2 s each; from the first test view to the "
+    "second in 20 s; or through the cameras of a file.",
 )
 @click.option(
     "--pose-seconds",
@@ -107,21 +107,21 @@ _GROUPS: Final = {
     default=0.5,
     show_default=True,
     metavar="S",
-    help="From one camera of such a file to the next.",
+    help="Time between two cameras of a --trace file, seconds.",
 )
 @click.option(
     "--bandwidth",
     type=BitRate(),
     metavar="BITS",
-    help="Bits a second, such as 10M; by default so many that the whole takes as long as the "
+    help="Bandwidth, bits per second, such as 10M; by default the whole file arrives within the "
     "trace.",
 )
 @click.option(
     "--as-large-as",
     type=number_of_bytes,
     metavar="SIZE",
-    help="Divide the bandwidth by how many times larger a scene of SIZE is, such as 734MB: the "
-    "whole takes as long as that would.",
+    help="Scale the bandwidth down so that the file takes as long as a file of SIZE would, such as "
+    "734MB.",
 )
 @click.option(
     "--latency",
@@ -129,7 +129,7 @@ _GROUPS: Final = {
     default=20.0,
     show_default=True,
     metavar="MS",
-    help="Milliseconds from a request to the first byte of its answer.",
+    help="Time from a request to the first byte of its answer, milliseconds.",
 )
 @click.option(
     "--policy",
@@ -137,27 +137,26 @@ _GROUPS: Final = {
     type=click.Choice(POLICIES),
     multiple=True,
     metavar="NAME",
-    help="How the client chooses; several times for several, by default all: "
-    f"{', '.join(POLICIES)}.",
+    help=f"Fetch order of the client. Repeatable, by default all: {', '.join(POLICIES)}.",
 )
 @click.option(
     "--budget",
     type=click.IntRange(1),
     metavar="N",
-    help="Most splats in memory of the policy visit, which throws others away, and that --peer "
-    "draws; by default any number, and 4 million.",
+    help="Splats in memory at most, for the policy visit, which evicts others, by default "
+    "unlimited; and for --peer, by default 4 million.",
 )
 @click.option(
     "--source",
     type=INPUT,
     metavar="SCENE",
-    help="Compare with pictures of this scene, instead of those of the whole file.",
+    help="Compare with renders of this scene instead of renders of the whole file.",
 )
 @click.option(
     "--peer",
     type=PATH,
     metavar="PATH/lod-meta.json",
-    help=f"Streamed SOG of --source: as one policy more, {PEER}, by PlayCanvas' rules.",
+    help=f"Streamed SOG of --source, fetched by PlayCanvas' rules as the policy {PEER}.",
 )
 @click.option(
     "--moments",
@@ -165,7 +164,7 @@ _GROUPS: Final = {
     default=12,
     show_default=True,
     metavar="N",
-    help="Pictures along the trace that are judged.",
+    help="Number of measured pictures along the trace.",
 )
 @click.option(
     "--eval-every",
@@ -173,13 +172,14 @@ _GROUPS: Final = {
     default=8,
     show_default=True,
     metavar="N",
-    help="Every so many cameras are the test views; what chunks contribute is known of others.",
+    help="Hold out every N-th camera as a test view; contributions of chunks are known in "
+    "the others.",
 )
 @click.option(
     "--compensate/--as-stored",
     default=True,
     show_default=True,
-    help="Whether the file's clients make up for what is missing, as the file says.",
+    help="Whether clients apply prefix compensation.",
 )
 @click.option(
     "--goal",
@@ -187,22 +187,26 @@ _GROUPS: Final = {
     default=50.0,
     show_default=True,
     metavar="DB",
-    help="PSNR; the bytes are told from which on the trace keeps it.",
+    help="PSNR whose bytes are reported: the least from which the trace stays above it.",
 )
 @click.option(
     "--wait",
     is_flag=True,
-    help="Tell also what visitors fetch along the trace who wait at each moment until they see "
-    "the PSNR of --goal, whatever the link.",
+    help="Also report the bytes a viewer must fetch to hold --goal dB at every moment, ignoring "
+    "bandwidth.",
 )
-@click.option("--csv", "csv_path", type=PATH, metavar="OUT.csv", help="Write every moment.")
-@click.option("--plot", "plot_path", type=PATH, metavar="OUT.svg", help="Draw PSNR over time.")
+@click.option(
+    "--csv", "csv_path", type=PATH, metavar="OUT.csv", help="Write the results of every moment."
+)
+@click.option(
+    "--plot", "plot_path", type=PATH, metavar="OUT.svg", help="Write a chart of PSNR over time."
+)
 @click.option(
     "--strip",
     "strip_path",
     type=PATH,
     metavar="OUT.png",
-    help="Write pictures of up to six moments, a row for each policy.",
+    help="Write pictures of up to six moments, one row per policy.",
 )
 @partial_option
 @limits_option
@@ -235,26 +239,26 @@ def simulate(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Simulate clients that fetch by what a visitor looks at.
+    """Simulate clients that fetch by the view of a visitor.
 
-    Most policies fetch the same segments in another order: the file's, shown as it comes or once
-    the whole is there, whole chunks by distance, by the priority of SGSS, and the file's order put
-    off where a chunk shows little: by boxes, by boxes and what viewpoints near show (the file's
-    view table, or other cameras), or by what the pose itself shows, which no client knows.
-    antimatter and sgss-cells fetch splats one by one,
-    by volume times opacity and in cells of SGSS' own, each for the mean bytes of a splat of the
-    file. visit is what the npm package and its viewer do: by the file's view table, for a path that
-    goes on, by requests that are stopped and resumed, within --budget. Pictures of what has arrived
-    are compared with those of the whole, along the trace and in test views at rest. Files that were
-    encoded with --cells gain most.
-    With --peer, a client of another format takes part, over the same link; it needs --source.
+    Received splats are compared with the whole scene, along the trace and in test views at rest.
+    Files encoded with --cells gain most.
+
+    Policies that fetch segments: whole and file use the order of the file, whole without showing
+    parts; distance fetches whole chunks by distance, sgss by the priority of SGSS. frustum, views
+    and oracle delay chunks with little contribution, estimated from bounding boxes, from the view
+    table or other cameras, or from the true view. visit is the policy of the npm package: by the
+    view table, along the predicted path, within --budget.
+
+    antimatter and sgss-cells fetch single splats, by volume times opacity or by cells of SGSS, each
+    splat at the file's mean bytes. --peer adds a client of Streamed SOG on the same link.
     """
     if not is_cogs_input(path):
         raise click.UsageError(f"{path}: is no COGS file, expected one")
     if as_large_as is not None and bandwidth is None:
         raise click.UsageError("--as-large-as without --bandwidth, expected both")
     if peer is not None and source is None:
-        raise click.UsageError("--peer without --source, expected the scene that both were made of")
+        raise click.UsageError("--peer without --source, expected the common source scene")
     for out in (csv_path, plot_path, strip_path):
         if out is not None:
             check_output(out, force=force, inputs=input_files(path, cameras, source, peer))
@@ -288,7 +292,7 @@ def simulate(
         link = Link(bits, latency / 1000.0)
         film = _Film(moments if strip_path is not None else 0)
         along = simulation.along(
-            walked, link, chosen, moments, stages, film.take, budget_splats=budget or 0
+            walked, link, chosen, moments, stages, film.add, budget_splats=budget or 0
         )
         waited = (
             fetched_by_waiting(simulation, walked, chosen, moments, goal, stages) if wait else {}
@@ -302,7 +306,7 @@ def simulate(
         with atomic_write(plot_path, force=force) as opened:
             opened.write(chart(along, title).encode())
     if strip_path is not None:
-        write_png(strips(film.pictures, film.judged(along), title), strip_path, force=force)
+        write_png(strips(film.pictures, film.kept_moments(along), title), strip_path, force=force)
     behind = (
         {name: moments_behind(along[name], along["file"], goal) for name in chosen}
         if "file" in chosen
@@ -354,10 +358,10 @@ def simulate(
     if quiet:
         return
     print_line(
-        f"{walked.seconds:.1f} s of {trace} at {bits / 1e6:.3g} Mbit/s: PSNR against {against}, "
-        f"dB, and SSIM, means of the trace; share of the bytes from which on it keeps {goal:g} dB, "
-        "and of those fetched that it showed nothing of; "
-        + (f"share that was fetched by who waited for {goal:g} dB at each moment; " if wait else "")
+        f"{walked.seconds:.1f} s of {trace} at {bits / 1e6:.3g} Mbit/s: mean PSNR (dB) and SSIM of "
+        f"the trace against {against}; share of the bytes from which PSNR stays at {goal:g} dB; "
+        "share of the bytes fetched without showing; "
+        + (f"share fetched to hold {goal:g} dB at each moment; " if wait else "")
         + "PSNR in test views at rest after shares of the bytes"
     )
     rows = [
@@ -377,12 +381,13 @@ def simulate(
     print_table(("policy", "trace", "SSIM", f"{goal:g} dB", "waste", *waiting, *shares), rows)
     print_facts(
         ("file", f"{simulation.chunks} chunks"),
-        ("known", f"what each chunk contributes to {simulation.known_views} views"),
+        ("known", f"contributions of each chunk to {simulation.known_views} views"),
         ("time", stages.line()),
     )
 
 
 def _trace(name: str, tests: list[cogsplat.Camera], pose_seconds: float) -> Trace:
+    """Return the path that ``--trace`` names."""
     if name == "orbital":
         return orbital(tests)
     if name == "dolly":
@@ -393,7 +398,7 @@ def _trace(name: str, tests: list[cogsplat.Camera], pose_seconds: float) -> Trac
 def _bits_for(
     simulation: Simulation, trace: Trace, bandwidth: float | None, as_large_as: int | None
 ) -> float:
-    """Return the bandwidth: by default that at which the whole takes as long as the trace."""
+    """Return the bandwidth, bits per second; by default the whole file arrives within the trace."""
     total = float(simulation.units.size_bytes.sum()) + simulation.units.opening_bytes
     if bandwidth is None:
         return 8.0 * total / (trace.seconds or 1.0)
@@ -401,11 +406,12 @@ def _bits_for(
 
 
 def _share(size: int | None, simulation: Simulation) -> str:
+    """Return bytes as a share of the file, as text."""
     return "" if size is None else f"{size / simulation.units.size_bytes.sum():.0%}"
 
 
 class _Film:
-    """Keeps pictures of some moments, evenly spread to the last."""
+    """Pictures of some moments, evenly spaced up to the last."""
 
     def __init__(self, moments: int) -> None:
         kept = min(moments, _STRIP_PICTURES)
@@ -413,18 +419,20 @@ class _Film:
         self._counts: dict[str, int] = {}
         self.pictures: dict[str, list[NDArray[np.float32]]] = {}
 
-    def take(self, policy: str, _: float, picture: NDArray[np.float32]) -> None:
+    def add(self, policy: str, _: float, picture: NDArray[np.float32]) -> None:
+        """Keep the picture of a policy's next moment if that moment is in the strip."""
         number = self._counts.get(policy, 0)
         self._counts[policy] = number + 1
         if number in self._kept:
             self.pictures.setdefault(policy, []).append(picture)
 
-    def judged(self, along: dict[str, list[Moment]]) -> dict[str, list[Moment]]:
+    def kept_moments(self, along: dict[str, list[Moment]]) -> dict[str, list[Moment]]:
         """Return the moments of the pictures."""
         return {name: [seen[number] for number in self._kept] for name, seen in along.items()}
 
 
 def _write_csv(along: dict[str, list[Moment]], path: Path, *, force: bool) -> None:
+    """Write all moments as CSV."""
     page = io.StringIO()
     lines = csv.writer(page, lineterminator="\n")
     lines.writerow(("policy", "time_s", "bytes", "psnr_db", "ssim", "wasted_bytes"))

@@ -48,14 +48,14 @@ MOST_SPLATS: Final = 20_000_000
     "--splats",
     type=click.IntRange(1, MOST_SPLATS),
     metavar="N",
-    help="Size of the scene; with fewer than about 10,000, or 20,000 a room, its surfaces have "
-    f"gaps.  [default: {_SPLATS}, or {SPLATS_PER_ROOM} a room]",
+    help="Number of splats; with fewer than about 10,000, or 20,000 a room, surfaces have gaps.  "
+    f"[default: {_SPLATS}, or {SPLATS_PER_ROOM} a room]",
 )
 @click.option(
     "--rooms",
     type=click.IntRange(1, MOST_ROOMS),
     metavar="N",
-    help="Make a house of so many furnished rooms instead, of which each view shows a part.",
+    help="Make a house of N furnished rooms instead; each view shows a part of it.",
 )
 @click.option(
     "--seed",
@@ -63,7 +63,7 @@ MOST_SPLATS: Final = 20_000_000
     default=7,
     show_default=True,
     metavar="N",
-    help="Of what is random about it; the same scene for the same seed.",
+    help="Seed of the random parts of the scene.",
 )
 @click.option(
     "--sh",
@@ -78,25 +78,25 @@ MOST_SPLATS: Final = 20_000_000
     "--cameras",
     type=PATH,
     metavar="PATH",
-    help="Where its cameras go.  [default: OUT.cameras.json]",
+    help="File for the cameras.  [default: OUT.cameras.json]",
 )
 @click.option(
     "--walk",
     type=PATH,
     metavar="PATH",
-    help="With --rooms: where the cameras of a walk through all rooms go.  "
+    help="With --rooms: file for the cameras of a walk through all rooms.  "
     "[default: OUT.walk.json]",
 )
 @click.option(
     "--objects",
     is_flag=True,
-    help="Label three objects, 1 to 3, in the attribute 'object'; the rest is 0.",
+    help="Label three objects with 1 to 3 in the attribute 'object', all else with 0.",
 )
 @click.option(
     "--masks",
     type=PATH,
     metavar="DIR",
-    help="Draw which of the three each pixel of each camera shows, as PNGs into this folder.",
+    help="Folder for masks of the three objects, a PNG for each camera.",
 )
 @force_option
 @quiet_option
@@ -115,19 +115,19 @@ def synth(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Make a synthetic test scene, and its cameras.
+    """Make a synthetic test scene and its cameras.
 
-    Objects on a terrace, with gloss and clutter, seen from 48 cameras of its own. With --rooms, a
-    house: eight cameras in each room, and those of a visitor who walks through all of them. The
-    same options give the same bytes.
+    The scene has glossy objects and clutter on a terrace, and 48 cameras. With --rooms it is a
+    house with eight cameras in each room, and the cameras of a walk through all rooms. The same
+    options give the same bytes.
     """
     from cogsplat.tools.lab.synthetic import rooms as houses
     from cogsplat.tools.lab.synthetic import terrace as scenes
 
     if rooms is not None and (objects or masks is not None):
-        raise click.UsageError("--objects and --masks are of the scene without --rooms")
+        raise click.UsageError("--objects and --masks with --rooms, expected them without")
     if rooms is None and walk is not None:
-        raise click.UsageError("--walk is of a scene with --rooms")
+        raise click.UsageError("--walk without --rooms, expected both")
     splats = splats or (_SPLATS if rooms is None else min(rooms * SPLATS_PER_ROOM, MOST_SPLATS))
     cameras = cameras or out.with_suffix(".cameras.json")
     walked: list[Camera] = []
@@ -202,6 +202,7 @@ def _write_masks(
     *,
     force: bool,
 ) -> None:
+    """Write a mask of the objects for each camera."""
     from PIL import Image
 
     from cogsplat.tools.lab.synthetic.object_masks import synth_masks
@@ -212,4 +213,5 @@ def _write_masks(
 
 
 def _mask_path(folder: Path, camera: Camera) -> Path:
+    """Return the path of the mask of a camera."""
     return folder / f"{camera.name}.png"

@@ -1,4 +1,4 @@
-"""``cogsplat lab views``: cameras planned for a scene that has none."""
+"""``cogsplat lab views``: planned cameras for a scene without cameras."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from cogsplat.tools.workflow.inputs import input_files, read_any
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-# More would be scored for hours, and planning holds looks at six places for each.
+# Scoring more views takes hours; planning keeps six candidate poses per view in memory.
 _MOST_VIEWS: Final = 1024
 
 
@@ -56,7 +56,7 @@ _MOST_VIEWS: Final = 1024
     "--count",
     type=click.IntRange(1, _MOST_VIEWS),
     metavar="N",
-    help="Views; a few more may be added for what they leave out.  [default: 64]",
+    help="Number of views; a few more may cover what these miss.  [default: 64]",
 )
 @partial_option
 @limits_option
@@ -73,11 +73,10 @@ def views(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Plan views to score SCENE from where no cameras are given.
+    """Plan views to score a SCENE without cameras.
 
-    OUT.json is a cameras.json as INRIA's training writes it: edit it, and give it to other commands
-    with --cameras. OUT.png is a contact sheet, to see whether the views make sense. The same scene
-    gives the same views.
+    OUT.json is a cameras.json in INRIA's format, to edit and to pass to --cameras of other
+    commands. OUT.png is a contact sheet of the views. The same scene gives the same views.
     """
     from cogsplat.codec.views.planner import ViewPlanConfig, plan_views
 
@@ -121,6 +120,7 @@ def views(
 
 
 def _sheet(splats: Splats, cameras: Sequence[Camera], threads: int, progress: Progress) -> Image:
+    """Return a contact sheet of renders."""
     from cogsplat.codec.render.rasteriser import RenderConfig, render_views
 
     config = RenderConfig(
