@@ -1,4 +1,4 @@
-"""``cogsplat batch``: encode the scenes of a manifest, without those encoded before."""
+"""``cogsplat batch``: encode the scenes of a manifest that are new or changed."""
 
 from __future__ import annotations
 
@@ -211,14 +211,14 @@ def batch(
     }
     if as_json:
         report = {"manifest": display_name(manifest), "log": display_name(log), "counts": counts}
-        print_json({**report, "scenes": [_brief(line) for line in lines]})
+        print_json({**report, "scenes": [_without_report(line) for line in lines]})
     elif not quiet:
         print_error_line(", ".join(f"{count} {status}" for status, count in counts.items()))
     if counts["failed"]:
         click.get_current_context().exit(_SOME_FAILED)
 
 
-def _brief(line: Mapping[str, object]) -> dict[str, object]:
+def _without_report(line: Mapping[str, object]) -> dict[str, object]:
     """Return a log line with the size of the file in place of the whole report of its encode."""
     brief = {key: value for key, value in line.items() if key != "result"}
     result = line.get("result")

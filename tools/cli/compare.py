@@ -176,7 +176,7 @@ def compare(
                 },
                 **({} if own is None else {"by_object": [asdict(quality) for quality in own]}),
                 **({} if difference is None else {"difference": display_name(difference)}),
-                "seconds": stages.rounded(),
+                "seconds": stages.rounded_seconds(),
             }
         )
         return
@@ -198,7 +198,7 @@ def compare(
     if not quiet:
         print_line("")
         drawn = "" if difference is None else f"{difference}: A, B, difference x4 in the worst view"
-        print_facts(("drawn", drawn), ("time", stages.line()))
+        print_facts(("drawn", drawn), ("time", stages.summary()))
 
 
 def _side(path: Path, scene: LoadedScene) -> dict[str, object]:

@@ -168,7 +168,7 @@ def convert(
                 stages=stages,
             )
     if as_json:
-        print_json({**_report(done, source, out), "seconds": stages.rounded()})
+        print_json({**_report(done, source, out), "seconds": stages.rounded_seconds()})
     elif not quiet:
         _print_summary(done, out, stages)
 
@@ -304,5 +304,5 @@ def _print_summary(done: _Conversion, out: Path, stages: Stages) -> None:
         ("splats", count),
         ("segments", objects),
         ("SH degree", str(done.sh_degree)),
-        ("time", stages.line()),
+        ("time", stages.summary()),
     )

@@ -153,7 +153,7 @@ def decimate(
             priority = scores.contribution
         else:
             priority = antimatter(usable)
-        kept = _most(usable, priority, target)
+        kept = _keep_largest(usable, priority, target)
         written = write_any(
             kept,
             out,
@@ -172,7 +172,7 @@ def decimate(
                 "source_splats": len(given),
                 "kept_by": by,
                 "kept_share_of_contribution": _share(priority, target, by),
-                "seconds": stages.rounded(),
+                "seconds": stages.rounded_seconds(),
             }
         )
     elif not quiet:
@@ -181,11 +181,11 @@ def decimate(
         print_facts(
             ("splats", f"{written.splats:,} of {len(given):,}"),
             ("kept", "" if share is None else f"{share:.1%} of the contribution"),
-            ("time", stages.line()),
+            ("time", stages.summary()),
         )
 
 
-def _most(splats: Splats, priority: NDArray[np.float64], count: int) -> Splats:
+def _keep_largest(splats: Splats, priority: NDArray[np.float64], count: int) -> Splats:
     """Return the splats of highest priority in the order of the file."""
     if count == len(splats):
         return splats

@@ -191,23 +191,23 @@ def _report(
         "source_splats": scene.file_splats,
         "sh_degree": scene.splats.sh_degree,
         "chunks": len(scene.chunks),
-        "chunk_range": list(_span(scene.chunks)),
+        "chunk_range": list(_chunk_range(scene.chunks)),
         "source_chunks": scene.file_chunks,
         "source_bytes": scene.file_bytes,
         "bytes_read": scene.bytes_read,
         "chunks_without_tails": list(scene.without_tails),
         "chunks_unrefined": list(scene.unrefined),
-        "seconds": stages.rounded(),
+        "seconds": stages.rounded_seconds(),
     }
 
 
-def _span(chunks: Sequence[int]) -> tuple[int, int]:
+def _chunk_range(chunks: Sequence[int]) -> tuple[int, int]:
     """Return the half-open range of the chunks."""
     return (chunks[0], chunks[-1] + 1) if chunks else (0, 0)
 
 
 def _tell(scene: LoadedScene, decoded: int, out: Path, written: int, stages: Stages) -> None:
-    first, last = _span(scene.chunks)
+    first, last = _chunk_range(scene.chunks)
     print_line(f"{out}: {decoded:,} of {scene.file_splats:,} splats, {size_text(written)}")
     span = f"{first}:{last} of {scene.file_chunks}"
     if len(scene.chunks) < last - first:
@@ -217,5 +217,5 @@ def _tell(scene: LoadedScene, decoded: int, out: Path, written: int, stages: Sta
     print_facts(
         ("chunks", span),
         ("SH degree", str(scene.splats.sh_degree)),
-        ("time", stages.line()),
+        ("time", stages.summary()),
     )

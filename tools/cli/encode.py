@@ -335,7 +335,7 @@ class EncodeOptions:
         return list(input_files(self.scene, self.cameras, self.images, self.choice.masks))
 
     def require_consistent(self) -> None:
-        """Refuse options that contradict each other, and outputs that cannot be written.
+        """Refuse contradictory options and unwritable outputs.
 
         `EncodeConfig` and `EncodeRequest` refuse the rest.
         """
@@ -505,7 +505,7 @@ def _evaluation(options: EncodeOptions, splats: Splats) -> FileEvaluation | None
     """Return the evaluation of the new file, None if the file is not measured."""
     if not (len(splats) and options.measures):
         return None
-    return FileEvaluation.gather(
+    return FileEvaluation.prepare(
         options.scene,
         splats,
         options.cameras,
@@ -572,12 +572,12 @@ def _print_summary(new: _NewFile) -> None:
         ("codebooks", f"{', '.join(books)} rows" if books else ""),
         ("predicted", _predicted(made)),
         ("scored", _scored(made)),
-        ("time", stages.line()),
+        ("time", stages.summary()),
         ("report", str(options.report) if options.report else ""),
     )
     if new.evaluation is not None:
         print_byte_table(sizes, file)
-        new.evaluation.tell(new.qualities)
+        new.evaluation.print_results(new.qualities)
 
 
 def _require_one_aim(
@@ -649,6 +649,6 @@ def _report(
         "order": config.order,
         "quality_db": None if config.profile == "near-lossless" else round(made.quality_db, 3),
         "trials": made.trials,
-        "seconds": stages.rounded(),
-        "cpu_seconds": stages.cpu_rounded(),
+        "seconds": stages.rounded_seconds(),
+        "cpu_seconds": stages.rounded_cpu_seconds(),
     }

@@ -157,7 +157,7 @@ def filter_scene(
                     "invalid": invalid,
                     **{reason: int(rows.sum()) for reason, rows in marks.items()},
                 },
-                "seconds": stages.rounded(),
+                "seconds": stages.rounded_seconds(),
             }
         )
     elif not quiet:
@@ -166,7 +166,7 @@ def filter_scene(
             ("splats", f"{written.splats:,} of {len(given):,}"),
             ("invalid", count_text(invalid, "splat") if invalid else ""),
             ("left out", ", ".join(f"{rows.sum():,} by --{name}" for name, rows in marks.items())),
-            ("time", stages.line()),
+            ("time", stages.summary()),
         )
 
 

@@ -123,18 +123,18 @@ def info(
             assert scene is not None
             found = scene_statistics(scene.splats, stages)
             report["statistics"] = statistics_report(found)
-            report["seconds"] = stages.rounded()
+            report["seconds"] = stages.rounded_seconds()
             if not as_json:
                 print_statistics(found, scene.file_splats)
     if as_json:
         print_json(report)
     elif statistics and not quiet:
         print_line("")
-        print_facts(("time", stages.line()))
+        print_facts(("time", stages.summary()))
 
 
 def _cogs_info(path: Path, all_chunks: bool, as_json: bool) -> dict[str, object]:
-    """Return the contents of a COGS file as a JSON object; print them unless `as_json`."""
+    """Return the contents of a COGS file as a JSON object; also print text unless `as_json`."""
     with cogsplat.open(
         input_source(path), partial=partial_accepted(), limits=current_limits()
     ) as file:
@@ -160,7 +160,7 @@ def _cogs_info(path: Path, all_chunks: bool, as_json: bool) -> dict[str, object]
 
 
 def _scene_info(path: Path, scene: LoadedScene, as_json: bool) -> dict[str, object]:
-    """Return the contents of another scene as a JSON object; print them unless `as_json`."""
+    """Return the contents of a foreign scene as a JSON object; also print text unless `as_json`."""
     if not as_json:
         _print_scene(path, scene.splats, scene.file_bytes)
     return _scene_report(path, scene.splats, scene.file_bytes)
@@ -339,7 +339,7 @@ def _print_chunks(chunks: list[ChunkSizes], *, all_chunks: bool) -> None:
 
 
 def _ranges(splats: Splats) -> dict[str, tuple[float, float, int]]:
-    """Return minimum and maximum of each array's finite values, and the count of other values."""
+    """Return minimum and maximum of each array's finite values, and the count of the rest."""
     ranges: dict[str, tuple[float, float, int]] = {}
     for name in _ATTRIBUTES:
         values: NDArray[np.float32] = getattr(splats, name)

@@ -221,7 +221,7 @@ def layers(
                 "source_splats": len(splats),
                 "test_views": {"from": "given" if tests else "trained in", "count": len(judged)},
                 "levels": [{**sizes.report(), **figures.report()} for sizes, figures in found],
-                "seconds": stages.rounded(),
+                "seconds": stages.rounded_seconds(),
             }
         )
     elif not quiet:

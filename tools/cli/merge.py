@@ -166,7 +166,7 @@ def merge(
                     {"object": label, "source": display_name(path), "source_splats": count}
                     for label, (path, count) in enumerate(zip(sources, counts, strict=True), 1)
                 ],
-                "seconds": stages.rounded(),
+                "seconds": stages.rounded_seconds(),
             }
         )
     elif not quiet:
@@ -176,7 +176,7 @@ def merge(
                 (f"object {label}", f"{path}, {count_text(count, 'splat')}")
                 for label, (path, count) in enumerate(zip(sources, counts, strict=True), 1)
             ),
-            ("time", stages.line()),
+            ("time", stages.summary()),
         )
 
 

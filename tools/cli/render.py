@@ -135,7 +135,7 @@ def render(
                 "splats": len(scene.splats),
                 "source_splats": scene.file_splats,
                 "sh_degree": scene.splats.sh_degree,
-                "seconds": stages.rounded(),
+                "seconds": stages.rounded_seconds(),
             }
         )
     elif not quiet:
@@ -144,7 +144,7 @@ def render(
         print_facts(
             ("camera", camera.name or f"{index or 0}"),
             ("splats", f"{drawn}, SH degree {scene.splats.sh_degree}"),
-            ("time", stages.line()),
+            ("time", stages.summary()),
         )
 
 

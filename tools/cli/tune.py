@@ -1,4 +1,4 @@
-"""``cogsplat tune``: train fewer splats to match the pictures of a scene, and encode them."""
+"""``cogsplat tune``: train and encode fewer splats that match the pictures of a scene."""
 
 from __future__ import annotations
 
@@ -191,7 +191,7 @@ def tune(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Train fewer splats to match the pictures of SCENE, and encode them.
+    """Train and encode fewer splats that match the pictures of SCENE.
 
     Each round removes the splats that change the pictures least and trains the others to
     compensate. Then the rest trains through the encoder's quantisers. The reduction in size depends
@@ -355,8 +355,8 @@ def _report(
                 "predicted_psnr_db": round(mean, 3),
                 "predicted_worst_psnr_db": round(min(values), 3),
                 "test_views": {"from": whose, "count": len(values)},
-                "seconds": stages.rounded(),
-                "cpu_seconds": stages.cpu_rounded(),
+                "seconds": stages.rounded_seconds(),
+                "cpu_seconds": stages.rounded_cpu_seconds(),
             }
         )
     elif not quiet:
@@ -370,5 +370,5 @@ def _report(
                 f"{mean:.2f} dB, the mean of {len(values)} views {whose}; the worst "
                 f"{min(values):.2f} dB",
             ),
-            ("time", stages.line()),
+            ("time", stages.summary()),
         )

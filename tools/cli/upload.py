@@ -117,7 +117,7 @@ def upload(
                 "manifest_written": plan.manifest_changes,
                 "deleted": len(unused.names),
                 "deleted_bytes": unused.size_bytes,
-                "seconds": stages.rounded(),
+                "seconds": stages.rounded_seconds(),
             }
         )
     elif not quiet:

@@ -60,10 +60,10 @@ def warm(threads: int, quiet: bool, as_json: bool) -> None:
                 "kernels": len(kernels),
                 "kernels_compiled": ahead.total,
                 "kernel_folders": folders,
-                "seconds": stages.rounded(),
+                "seconds": stages.rounded_seconds(),
             }
         )
     elif not quiet:
         there = len(kernels) - ahead.total
         print_line(f"{count_text(ahead.total, 'kernel')} compiled, {there} were there already")
-        print_facts(("folders", ", ".join(folders)), ("time", stages.line()))
+        print_facts(("folders", ", ".join(folders)), ("time", stages.summary()))

@@ -82,7 +82,7 @@ class CommandLine(LazyGroup):
     ) -> click.Context:
         """Parse the group's own options; print failures."""
         as_json = "--json" in args
-        with _failures_reported(as_json):
+        with _report_failures(as_json):
             ctx = super().make_context(info_name, args, parent, **extra)
         ctx.meta[AS_JSON] = as_json
         return ctx
@@ -91,16 +91,16 @@ class CommandLine(LazyGroup):
         """Run a command; print failures."""
         as_json = bool(ctx.meta[AS_JSON])
         with (
-            _failures_reported(as_json, ctx),
-            _stoppable(),
-            _warnings_reported(ctx, as_json),
+            _report_failures(as_json, ctx),
+            _raise_on_signals(),
+            _report_warnings(ctx, as_json),
             standard_streams(ctx),
         ):
             return super().invoke(ctx)
 
 
 @contextmanager
-def _failures_reported(as_json: bool, group: click.Context | None = None) -> Iterator[None]:
+def _report_failures(as_json: bool, group: click.Context | None = None) -> Iterator[None]:
     """Print the error that the block raises and exit with its code.
 
     Parameters
@@ -217,7 +217,7 @@ def _print_error(code: str, message: str, exit_code: int, as_json: bool, hint: s
 
 
 @contextmanager
-def _stoppable() -> Iterator[None]:
+def _raise_on_signals() -> Iterator[None]:
     """Raise `KeyboardInterrupt` on signals that end a process, so that the block cleans up."""
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -237,7 +237,7 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 @contextmanager
-def _warnings_reported(ctx: click.Context, as_json: bool) -> Iterator[None]:
+def _report_warnings(ctx: click.Context, as_json: bool) -> Iterator[None]:
     """Print each `CogsplatWarning` of the block once, or keep it for the JSON object."""
     texts: list[str] = []
     ctx.meta[WARNINGS] = texts

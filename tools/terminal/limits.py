@@ -27,7 +27,7 @@ def limits_option(command: Command) -> Command:
     """Add ``--limits``, whose value `current_limits` returns."""
     return click.option(
         "--limits",
-        callback=_keep,
+        callback=_store,
         expose_value=False,
         metavar="NAME=N,…",
         help="Limits on what is read: memory=2GiB, splats=10M, cameras=100k, and expansion=256 "
@@ -43,7 +43,7 @@ def current_limits() -> Limits:
 
 
 def limits_of(text: str) -> Limits:
-    """Parse limits such as ``memory=2GiB,splats=10M``; other limits keep their defaults.
+    """Parse limits such as ``memory=2GiB,splats=10M``; unnamed limits keep their defaults.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def limits_of(text: str) -> Limits:
     return limits
 
 
-def _keep(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
+def _store(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
     """Store the parsed limits with the running command."""
     if value is not None:
         context.meta[_KEY] = limits_of(value)

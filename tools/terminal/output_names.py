@@ -46,7 +46,7 @@ def format_option(names: Sequence[str], without: str) -> Callable[[Command], Com
 
 
 def scene_format(path: Path, format_name: str | None) -> Format:
-    """Return the format to write, other than COGS: by `format_name`, else by the extension.
+    """Return the foreign format to write, by `format_name` or else by the extension.
 
     Raises
     ------

@@ -17,7 +17,7 @@ def partial_option(command: Command) -> Command:
     return click.option(
         "--partial",
         is_flag=True,
-        callback=_keep,
+        callback=_store,
         expose_value=False,
         help="Accept a COGS file of which only the first bytes are there, and read its complete "
         "chunks.",
@@ -30,6 +30,6 @@ def partial_accepted() -> bool:
     return bool(context and context.meta.get(_KEY))
 
 
-def _keep(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+def _store(context: click.Context, parameter: click.Parameter, value: bool) -> None:
     """Store the flag with the running command."""
     context.meta[_KEY] = value

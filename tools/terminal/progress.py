@@ -141,16 +141,16 @@ class Stages(TimedProgress):
         """Seconds of all stages together."""
         return sum(self.seconds.values())
 
-    def line(self) -> str:
+    def summary(self) -> str:
         """Return the total seconds as text, and the seconds of each stage above 0.05 s."""
         parts = [f"{name} {spent:.1f}" for name, spent in self.seconds.items() if spent >= 0.05]
         return f"{self.total_seconds:.1f} s" + (f": {', '.join(parts)}" if parts else "")
 
-    def rounded(self) -> dict[str, float]:
+    def rounded_seconds(self) -> dict[str, float]:
         """Return the seconds of each stage, rounded to milliseconds, for JSON output."""
         return _rounded(self.seconds)
 
-    def cpu_rounded(self) -> dict[str, float]:
+    def rounded_cpu_seconds(self) -> dict[str, float]:
         """Return the processor seconds of each stage, rounded to milliseconds."""
         return _rounded(self.cpu_seconds)
 

@@ -68,7 +68,7 @@ class InputPath(click.Path):
             return streams.fetch(str(value), later=self._by_ranges, quiet=quiet)
         if os.fspath(value) != STREAM or streams is None:
             return Path(os.fsdecode(super().convert(value, param, ctx)))
-        return streams.receive()
+        return streams.read_input()
 
 
 class NamedPath(click.Path):
@@ -132,12 +132,12 @@ class OutputPath(click.Path):
                     param,
                     ctx,
                 )
-            return streams.promise_object(str(value), force=bool(ctx.params.get("force")))
+            return streams.object_file(str(value), force=bool(ctx.params.get("force")))
         if os.fspath(value) != STREAM or streams is None or ctx is None:
             return Path(os.fsdecode(super().convert(value, param, ctx)))
         if ctx.meta.get(AS_JSON):
             raise click.UsageError("--json and a result on standard output, expected one of them")
-        return streams.promise(self._suffix)
+        return streams.output_file(self._suffix)
 
 
 INPUT: Final = InputPath()
@@ -171,7 +171,7 @@ class StandardStreams:
         self._held = ""
         self._ended = False
 
-    def receive(self) -> Path:
+    def read_input(self) -> Path:
         """Read standard input to its end; return the path of the file that holds it.
 
         Raises
@@ -184,7 +184,7 @@ class StandardStreams:
         if sys.stdin is None or sys.stdin.isatty():
             raise click.UsageError("standard input is a terminal, expected a file or a pipe")
         self._input = self._folder / "input"
-        self.call(self._input, _INPUT)
+        self.set_name(self._input, _INPUT)
         with self._input.open("wb") as file:
             shutil.copyfileobj(sys.stdin.buffer, file)
         return self._input
@@ -209,7 +209,7 @@ class StandardStreams:
         self._urls[path] = url
         if quiet:
             self._quiet.add(path)
-        return path if later else self.fetched(path)
+        return path if later else self.fetch_if_url(path)
 
     def _path_for(self, url: str, folder: str) -> Path:
         """Return the path of a file in a new folder, named like the file of a URL."""
@@ -217,21 +217,21 @@ class StandardStreams:
         name = PurePosixPath(urlsplit(url).path).name or "scene"
         (self._folder / folder).mkdir()
         path = self._folder / folder / name[-_LONGEST_NAME:]
-        self.call(path, redacted(url))
+        self.set_name(path, redacted(url))
         return path
 
-    def fetched(self, path: Path) -> Path:
+    def fetch_if_url(self, path: Path) -> Path:
         """Return a path after fetching its file, if it is the file of a URL."""
         if path in self._urls and not path.exists():
             with Stages(shown=path not in self._quiet) as stages:
                 download(self._urls[path], path, progress=stages)
         return path
 
-    def url_of(self, path: Path) -> str | None:
-        """Return the URL of a path that is not fetched yet; None for any other path."""
+    def unfetched_url(self, path: Path) -> str | None:
+        """Return the URL of a path that is not fetched yet, else None."""
         return None if path.exists() else self._urls.get(path)
 
-    def promise(self, suffix: str) -> Path:
+    def output_file(self, suffix: str) -> Path:
         """Return the path of the temporary file that is copied to standard output.
 
         Raises
@@ -244,10 +244,10 @@ class StandardStreams:
         if sys.stdout is None or sys.stdout.isatty():
             raise click.UsageError("standard output is a terminal, expected a file or a pipe")
         self._output = self._folder / f"output{suffix}"
-        self.call(self._output, _OUTPUT)
+        self.set_name(self._output, _OUTPUT)
         return self._output
 
-    def promise_object(self, url: str, *, force: bool) -> Path:
+    def object_file(self, url: str, *, force: bool) -> Path:
         """Return the path of the temporary file that is uploaded to an object store.
 
         Parameters
@@ -311,15 +311,15 @@ class StandardStreams:
             return True
         return False
 
-    def end(self) -> None:
+    def release(self) -> None:
         """Print later lines at once, such as the error of a failed command."""
         self._ended = True
 
-    def call(self, path: Path, name: str) -> None:
+    def set_name(self, path: Path, name: str) -> None:
         """Set the name that printed texts use for a temporary file."""
         self._names[os.fspath(path)] = name
 
-    def named(self, text: str) -> str:
+    def with_names(self, text: str) -> str:
         """Return a text with the paths of temporary files replaced by their names."""
         for path, name in self._names.items():
             text = text.replace(path, name)
@@ -335,7 +335,7 @@ def standard_streams(ctx: click.Context) -> Iterator[None]:
             yield
             streams.send()
         finally:
-            streams.end()
+            streams.release()
 
 
 def is_standard_output(path: Path) -> bool:
@@ -351,9 +351,9 @@ def is_output_reserved() -> bool:
 
 
 def unfetched_url(path: Path) -> str | None:
-    """Return the URL of a path that is not fetched yet; None for any other path."""
+    """Return the URL of a path that is not fetched yet, else None."""
     streams = _streams(click.get_current_context(silent=True))
-    return None if streams is None else streams.url_of(path)
+    return None if streams is None else streams.unfetched_url(path)
 
 
 def fetch_if_url(path: Path) -> Path:
@@ -365,7 +365,7 @@ def fetch_if_url(path: Path) -> Path:
         The URL cannot be fetched.
     """
     streams = _streams(click.get_current_context(silent=True))
-    return path if streams is None else streams.fetched(path)
+    return path if streams is None else streams.fetch_if_url(path)
 
 
 def hold_back(line: str) -> bool:
@@ -394,13 +394,13 @@ def set_display_name(path: Path, name: str) -> None:
     """
     streams = _streams(click.get_current_context(silent=True))
     if streams is not None:
-        streams.call(path, name)
+        streams.set_name(path, name)
 
 
 def with_display_names(text: str) -> str:
     """Return a text with paths of the running command's temporary files replaced by names."""
     streams = _streams(click.get_current_context(silent=True))
-    return text if streams is None else streams.named(text)
+    return text if streams is None else streams.with_names(text)
 
 
 def _streams(ctx: click.Context | None) -> StandardStreams | None:

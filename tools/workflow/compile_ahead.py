@@ -73,7 +73,7 @@ class CompileAhead:
             feeder.join()
 
     def finish(self, progress: Progress = silent) -> None:
-        """Compile along with the other processes until all kernels are compiled.
+        """Compile in this process as well until all kernels are compiled.
 
         Parameters
         ----------

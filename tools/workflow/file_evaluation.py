@@ -70,7 +70,7 @@ class FileEvaluation:
     photos: Photos | None
 
     @classmethod
-    def gather(
+    def prepare(
         cls,
         scene: Path,
         source: Splats,
@@ -140,7 +140,7 @@ class FileEvaluation:
             settings=settings,
         )
 
-    def tell(self, found: Sequence[PrefixQuality]) -> None:
+    def print_results(self, found: Sequence[PrefixQuality]) -> None:
         """Print the measured PSNR and SSIM of each prefix."""
         columns = ["bytes", "", "splats", "PSNR dB", "SSIM", "worst", "roam"]
         rows = [
@@ -184,11 +184,13 @@ def settings_of(context: click.Context, views: int, seconds: float) -> list[tupl
         value = context.params.get(name)
         if name in _SETTINGS and value is not None and value is not False:
             default = context.get_parameter_source(name) is click.core.ParameterSource.DEFAULT
-            settings.append((option.opts[0], f"{_plain(value)}{' (default)' if default else ''}"))
+            settings.append(
+                (option.opts[0], f"{_value_text(value)}{' (default)' if default else ''}")
+            )
     return [*settings, ("views scored", str(views)), ("seconds", f"{seconds:.1f}")]
 
 
-def _plain(value: object) -> str:
+def _value_text(value: object) -> str:
     """Return the value of an option as text."""
     if isinstance(value, ByteCount):
         return (

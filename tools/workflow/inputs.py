@@ -288,7 +288,7 @@ def decode_part_with(decode: Decode, path: Path, part: Selection) -> LoadedScene
 
 
 def input_files(scene: Path, *others: Path | None) -> Iterator[Path]:
-    """Yield the files that a command reads; its outputs must be other files.
+    """Yield the files that a command reads and must not overwrite.
 
     Parameters
     ----------
@@ -425,7 +425,7 @@ def evaluation_cameras(
     threads: int = 0,
     progress: Progress = silent,
 ) -> tuple[Sequence[Camera], str]:
-    """Return the test views and a description of them.
+    """Return the test views and their description for output.
 
     Parameters
     ----------

@@ -86,10 +86,10 @@ class SceneEdits:
         if self.crop is not None:
             splats = _cropped(splats, self.crop, where)
         if self.moves:
-            splats = self._transformed(splats, where)
+            splats = self._transform(splats, where)
         return splats
 
-    def _transformed(self, splats: Splats, where: Path) -> Splats:
+    def _transform(self, splats: Splats, where: Path) -> Splats:
         """Return the scaled, rotated and translated scene."""
         turn = None if self.rotate == _STILL else self.rotation
         moved = transform(splats, self.scale, turn, self.translate)

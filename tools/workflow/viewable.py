@@ -1,4 +1,4 @@
-"""COGS and PLY files for the viewer, converted from scenes of other formats where needed."""
+"""COGS and PLY files for the viewer, converted from foreign formats where needed."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def drawable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
 
 @contextmanager
 def _whole_cogs(scene: Path) -> Iterator[Viewable | None]:
-    """Provide a complete COGS file, or a COGS folder packed into a file; None for other scenes."""
+    """Provide a complete COGS file, or a COGS folder packed into a file, else None."""
     if not is_cogs(scene):
         yield None
         return

@@ -55,9 +55,9 @@ def test_seconds_add_up_to_the_whole(clock: list[float]) -> None:
         stages("score", 2, 2)
         clock[0] += 0.01
         stages("write", 1, 1)
-    assert stages.rounded() == {"read": 1.0, "score": 5.0, "write": 0.01}
+    assert stages.rounded_seconds() == {"read": 1.0, "score": 5.0, "write": 0.01}
     assert stages.total_seconds == pytest.approx(6.01)
-    assert stages.line() == "6.0 s: read 1.0, score 5.0"
+    assert stages.summary() == "6.0 s: read 1.0, score 5.0"
     assert stages.totals == {"read": 1, "score": 2, "write": 1}
 
 

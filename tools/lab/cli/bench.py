@@ -1,4 +1,4 @@
-"""``cogsplat lab bench``: size, quality and speed of COGS profiles and other formats on a scene."""
+"""``cogsplat lab bench``: size, quality and speed of COGS and foreign formats on a scene."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def profile_names(text: str) -> tuple[str, ...]:
 
 
 def format_names(text: str) -> tuple[str, ...]:
-    """Parse the names of other formats given to ``--formats``.
+    """Parse the names of foreign formats given to ``--formats``.
 
     Raises
     ------
@@ -201,7 +201,7 @@ def bench(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Compare COGS profiles with other formats on SCENE.
+    """Compare COGS profiles with foreign formats on SCENE.
 
     SCENE is written in each format, read back and compared with renders of SCENE in the same views.
     Durations are of one run; those of COGS include scoring. Bytes per splat are per splat of
@@ -261,7 +261,7 @@ def bench(
         _write_pages(out, pages, force=force)
     if as_json:
         report = _ablation_report(found, about) if ablation else _bench_report(measured, about)
-        seconds = {"seconds": stages.rounded(), "cpu_seconds": stages.cpu_rounded()}
+        seconds = {"seconds": stages.rounded_seconds(), "cpu_seconds": stages.rounded_cpu_seconds()}
         print_json({**report, **seconds})
         return
     _print_about(scene, given, what)
@@ -275,7 +275,7 @@ def bench(
         print_line("")
         print_facts(
             ("written", f"{', '.join(pages)} in {out}" if out is not None else ""),
-            ("time", stages.line()),
+            ("time", stages.summary()),
         )
 
 

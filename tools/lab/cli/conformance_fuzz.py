@@ -105,7 +105,7 @@ def fuzz(
             with atomic_write(keep / f"{seed}-{case.number}.cogs", force=True) as file:
                 file.write(case.mutant.data)
     if as_json:
-        print_json({**_json(report), "seconds": stages.rounded()})
+        print_json({**_json(report), "seconds": stages.rounded_seconds()})
     else:
         _print_summary(report, quiet=quiet)
     if report.disagreements:

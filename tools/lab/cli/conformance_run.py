@@ -46,7 +46,7 @@ def run(decoder: str, vectors: Path | None, timeout: float, quiet: bool, as_json
     with Stages(shown=not (quiet or as_json)) as stages:
         report = run_vectors(shlex.split(decoder), folder, timeout_s=timeout, progress=stages)
     if as_json:
-        print_json({**_json(report), "seconds": stages.rounded()})
+        print_json({**_json(report), "seconds": stages.rounded_seconds()})
     else:
         _print_summary(report, quiet=quiet)
     if report.failures:

@@ -99,8 +99,8 @@ def demo(out: Path, splats: int, threads: int, force: bool, quiet: bool, as_json
                     }
                     for prefix in made.prefixes
                 ],
-                "seconds": stages.rounded(),
-                "cpu_seconds": stages.cpu_rounded(),
+                "seconds": stages.rounded_seconds(),
+                "cpu_seconds": stages.rounded_cpu_seconds(),
             }
         )
         return
@@ -131,5 +131,5 @@ def demo(out: Path, splats: int, threads: int, force: bool, quiet: bool, as_json
         ("encoded", display_name(files.cogs)),
         ("decoded", display_name(files.decoded)),
         ("film-strip", display_name(files.strip)),
-        ("time", stages.line()),
+        ("time", stages.summary()),
     )

@@ -384,14 +384,14 @@ def evaluate(
         if out is not None:
             _write(out, pages, given, strips, force=force, stages=stages)
     if as_json:
-        print_json({**report(given, points, by, of_objects), "seconds": stages.rounded()})
+        print_json({**report(given, points, by, of_objects), "seconds": stages.rounded_seconds()})
         return
     tell(given, points, by, of_objects)
     if not quiet:
         print_line("")
         drawn = [page for kind in by if strips[kind] for page in (STRIPS[kind], DIFFERENCES[kind])]
         written = f"{', '.join([*pages, *drawn])} in {out}"
-        print_facts(("written", written if out is not None else ""), ("time", stages.line()))
+        print_facts(("written", written if out is not None else ""), ("time", stages.summary()))
 
 
 def _size_of(path: Path) -> int:

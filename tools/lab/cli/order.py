@@ -165,7 +165,7 @@ def order(
                     {"object": label, "splats": count, "share_of_contribution": round(share, 6)}
                     for label, count, share in held
                 ],
-                "seconds": stages.rounded(),
+                "seconds": stages.rounded_seconds(),
             }
         )
     elif not quiet:
@@ -174,7 +174,7 @@ def order(
         seen = (
             f"{stages.totals['score']}{jittered}" if scored else "none: this order needs no scores"
         )
-        print_facts(("views", seen), ("time", stages.line()))
+        print_facts(("views", seen), ("time", stages.summary()))
         if held:
             print_line("")
             cells = [(f"{label}", f"{count:,}", f"{share:.1%}") for label, count, share in held]

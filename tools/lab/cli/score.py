@@ -106,7 +106,7 @@ def score(
                 "scored_views": stages.totals["score"],
                 "contribution": float(scores.contribution.sum()),
                 "share_of_splats_holding": {f"{goal:g}": s for goal, s in shares.items()},
-                "seconds": stages.rounded(),
+                "seconds": stages.rounded_seconds(),
             }
         )
     elif not quiet:
@@ -118,7 +118,7 @@ def score(
             ("views", f"{stages.totals['score']}" + ("" if no_jitter else ", jittered included")),
             ("unseen", count_text(unseen, "splat")),
             ("of all", f"{', '.join(held)} of the splats"),
-            ("time", stages.line()),
+            ("time", stages.summary()),
         )
 
 

@@ -351,7 +351,7 @@ def simulate(
                     }
                     for name in chosen
                 ],
-                "seconds": stages.rounded(),
+                "seconds": stages.rounded_seconds(),
             }
         )
         return
@@ -382,7 +382,7 @@ def simulate(
     print_facts(
         ("file", f"{simulation.chunks} chunks"),
         ("known", f"contributions of each chunk to {simulation.known_views} views"),
-        ("time", stages.line()),
+        ("time", stages.summary()),
     )
 
 

@@ -177,7 +177,7 @@ def synth(
                 "walk_poses": len(walked),
                 "objects": list(scenes.OBJECTS) if objects else [],
                 "masks": None if masks is None else display_name(masks),
-                "seconds": stages.rounded(),
+                "seconds": stages.rounded_seconds(),
             }
         )
     elif not quiet:
@@ -190,7 +190,7 @@ def synth(
             ("walk", f"{walk}, {len(walked)} poses" if walk else ""),
             ("objects", ", ".join(named) if objects else ""),
             ("masks", str(masks) if masks else ""),
-            ("time", stages.line()),
+            ("time", stages.summary()),
         )
 
 

@@ -110,13 +110,13 @@ def views(
                 "width": config.width,
                 "height": config.height,
                 "splats": len(splats),
-                "seconds": stages.rounded(),
+                "seconds": stages.rounded_seconds(),
             }
         )
     elif not quiet:
         what = "a contact sheet of " if kind == ".png" else ""
         print_line(f"{out}: {what}{count_text(len(cameras), 'view')}, {size_text(written)}")
-        print_facts(("size", f"{config.width}x{config.height} px"), ("time", stages.line()))
+        print_facts(("size", f"{config.width}x{config.height} px"), ("time", stages.summary()))
 
 
 def _sheet(splats: Splats, cameras: Sequence[Camera], threads: int, progress: Progress) -> Image:
