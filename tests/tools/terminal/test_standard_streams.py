@@ -161,9 +161,9 @@ def test_terminals_are_no_streams(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
     monkeypatch.setattr(sys, "stdout", Terminal())
     streams = StandardStreams(tmp_path)
     with pytest.raises(click.UsageError, match="standard input is a terminal"):
-        streams.receive()
+        streams.read_input()
     with pytest.raises(click.UsageError, match="standard output is a terminal"):
-        streams.promise(".ply")
+        streams.output_file(".ply")
     assert not streams.is_output_taken
 
 
