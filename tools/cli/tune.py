@@ -191,7 +191,7 @@ def tune(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Train and encode fewer splats that match the pictures of SCENE.
+    """Train fewer splats to match the pictures of SCENE.
 
     Each round removes the splats that change the pictures least and trains the others to
     compensate. Then the rest trains through the encoder's quantisers. The reduction in size depends

@@ -274,7 +274,7 @@ class StandardStreams:
         return path
 
     @property
-    def is_output_taken(self) -> bool:
+    def is_output_reserved(self) -> bool:
         """Whether standard output is reserved for a file."""
         return self._output is not None
 
@@ -347,7 +347,7 @@ def is_standard_output(path: Path) -> bool:
 def is_output_reserved() -> bool:
     """Whether the running command sends a file to standard output."""
     streams = _streams(click.get_current_context(silent=True))
-    return streams is not None and streams.is_output_taken
+    return streams is not None and streams.is_output_reserved
 
 
 def unfetched_url(path: Path) -> str | None:

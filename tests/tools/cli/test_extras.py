@@ -194,4 +194,4 @@ def test_commands_that_write_leave_them_out_on_demand(
         assert not file.root.attributes
     told = run("merge", source, source, tmp_path / "merged.cogs", "--no-extras")
     assert told.code == 2
-    assert "expected the labels of objects" in told.err
+    assert "expected object labels" in told.err

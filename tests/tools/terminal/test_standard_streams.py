@@ -164,7 +164,7 @@ def test_terminals_are_no_streams(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
         streams.read_input()
     with pytest.raises(click.UsageError, match="standard output is a terminal"):
         streams.output_file(".ply")
-    assert not streams.is_output_taken
+    assert not streams.is_output_reserved
 
 
 def test_a_scene_arrives_bit_for_bit(small: SmallScene, tmp_path: Path) -> None:
