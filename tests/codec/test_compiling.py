@@ -1,4 +1,4 @@
-"""Declared kernels: what is declared is what numba compiles, and where it keeps the code."""
+"""Declared kernels: numba compiles the declared types and caches the code on disk."""
 
 import subprocess
 import sys
@@ -44,7 +44,7 @@ def test_a_kernel_is_compiled_with_its_types_and_cached(module):
     assert list(kernel.folder.glob("*.nbc"))
     before = len(kernel.function.signatures)
     assert kernel.function(2, np.ones(3, np.float32)) == 6.0
-    # The call found it compiled.
+    # The call used the compiled code.
     assert len(kernel.function.signatures) == before == 1
 
 

@@ -1,4 +1,4 @@
-"""Errors keep what they say wherever they travel."""
+"""Errors keep code and message when pickled or printed."""
 
 import pickle
 

@@ -1,4 +1,4 @@
-"""The executor of this process: results in order, whatever the number of threads."""
+"""Executor of this process: results in order for any number of threads."""
 
 import threading
 

@@ -1,4 +1,4 @@
-"""Spaces and orders of arrays as trainers have them."""
+"""Spaces and orders of trained arrays."""
 
 import numpy as np
 import pytest

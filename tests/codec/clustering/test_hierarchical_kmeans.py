@@ -8,7 +8,7 @@ from cogsplat.codec.clustering.hierarchical_kmeans import train_palette
 
 
 def grouped(count: int, dimensions: int) -> np.ndarray:
-    """Return vectors around centres of falling weight, as SH coefficients lie."""
+    """Return vectors around centres of falling weight, distributed like SH coefficients."""
     rng = np.random.default_rng(count)
     centres = rng.standard_normal((200, dimensions))
     near = centres[(rng.random(count) ** 2 * 200).astype(int)]

@@ -151,7 +151,7 @@ def test_training_goes_on_from_a_codebook():
     )
     assert error <= of_start * (1 + 1e-6)
     assert error < of_new
-    # Each row is one of before, moved a little.
+    # Each row is a slightly moved row of the start codebook.
     assert np.sqrt(brute(further, start)[0].min(axis=1)).max() < 0.2
 
 
@@ -189,7 +189,7 @@ def test_the_nearest_row_is_brute_forces(n, count, d, seed):
     distances, expected = brute(vectors, rows)
     chosen = distances[np.arange(n), indices]
     np.testing.assert_allclose(errors, chosen, rtol=1e-12)
-    # float32 may take the other one of two that are equal to seven digits.
+    # float32 may choose either of two rows whose distances agree to seven digits.
     slack = 1e-5 * (1 + np.square(vectors).sum(axis=1) + np.square(rows).sum(axis=1).max())
     assert (chosen <= distances[np.arange(n), expected] + slack).all()
     if n:

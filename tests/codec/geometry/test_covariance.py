@@ -145,7 +145,7 @@ def test_principal_axes_turn_variances_into_the_covariance():
 
 
 def test_indefinite_matrices_still_give_shapes():
-    # Means of many, rounded: slightly negative eigenvalues, a trace off one, nothing at all.
+    # Rounded means of many vectors: slightly negative eigenvalues, a trace off one, zeros.
     rows = np.array(
         [[1, 0, 0, 0, 0, 0.01], [0.5, 0.5, -1e-4, 0, 0, 0], [0.3, 0.3, 0.3, 0, 0, 0], [0] * 6],
         np.float32,

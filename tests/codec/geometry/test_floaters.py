@@ -1,4 +1,4 @@
-"""floaters: distances against brute force, and both conditions."""
+"""Floaters: distances against brute force, and both conditions."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""merge: every splat stays where its own frame places it in the world."""
+"""Merging: every splat keeps its world position."""
 
 from dataclasses import replace
 

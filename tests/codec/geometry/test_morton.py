@@ -1,4 +1,4 @@
-"""Morton codes: bits of three coordinates in turn, and the order they give."""
+"""Morton codes: interleaved bits of three coordinates, and the spatial order."""
 
 import numpy as np
 import pytest

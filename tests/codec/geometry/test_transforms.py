@@ -163,7 +163,7 @@ def test_picture_of_a_transformed_scene(scale: float, seed: int) -> None:
     splats, camera = oracle.scene(seed, n=150), oracle.camera(angle=seed)
     rotation = Rotation.random(random_state=seed).as_matrix()
     how = (scale, rotation, (1.0, -2.0, 0.5))
-    # The kernel of 0.3 px and the depth of the near plane do not matter here: nothing is closer.
+    # The kernel of 0.3 px and the near plane have no effect here: nothing is closer.
     seen = render(transform(splats, *how), transform_camera(camera, *how))
     assert_same_picture(seen, render(splats, camera))
 
@@ -254,7 +254,7 @@ def test_normals_turn_with_the_scene():
     np.testing.assert_array_equal(mirrored["nx"], extras["nx"])
     np.testing.assert_array_equal(mirrored["ny"], -extras["ny"])
     np.testing.assert_array_equal(mirrored["nz"], -extras["nz"])
-    # Labels that happen to be called so are no vectors.
+    # Integer attributes with these names are labels, not normals.
     whole = {name: np.arange(20, dtype=np.int32) for name in names}
     kept = transform(replace(splats, extras=whole), 1.0, turn).extras
     np.testing.assert_array_equal(kept["nx"], whole["nx"])

@@ -42,7 +42,7 @@ def test_chunks_cover_all_rows_once_within_their_limit(splats, largest):
         assert found[: len(growing)] == growing or found[: len(growing) - 1] == growing[:-1]
         assert not even or max(even) - min(even) <= 1
     else:
-        # Only the last is not as planned: a short rest, or one that took the rest in.
+        # Only the last chunk may deviate: it is shorter, or includes a short rest.
         assert found[:-1] == growing[: max(len(found) - 1, 0)]
 
 

@@ -7,7 +7,7 @@ from cogsplat.codec.order import first_view
 
 
 def greedy(rows, inside, share):
-    """Take rows as they come; who is outside waits until the share holds with them."""
+    """Return rows in order, delaying rows outside until the share holds with them."""
     within = [row for row in rows if inside[row]]
     without = [row for row in rows if not inside[row]]
     place = {row: at for at, row in enumerate(rows)}
@@ -67,7 +67,7 @@ def test_both_orders_have_their_part_of_any_beginning(count, share, mix, random)
     assert sorted(found) == list(range(count))
     first = ahead[: int(np.ceil(share * count))]
     for length in range(count + 1):
-        # Places may tie: one row less of either.
+        # Ranks may tie: one row fewer of either order.
         own = first[: max(0, int(mix * length + 1e-9) - 1)]
         others = rows[: max(0, int((1 - mix) * length + 1e-9) - 1)]
         assert {*own, *others} <= set(found[:length])

@@ -32,7 +32,7 @@ def scene():
 
 @pytest.fixture(scope="module")
 def several_chunks():
-    """Return a scene of so many chunks that runs of them are sorted."""
+    """Return a scene with enough chunks for sorted runs."""
     splats = oracle.scene(5, n=2000)
     cameras = [oracle.camera(angle=angle) for angle in (0, 30)]
     return splats, cameras, score(splats, cameras, ScoreConfig(jitter=False))
@@ -81,12 +81,12 @@ def test_behind_the_share_that_is_ordered_by_gain_splats_come_by_contribution(sc
 
 def test_duplicates_are_ordered_late(scene):
     splats, cameras, _ = scene
-    # Twice the same scene: by contribution every splat stands beside its copy.
+    # The scene twice: by contribution every splat is next to its copy.
     pairs = concatenate([splats, splats])
     scores = score(pairs, cameras, ScoreConfig(jitter=False))
     rows = gain_order(pairs, scores, cameras, GainConfig(inflated=False, jitter=False))
     first = rows[:120] % len(splats)
-    # In pairs there would be 60; by the seed of the random parts there are 80 to 92.
+    # With pairs kept together it would be 60; depending on the seed it is 80 to 92.
     assert len(np.unique(first)) > 75
 
 

@@ -5,7 +5,7 @@ from cogsplat.codec.order import octree
 
 
 def split(means, rows, low, high, depth):
-    """Put rows into leaves by halving the box, one octant at a time."""
+    """Assign rows to leaves by halving the box recursively, octant by octant."""
     if depth == 0:
         return [rows]
     middle = [(a + b) / 2 for a, b in zip(low, high, strict=True)]
@@ -92,7 +92,7 @@ def test_flat_scenes_single_splats_and_lost_means_have_leaves():
 
 
 def split_by_capacity(points, rows, low, high, capacity):
-    """Halve boxes with more than `capacity` points, and only those."""
+    """Assign rows to leaves by halving boxes with more than `capacity` points."""
     if len(rows) <= capacity:
         return [rows] if rows else []
     middle = (low + high) / 2

@@ -1,4 +1,4 @@
-"""Sorted Morton differences against the other way to code a point cloud: octree occupancy."""
+"""Size of sorted Morton differences against octree occupancy coding of a point cloud."""
 
 import math
 
@@ -11,7 +11,7 @@ from cogsplat.codec.streams import records
 from cogsplat.codec.streams.grid import fit
 from cogsplat.tools.lab.synthetic.terrace import synth
 
-# Adaptive counts start at this: small alphabets in use are learnt fast.
+# Initial adaptive count: a small value learns small alphabets fast.
 START = 0.05
 
 

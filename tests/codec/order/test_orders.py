@@ -26,7 +26,7 @@ def scored(contribution, seed=1):
     return OrderInputs(oracle.scene(seed, n=len(contribution), degree=0), scores)
 
 
-# Of few splats a frustum may hold all.
+# A frustum may hold all of a few splats.
 @pytest.mark.filterwarnings("ignore:.*changes nothing")
 @pytest.mark.parametrize("rule", ["", *POSE_RULES])
 @pytest.mark.parametrize("name", ORDERS)
@@ -34,7 +34,7 @@ def scored(contribution, seed=1):
 def test_every_order_is_a_permutation_and_repeatable(name, rule, n):
     scene = scored(np.random.default_rng(2).integers(0, 40, n))
     if n in (1, 2):
-        # The one that is looked at, or its view shows nothing.
+        # The camera must look at this splat, or its view shows nothing.
         means = np.zeros_like(scene.splats.means)
         scene = replace(scene, splats=replace(scene.splats, means=means))
     config = OrderConfig(first_view=oracle.camera(width=24, height=20))

@@ -1,4 +1,4 @@
-"""Cells in layers: splats once each, chunks of a size, each in its cell, behind its parent."""
+"""Nested cells: each splat once, bounded chunk sizes, chunks within cells and after parents."""
 
 import numpy as np
 import pytest

@@ -25,9 +25,9 @@ def test_ten_decibels_are_a_tenth_of_lambda_below_the_coarsest_steps():
 
 @pytest.mark.parametrize("quality_db", [22.0, 36.0, 50.0])
 def test_a_scene_quantised_at_the_slope_has_the_nominal_error(quality_db):
-    # N splats that each take up one share: their uniform errors, Δ²/12 times energy, add up to it.
-    # Many are so faint that their steps are the coarsest, and some have finer steps than their mean
-    # energy asks for, because one view shows them best.
+    # The uniform errors of N splats, Δ²/12 times energy, add up to the nominal error.
+    # Many splats are so faint that their steps are the coarsest. Some have finer steps than their
+    # mean energy gives, because one view shows them best.
     rng = np.random.default_rng(1)
     energy = rng.lognormal(-12, 3, 5000)
     largest = energy * rng.lognormal(3, 1, 5000)

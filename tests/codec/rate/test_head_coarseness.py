@@ -5,7 +5,7 @@ from cogsplat.codec.rate.head_coarseness import FINE, head_coarseness
 from cogsplat.codec.streams.refinement_digits import MAX_RADIX
 
 RUNS = [slice(0, 100), slice(100, 400), slice(400, 1000)]
-# As an order by contribution has it: the first chunks hold most of it.
+# Contribution in the order by contribution: the first chunks hold most of it.
 CONTRIBUTION = np.sort(np.random.default_rng(1).lognormal(0, 2, 1000))[::-1]
 
 

@@ -33,7 +33,7 @@ def test_refined_values_have_the_requested_step_and_the_head_is_coarse(step):
     assert parts.digits is not None
     assert parts.digits.kind == Kind.DIGITS
     assert (parts.grid.levels * 2 <= grid.levels + 16).all()
-    # The coarse values lie on the head's grid, and in the middle of what they stand for.
+    # The coarse values lie on the head's grid, each at the mean of its fine values.
     assert np.array_equal(parts.grid.dequantise(parts.grid.quantise(parts.coarse)), parts.coarse)
     missed = parts.fine - parts.coarse
     assert np.abs(missed.mean(axis=0)).max() < 0.02 * np.abs(missed).max()

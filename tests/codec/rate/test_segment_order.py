@@ -108,7 +108,7 @@ def test_the_error_drop_of_a_tail_is_its_energy():
 
 
 def test_measured_errors_stand_for_missing_shares():
-    # Nothing, one chunk, two that make it worse, and the whole, which is off by its coding alone.
+    # Errors of no chunk, one chunk, two chunks (worse), and the whole, whose error is coding error.
     shares = segment_order.missing_shares_from_mse(np.array([0.16, 0.06, 0.065, 0.01]))
     np.testing.assert_allclose(np.diff(shares) <= 0, True)
     np.testing.assert_allclose(segment_order.head_distortion_drops(shares), [0.1, 0.0, 0.05])

@@ -1,4 +1,4 @@
-"""Views through gsplat against our own kernels: its references, and on a device where one is."""
+"""Views drawn with gsplat against the CPU kernels: gsplat's references, a CUDA device if any."""
 
 from dataclasses import replace
 
@@ -60,7 +60,7 @@ def device(request, monkeypatch):
 
 @pytest.mark.skipif(not has_device(), reason="no CUDA device, or gsplat is not there")
 def test_a_device_draws_a_picture():
-    """Where this one is skipped, the others tried gsplat's references only."""
+    """If this test is skipped, the other tests used gsplat's references only."""
     splats, camera = oracle.scene(2), oracle.camera()
     found = render(splats, camera, CONFIGS["plain"])
     assert_near(found, render(splats, camera), jumps=0.01)
@@ -80,7 +80,7 @@ def ours(splats, camera, config):
 
 
 def assert_near(found, expected, off=1e-4, jumps=0.0):
-    """All but a share are near: some pairs lie on the other side of a cut."""
+    """Check that nearly all values are close: cuts may decide some pairs differently."""
     wrong = np.abs(found - expected) > off * np.abs(expected).max(axis=0)
     assert np.isfinite(found).all()
     assert wrong.mean() <= jumps
@@ -106,7 +106,7 @@ def test_pictures_are_ours(config, monkeypatch):
     found = render(splats, camera, config)
     assert (found.dtype, found.shape) == (expected.dtype, expected.shape)
     assert_near(found, expected, jumps=0.01)
-    # By bands of one row of tiles.
+    # Bands of one row of tiles.
     monkeypatch.setattr(cuda_views, "_BAND_PIXELS", 1)
     np.testing.assert_allclose(render(splats, camera, config), found, atol=1e-6)
 

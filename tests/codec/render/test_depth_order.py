@@ -1,4 +1,4 @@
-"""The order in depth against numpy's stable sort."""
+"""Depth order against numpy's stable sort."""
 
 import numpy as np
 import pytest

@@ -240,7 +240,7 @@ def test_some_tiles_are_those_of_the_picture(every, size):
     assert len(found) / whole[..., 0].size == pytest.approx(1 / every, abs=0.12)
     if every == 1:
         np.testing.assert_array_equal(found, whole.reshape(-1, 3))
-    # Every pixel that was kept is one of the picture, in its order.
+    # Every returned pixel is a pixel of the picture, in its order.
     at = 0
     pixels = whole.reshape(-1, 3)
     for pixel in found:

@@ -18,7 +18,7 @@ EVERY_VIEW = ScoreConfig(jitter=False, sensitivity_every=1)
 
 
 def _scene(seed, n=12, antialiased=False):
-    """Smooth in what sensitivities leave out: far off for its size, no colour that turns."""
+    """Return a scene without the effects that sensitivities ignore: distant, constant colours."""
     splats = oracle.scene(seed, n, degree=0, info=SceneInfo(antialiased=antialiased))
     splats.scales[:] = np.clip(splats.scales, -4.0, -1.2)
     splats.opacities[:] = np.minimum(splats.opacities, 3.0)
@@ -104,7 +104,7 @@ def test_errors_of_all_splats_add_up():
     plain = [render(splats, camera) for camera in CAMERAS]
     for name in ("opacities", "sh0"):
         slopes = getattr(sensitivities, name)
-        # Splats that hardly show would need steps far beyond where the blend is linear.
+        # Faint splats would need steps far outside the linear range of the blend.
         known = slopes > 1e-2 * slopes.max()
         sizes = np.where(known, 3e-3 / np.sqrt(np.where(known, slopes, 1.0) * known.sum()), 0.0)
         assert sizes.max() < 0.25
@@ -141,7 +141,7 @@ def test_scores_are_the_same_with_and_without():
 
 def test_threads_and_bands_do_not_change_them(monkeypatch):
     splats = oracle.scene(6, n=200)
-    # One camera has its tiles shared out, several are drawn at once.
+    # The tiles of one camera are spread over threads; several cameras run in parallel.
     for cameras in (CAMERAS[:1], CAMERAS):
         expected = score(splats, cameras, replace(EVERY_VIEW, threads=1)).sensitivities
         for threads in (2, 3, 7):

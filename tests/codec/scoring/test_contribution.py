@@ -21,7 +21,7 @@ CAMERAS = [
 
 
 def _close(actual, expected, scale):
-    """Equal but for the few pixels that a cut takes or leaves in float32."""
+    """Check equality except in a few pixels near a cut, which float32 may decide differently."""
     off = np.abs(actual - expected)
     assert off.max() <= 2e-3 * scale, f"off by {off.max() / scale:.2e} of the largest"
     assert np.mean(off > 1e-5 * scale) < 0.05
@@ -220,7 +220,7 @@ def test_weights_below_the_minimum_do_not_count():
         expected = np.mean(kept, axis=0)
         found = score(splats, CAMERAS, config).contribution
         off = np.abs(found - expected) / expected.max()
-        # A weight beside the bound may count or not: it is computed in float32.
+        # A weight close to the limit may count or not: it is computed in float32.
         assert np.mean(off > 1e-4) < 0.05
         assert off.max() < 0.02
         every = score(splats, CAMERAS, ScoreConfig(top_k=0, jitter=False)).contribution

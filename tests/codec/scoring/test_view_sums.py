@@ -1,4 +1,4 @@
-"""Sums over views against the same sums written out with numpy."""
+"""Sums over views against sums computed with numpy."""
 
 import numpy as np
 import oracle

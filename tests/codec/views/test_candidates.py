@@ -1,4 +1,4 @@
-"""Candidates: what is seen from a pose, and how much it counts."""
+"""Candidate views: the splats seen from a pose, and their exposure."""
 
 import pickle
 
@@ -25,7 +25,7 @@ def test_seen_splats_have_a_weight_in_the_picture():
     index, peaks = peak_weights(given.scene.splats, pose.camera(given.lens, DOWN), 0.2)
     np.testing.assert_array_equal(found.index, index[peaks > 0.02])
     assert len(found.index) > 10
-    # Nothing counts more than it is seen.
+    # Exposure is at most the peak weight.
     assert (found.exposure <= found.peaks).all()
     assert found.exposure.max() > 0
 

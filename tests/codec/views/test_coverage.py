@@ -1,4 +1,4 @@
-"""Coverage: what is visible from anywhere is counted, and views are added for what is left out."""
+"""Coverage: the share of visible splats that views cover, and views that raise it."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Orbits: around the subject, about level, clear of the near plane where they can be."""
+"""Orbits: poses around an object, about level, beyond the near plane."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Views planned from splats alone: what they see, from where, and that they are always the same."""
+"""Views planned from splats: their positions, the splats they show, and repeatability."""
 
 import math
 from collections.abc import Sequence
@@ -136,7 +136,7 @@ def assert_apart(test_views: list[Camera], views: list[Camera]) -> None:
 
 
 def test_covering_views_are_added_until_what_is_visible_is_covered() -> None:
-    """A bowl is open at the top alone, where an orbit has no places: its floor needs more views."""
+    """The floor of a bowl, which is open at the top only, is outside all orbit views."""
     rng = np.random.default_rng(4)
     points = rng.normal(size=(3000, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
@@ -182,7 +182,7 @@ def test_open_ground_is_seen_from_above() -> None:
     rng = np.random.default_rng(3)
     ground = rng.uniform(-50.0, 50.0, (4000, 3))
     ground[:, 1] = 2.0 * np.sin(ground[:, 0] / 9.0)
-    # Its back is bare to sight as well; visitors still look down on it.
+    # Its back is visible too; viewers still look down on it.
     splats = balls(ground, 1.2)
     cameras = plan_views(splats, SMALL)
     above = places(cameras)[:, 1] < 0.0

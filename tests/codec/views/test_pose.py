@@ -1,4 +1,4 @@
-"""Poses: the cameras they become."""
+"""Poses and their cameras."""
 
 import math
 

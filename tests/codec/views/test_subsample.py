@@ -1,4 +1,4 @@
-"""Subsamples: what they keep of a scene."""
+"""Subsamples: number, area and sizes of the splats they keep."""
 
 import math
 

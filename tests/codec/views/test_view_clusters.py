@@ -34,7 +34,7 @@ def test_cameras_at_one_position_are_clustered_by_direction():
     turn = np.diag([-1.0, 1.0, -1.0])
     back = replace(camera, rotation=turn @ camera.rotation, translation=turn @ camera.translation)
     assert [c.tolist() for c in view_clusters([camera, back, camera], 2)] == [[0, 2], [1]]
-    # Three of one kind cannot be three different ones, and are clusters all the same.
+    # Three equal cameras still make three clusters.
     assert len(view_clusters([camera] * 3, 3)) == 3
 
 
