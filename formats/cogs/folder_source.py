@@ -135,6 +135,7 @@ class FolderSource(ObjectSource):
             }
 
     def _object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
+        """Return the ranges of objects that make up a range of the file; read missing pages."""
         with self._lock:
             for page in self._map.pages_for(offset, length):
                 self._map.add_page(page.page, self._manifest.read(page.offset, page.length))
@@ -152,6 +153,7 @@ class FolderSource(ObjectSource):
         return data
 
     def _object_bytes(self, piece: ObjectRange) -> bytes:
+        """Read a range of an object, whose length must be as in the manifest."""
         path = self._folder / piece.name
         if path.parent.is_symlink():
             raise self._refused(piece, "is behind a link")

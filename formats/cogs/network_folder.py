@@ -169,6 +169,7 @@ class NetworkFolder(ObjectSource):
         self._ranges.close()
 
     def _object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
+        """Return the ranges of objects that make up a range of the file; read missing pages."""
         require_within(self, offset, length)
         with self._lock:
             pages = self._map.pages_for(offset, length)
@@ -186,6 +187,7 @@ class NetworkFolder(ObjectSource):
         return piece.offset + piece.length <= len(self._head) or page in self._pages
 
     def _bytes_of(self, piece: ObjectRange) -> bytes:
+        """Read a range of the manifest or of an object."""
         if piece.name:
             return self._object_bytes(piece)
         page = self._map.page_at(piece.offset)
@@ -198,6 +200,7 @@ class NetworkFolder(ObjectSource):
             return self._page(page)[start : start + piece.length]
 
     def _object_bytes(self, piece: ObjectRange) -> bytes:
+        """Read a range of an object."""
         return self._ranges.read(*self._range_of(piece))
 
     def _page(self, page: int) -> bytes:

@@ -151,7 +151,7 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
 
 
 def _layers(scene: EncodedScene) -> dict[int, list[Segment]]:
-    """Return the compensation layers, each by the number of the chunk that follows it."""
+    """Return the segments of compensation layers, by the number of the chunk that follows."""
     found: dict[int, list[Segment]] = {}
     first = 0
     for number, layer in enumerate(scene.compensation.layers if scene.compensation else ()):
@@ -161,7 +161,7 @@ def _layers(scene: EncodedScene) -> dict[int, list[Segment]]:
 
 
 def _level_of(scene: EncodedScene, chunk: int) -> int:
-    """Return the number of the first level with a chunk; 0 in a scene without levels."""
+    """Return the number of the first level that contains a chunk; 0 in a scene without levels."""
     return sum(level.chunks <= chunk for level in scene.levels)
 
 
@@ -176,7 +176,7 @@ def _opacities(scene: EncodedScene) -> dict[int, list[Segment]]:
 
 
 def _view_table(scene: EncodedScene) -> dict[int, list[Segment]]:
-    """Return the view table by the number of the chunk that follows it."""
+    """Return the segment of the view table, if any, by the number of the chunk that follows."""
     if scene.view_table is None:
         return {}
     parts = (number for number, chunk in enumerate(scene.chunks) if chunk.cell > WHOLE)

@@ -179,6 +179,7 @@ class HttpTransport:
 
 
 def _origin(url: Any) -> tuple[str, str, int | None]:
+    """Return scheme, host and port of a URL."""
     return url.scheme, url.host, url.port
 
 
@@ -190,6 +191,7 @@ def _certificates() -> ssl.SSLContext:
 
 
 def _httpx() -> ModuleType:
+    """Return the module httpx, or raise ``needs-http``."""
     try:
         import h2  # noqa: F401 - what httpx speaks HTTP/2 with
         import httpx

@@ -169,6 +169,7 @@ def first_line(error: Exception) -> str:
 
 
 def _obstore() -> ModuleType:
+    """Return the module obstore, or raise ``needs-cloud``."""
     try:
         import obstore
         import obstore.exceptions

@@ -335,6 +335,7 @@ def _host() -> str:
 
 
 def _token() -> str:
+    """Return 8 random hex digits."""
     return secrets.token_hex(4)
 
 

@@ -114,7 +114,7 @@ class BytesSource:
 
     @property
     def size(self) -> int:
-        """Bytes there are."""
+        """Length of the source, bytes."""
         return len(self._data)
 
     def read(self, offset: int, length: int) -> bytes:
@@ -255,7 +255,7 @@ class PrefixSource:
 
     @property
     def size(self) -> int:
-        """Bytes there are."""
+        """Length of the source, bytes."""
         return self._size
 
     def read(self, offset: int, length: int) -> bytes:

@@ -109,17 +109,20 @@ class JsonObject:
         return FormatError(self.code, f"{self.where}: {key!r} {found}, expected {expected}")
 
     def _array(self, key: str) -> list[object]:
+        """Return the array under a key; empty if the key is missing."""
         value = self.values.get(key, [])
         if not isinstance(value, list):
             raise self.wrong(key, "an array")
         return value
 
     def _object(self, key: str, item: object) -> dict[str, object]:
+        """Return an item of the array under a key, which must be an object."""
         if not isinstance(item, dict):
             raise self.wrong(key, "an array of objects")
         return item
 
     def _number(self, key: str, value: object) -> float:
+        """Return a value under a key, which must be a finite number."""
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.wrong(key, "numbers" if isinstance(value, list) else "a number")
         try:

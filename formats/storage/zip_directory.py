@@ -75,6 +75,7 @@ class _LimitedFile:
         self.seekable = file.seekable
 
     def read(self, size: int = -1) -> bytes:
+        """Read at most `size` bytes; raise an error beyond the limit."""
         if self.is_unlimited:
             return self._file.read(size)
         data = self._file.read(self._left + 1 if size < 0 else min(size, self._left + 1))

@@ -230,7 +230,7 @@ READER = [
     ),
     Mutant(
         "boxes are compared with coarse means alone",
-        verification._chunk_checks,
+        verification._progressive_checks,
         "if rows.refinement is not None:",
         "if False:",
         ("5.4",),
