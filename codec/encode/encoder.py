@@ -156,7 +156,7 @@ class _Plan:
     blank : Splats
         Scene without rows, the prototype of decoded chunks.
     digits : bool or None
-        Argument of `Payloads.compressed`; None leaves planes uncompressed.
+        Argument of `Payloads.compress`; None leaves planes uncompressed.
     """
 
     planned: PlannedScene

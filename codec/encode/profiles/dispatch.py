@@ -38,7 +38,7 @@ class PlannedScene:
         Codebooks that the chunks share.
     encode_chunk : callable
         Encodes a chunk, given as a slice of the ordered scene. Its payloads are not compressed yet
-        (`Payloads.compressed`); several threads call it.
+        (`Payloads.compress`); several threads call it.
     """
 
     codebooks: Sequence[EncodedCodebook] = ()
