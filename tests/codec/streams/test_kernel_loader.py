@@ -32,12 +32,12 @@ def second(x):
 
 @pytest.fixture
 def module(tmp_path, monkeypatch):
-    """A module of two kernels that nothing has compiled."""
+    """Return the name of a module with two uncompiled kernels."""
     name = f"two_{tmp_path.name}"
     (tmp_path / f"{name}.py").write_text(SOURCE)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    # Hooks of this process outlive a test.
+    # Handlers of exit and fork would outlive the test.
     monkeypatch.setattr(KernelLoader, "_register", lambda self: None)
     yield name
     for kernel in ("first", "second"):
@@ -50,21 +50,21 @@ def signatures(module):
 
 
 def test_all_kernels_are_loaded_once(module):
-    told = []
+    calls = []
     before = sys.getswitchinterval()
-    loader = KernelLoader([module], lambda: told.append(threading.current_thread().daemon))
+    loader = KernelLoader([module], lambda: calls.append(threading.current_thread().daemon))
     loader.join()
     loader.start()
     loader.start()
     loader.join()
-    assert told == [True]
+    assert calls == [True]
     assert signatures(module) == [1, 1]
     assert sys.getswitchinterval() == before
 
 
-def test_nothing_begins_after_the_process_was_about_to_end(module, monkeypatch):
-    told = []
-    loader = KernelLoader([module], lambda: told.append(1))
+def test_loading_stops_when_the_process_exits(module, monkeypatch):
+    calls = []
+    loader = KernelLoader([module], lambda: calls.append(1))
     plain = compiling.DeclaredKernel.compile
 
     def compile_and_stop(kernel):
@@ -74,11 +74,11 @@ def test_nothing_begins_after_the_process_was_about_to_end(module, monkeypatch):
     monkeypatch.setattr(compiling.DeclaredKernel, "compile", compile_and_stop)
     loader.start()
     loader.join()
-    assert told == []
+    assert calls == []
     assert signatures(module) == [1, 0]
 
 
-def test_ending_waits_for_the_kernel_under_way(module, monkeypatch):
+def test_exit_waits_for_the_current_kernel(module, monkeypatch):
     under_way, go_on, done = threading.Event(), threading.Event(), []
 
     def compile_slowly(kernel):
@@ -97,18 +97,18 @@ def test_ending_waits_for_the_kernel_under_way(module, monkeypatch):
     assert done == [f"{module}:first"]
 
 
-def test_kernels_that_cannot_be_loaded_are_told_of(module, monkeypatch):
-    told, found = [], []
+def test_a_failed_load_warns(module, monkeypatch):
+    calls, found = [], []
 
     def refuse(kernel):
         raise RuntimeError("no such processor")
 
     monkeypatch.setattr(compiling.DeclaredKernel, "compile", refuse)
     monkeypatch.setattr(kernel_loader.warnings, "warn", lambda what, **_: found.append(what))
-    loader = KernelLoader([module], lambda: told.append(1))
+    loader = KernelLoader([module], lambda: calls.append(1))
     loader.start()
     loader.join()
-    assert told == []
+    assert calls == []
     assert [type(what) for what in found] == [CogsplatWarning]
     assert "no such processor" in str(found[0])
 
@@ -136,7 +136,7 @@ from cogsplat.codec.compiling import kernels_in
 kernels = kernels_in(decoding_tiers.KERNEL_MODULES)
 assert decoding_tiers.is_compiled()
 assert (cogsplat.decode(vectors[0]).quats == plain[0].quats).all()
-# What was loaded is what is called: nothing is compiled in the middle of a decode.
+# Decoding calls the loaded code: nothing is compiled in the middle of a decode.
 assert len(kernels) == 3
 assert {len(kernel.function.signatures) for kernel in kernels} == {1}
 for vector in vectors:

@@ -24,6 +24,7 @@ from cogsplat.codec.streams import (
     sh0_transform,
     sorted_means,
     swing_twist,
+    zstd_frames,
 )
 from cogsplat.codec.streams.adaptive_step import MAX_EXTRA_BITS, StepModel
 from cogsplat.codec.streams.grid import Grid
@@ -105,6 +106,25 @@ def test_frame_headers_with_sizes_of_1_2_and_4_bytes(rows):
     assert kernels_planes.parse_frame(data, 5, len(frame)) == (5 + len(frame), rows)
 
 
+@pytest.mark.parametrize("count", [1, 7, 8, 16])
+@pytest.mark.parametrize("has_batch_call", [True, False])
+def test_located_frames_decompress_in_order_or_not_at_all(count, has_batch_call, monkeypatch):
+    batch = zstd_frames._HAS_BATCH_CALL and has_batch_call
+    monkeypatch.setattr(zstd_frames, "_HAS_BATCH_CALL", batch)
+    rng = np.random.default_rng(count)
+    plain = [rng.integers(0, 9, 700 + n).astype(np.uint8).tobytes() for n in range(count)]
+    frames = [zstandard.ZstdCompressor(level=3).compress(raw) for raw in plain]
+    ends = np.cumsum([len(frame) for frame in frames])
+    located = np.array([(e - len(f), len(f)) for e, f in zip(ends, frames, strict=True)], np.uint64)
+    sizes = np.array([len(raw) for raw in plain], np.uint64)
+    stored = bytearray(b"".join(frames))
+    found = zstd_frames.decompress_located(memoryview(bytes(stored)), located, sizes)
+    assert found == b"".join(plain)
+    # The header of the last frame's first block: type 3 is reserved (RFC 8878, 3.1.1.2.2).
+    stored[int(located[-1, 0]) + 7] |= 6
+    assert zstd_frames.decompress_located(memoryview(bytes(stored)), located, sizes) is None
+
+
 def unusual_frames():
     raw = np.random.default_rng(1).integers(0, 60, 700).astype(np.uint8).tobytes()
     frame = zstandard.ZstdCompressor(level=3).compress(raw)
@@ -142,7 +162,7 @@ def decode_head(head, refinement, both):
 
 
 def head_of(rng, scales, model, levels, refined_by):
-    """Return a head whose grids have these levels, and the refinement of its means."""
+    """Return a head with grids of some levels, and the refinement of its means."""
     differences = scale_differences.differences_of(scales)
     spans = differences.min(axis=0), differences.max(axis=0)
     scale_grid = Grid(*spans, np.array(levels, np.uint32))
