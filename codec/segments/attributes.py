@@ -23,6 +23,7 @@ class AttributeType:
     Parameters
     ----------
     name : str
+        Name of the attribute, such as ``object``.
     dtype : str
         One of `splats.EXTRA_DTYPES`.
     components : int

@@ -17,6 +17,7 @@ class Payloads:
     Parameters
     ----------
     head : bytes
+        Payload of the head.
     tail : bytes or None
         None for a scene without SH above DC.
     head_needs, tail_needs : tuple of int

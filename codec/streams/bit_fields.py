@@ -96,6 +96,7 @@ def windows(data: U8, positions: I64) -> U64:
     Parameters
     ----------
     data : (m,) uint8
+        Packed bytes.
     positions : (n,) int64
         In bits, at most 8 m.
     """

@@ -39,6 +39,7 @@ def pack_plane(plane: U8, *, digits: bool = True) -> tuple[int, bytes]:
     Parameters
     ----------
     plane : (n,) uint8
+        Symbols of the plane.
     digits : bool
         Whether a byte may pack several symbols.
 

@@ -43,6 +43,7 @@ def write(attribute: Attribute, indices: U32, codebook: int, size: int, escape_r
     Parameters
     ----------
     attribute : Attribute
+        `SHAPE` or `SHN`.
     indices : (n,) uint32
         Rows of the codebook below `size`, escape rows from `size` on.
     codebook : int
@@ -121,11 +122,13 @@ def gather(codebook: F32, escape: F32 | None, indices: U32, out: F32) -> None:
     Parameters
     ----------
     codebook : (C, d) float32
+        Rows of the codebook.
     escape : (e, d) float32 or None
         Escape rows, which follow the rows of the codebook.
     indices : (n,) uint32
         Below C + e, checked by the caller.
     out : (n, d) float32
+        Selected rows.
     """
     # Only a mode that cannot fail writes into `out` without a copy; escapes are overwritten below.
     np.take(codebook, indices, axis=0, out=out, mode="clip")

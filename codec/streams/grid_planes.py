@@ -93,7 +93,9 @@ def read_values(
     stream : StoredStream
         Its planes from `first` on are the planes of the grid.
     grid : Grid
+        Grid of the stream.
     out : (rows, c) float32
+        Decoded values; may be a strided view.
     first : int
         Number of planes before the planes of the grid.
     extra : int

@@ -151,8 +151,9 @@ def read(stream: StoredStream, out: F32, inputs: Inputs = NO_INPUTS) -> None:
     Parameters
     ----------
     stream : StoredStream
+        Stream to decode.
     out : (rows, c) float32
-        C-contiguous.
+        Decoded values; may be a strided view.
     inputs : Inputs
         Other decoded values that the stream's kind depends on.
 

@@ -119,6 +119,7 @@ def complete_quaternions(largest: int, which: U8 | None, others: F32, out: F32) 
     others : (rows, 3) float32
         Stored components.
     out : (rows, 4) float32
+        Quaternions wxyz, w at least 0.
     """
     a, b, c = others.T
     rest = np.float32(1) - ((a * a + b * b) + c * c)

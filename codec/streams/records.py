@@ -92,11 +92,15 @@ class Stream:
     Parameters
     ----------
     attribute : Attribute
+        Attribute of the rows.
     kind : Kind
+        Way in which it is stored.
     rows : int
+        Number of rows.
     params : bytes
         Parameters, in the layout of the kind's clause of SPEC 6.
     planes : sequence of (n,) uint8
+        Byte planes, uncompressed.
     flags : int
         `ESCAPE`, `INFINITIES` or 0.
     """
@@ -201,6 +205,7 @@ class StoredStream:
     attribute, kind, flags, rows
         See `Stream`.
     params : memoryview
+        Parameters, in the layout of the kind's clause of SPEC 6.
     words : (p,) uint32
         Words of the stream's planes: stored lengths and flags.
     planes : StoredPlanes

@@ -94,6 +94,7 @@ def read(stream: StoredStream, codes: I64) -> tuple[I64, int]:
     Parameters
     ----------
     stream : StoredStream
+        Bits stream of the refinement.
     codes : (rows, 3) int64
         Codes of the head.
 

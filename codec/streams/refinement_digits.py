@@ -28,6 +28,7 @@ def write(attribute: Attribute, codes: U32, grid: Grid, radices: Sequence[int]) 
     Parameters
     ----------
     attribute : Attribute
+        Attribute that is refined.
     codes : (n, c) uint32
         Codes on the fine grid.
     grid : Grid
@@ -77,7 +78,9 @@ def read(
     coarse : Grid
         Grid of the head.
     digits : StoredStream
+        Digits stream of the refinement.
     out : (rows, c) float32
+        Refined values.
     coarse_out : (rows, c) float32, optional
         Receives the values without refinement.
 

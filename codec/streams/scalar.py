@@ -20,6 +20,7 @@ def write(attribute: Attribute, values: F32, grid: Grid, *, escape: bool = False
     Parameters
     ----------
     attribute : Attribute
+        Attribute of the values.
     values : (n, c) float32
         Finite values; values beyond the grid become its first or last level.
     grid : Grid

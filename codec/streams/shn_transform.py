@@ -140,6 +140,7 @@ def parse(stream: StoredStream, basis: F32) -> Parameters:
     Parameters
     ----------
     stream : StoredStream
+        Basis stream of shN.
     basis : (C, d) float32
         Rows of the codebook.
 

@@ -72,6 +72,7 @@ def quantise(means: F32, grid: Grid, extra_bits: U8, refined_by: int = 0) -> I64
     Parameters
     ----------
     means : (n, 3) float32
+        Scene units.
     grid : Grid
         Grid of the cells.
     extra_bits : (n,) uint8
@@ -128,6 +129,7 @@ def write(codes: I64, grid: Grid, extra_bits: U8, model: StepModel) -> Stream:
     extra_bits : (n,) uint8
         Extra bits that the model gives for the decoded scales of the head.
     model : StepModel
+        Step model from which decoders derive the extra bits.
     """
     classes, differences = pack_differences(morton.interleave(_cells(codes, extra_bits)))
     wide = extra_bits.astype(np.uint64)

@@ -43,7 +43,9 @@ def locate(payload: memoryview, words: U32, start: int) -> StoredPlanes:
     Parameters
     ----------
     payload : memoryview
+        Bytes of the segment.
     words : (p,) uint32
+        Stored length and flags of each plane.
     start : int
         Position of the first plane. The caller checks that the last one ends within the payload.
     """

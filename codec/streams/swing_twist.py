@@ -136,7 +136,9 @@ def split_component(codes: U32, extra_bits: U8) -> list[U8]:
     Parameters
     ----------
     codes : (n,) uint32
+        Codes of one component.
     extra_bits : (n,) uint8
+        Extra bits of each row.
 
     Returns
     -------
