@@ -225,7 +225,7 @@ class _ViewScores:
     places : (M,) int32
         Row of `columns` for each row of `index`.
     columns : (M, 13) float64 or None
-        Moments for `Sensitivities`, by depth; None if they are not measured in this view.
+        Sums of `view_sensitivities`, nearest first; None if not measured in this view.
     """
 
     index: NDArray[np.int32]

@@ -207,7 +207,7 @@ class ViewSums:
         view_share: float,
         pixel_share: float,
     ) -> None:
-        """Add one view.
+        """Add the weights and viewing directions of one view to the sums.
 
         Parameters
         ----------
