@@ -101,6 +101,7 @@ class _Batch:
         return {**line, "status": "done", "result": report}
 
     def _is_up_to_date(self, scene: BatchScene, earlier: Mapping[str, object]) -> bool:
+        """Whether the output exists with the size that the log lists."""
         result = earlier.get("result")
         expected = result.get("bytes") if isinstance(result, dict) else None
         if is_url(scene.output):

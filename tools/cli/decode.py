@@ -136,7 +136,7 @@ def decode(
     if as_json:
         print_json(_report(cogs, scene, decoded, out, size_bytes, stages))
     elif not quiet:
-        _tell(scene, decoded, out, size_bytes, stages)
+        _print_summary(scene, decoded, out, size_bytes, stages)
 
 
 def _decode_into_ply(
@@ -183,6 +183,7 @@ def _decode_into_ply(
 def _report(
     source: Path, scene: LoadedScene, decoded: int, out: Path, written: int, stages: Stages
 ) -> dict[str, object]:
+    """Return the JSON object."""
     return {
         "output": display_name(out),
         "source": display_name(source),
@@ -206,7 +207,10 @@ def _chunk_range(chunks: Sequence[int]) -> tuple[int, int]:
     return (chunks[0], chunks[-1] + 1) if chunks else (0, 0)
 
 
-def _tell(scene: LoadedScene, decoded: int, out: Path, written: int, stages: Stages) -> None:
+def _print_summary(
+    scene: LoadedScene, decoded: int, out: Path, written: int, stages: Stages
+) -> None:
+    """Print the summary."""
     first, last = _chunk_range(scene.chunks)
     print_line(f"{out}: {decoded:,} of {scene.file_splats:,} splats, {size_text(written)}")
     span = f"{first}:{last} of {scene.file_chunks}"

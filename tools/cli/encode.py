@@ -541,7 +541,7 @@ def _print_summary(new: _NewFile) -> None:
     """Print the summary of the new file, or its JSON object."""
     options, made, given, stages = new.options, new.made, new.given, new.stages
     with cogsplat.open(options.out) as file:
-        told = _report(file, made, new.request.config, stages)
+        report = _report(file, made, new.request.config, stages)
         sizes = stored_sizes(file) if new.qualities else []
     size = made.size_bytes
     rows_in, kept = given.file_splats, int(file.root.splats)
@@ -551,7 +551,7 @@ def _print_summary(new: _NewFile) -> None:
             {
                 "output": display_name(options.out),
                 "source": display_name(options.scene),
-                **told,
+                **report,
                 "prefixes": [quality.report() for quality in new.qualities],
                 "attributes": [stored.report() for stored in sizes],
                 "source_bytes": given.file_bytes,

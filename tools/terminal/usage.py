@@ -1,4 +1,4 @@
-"""Errors of usage: what the library refuses as misuse is the user's mistake in a command."""
+"""Conversion of a `ValueError` of the library into a usage error of the command line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import click
 
 @contextmanager
 def usage_errors() -> Iterator[None]:
-    """Turn a `ValueError` of the block into a usage error with the same message."""
+    """Turn a `ValueError` of the block into a usage error with its message."""
     try:
         yield
     except ValueError as error:

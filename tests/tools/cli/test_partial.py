@@ -1,4 +1,4 @@
-"""Files that have not arrived whole: refused with a hint, taken with ``--partial``."""
+"""Truncated files: refused with a hint, accepted with ``--partial``."""
 
 from pathlib import Path
 

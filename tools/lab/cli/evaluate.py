@@ -473,6 +473,7 @@ def _encode(
     threads: int,
     stages: Stages,
 ) -> None:
+    """Encode the scene in the order of a curve."""
     from cogsplat.codec.encode.config import EncodeConfig, Target
     from cogsplat.codec.encode.request import EncodeRequest
 
@@ -500,6 +501,7 @@ def _write(
     force: bool,
     stages: Stages,
 ) -> None:
+    """Write the results and film strips into a folder."""
     from cogsplat.tools.pictures.png import write_png
 
     for name, text in pages.items():

@@ -1,4 +1,4 @@
-"""``cogsplat verify``: what it prints, its JSON and its exit status."""
+"""check of a URL: output, JSON and exit status; files and folders beside it."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ from fault_server import FaultServer, serving, status
 from running import Run, SmallScene
 
 
-def test_a_url_is_told_with_what_to_change(run: Run, small: SmallScene) -> None:
+def test_a_url_gets_findings_and_remedies(run: Run, small: SmallScene) -> None:
     with serving(FaultServer(small.cogs.read_bytes())) as server:
         told = run("check", server.url(), "--hosts", "nginx,s3")
         assert told.code == 0
@@ -39,7 +39,7 @@ def test_errors_of_host_and_scene_are_status_3_and_no_host_is_4(
     assert run("check", url).code == 4
 
 
-def test_files_and_folders_are_checked_as_validate_does(
+def test_files_and_folders_are_checked_by_the_same_command(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     folder = tmp_path / "scene"

@@ -1,4 +1,4 @@
-"""validate: every broken rule of a file, with clause and offset."""
+"""check of a file: every broken rule, with clause and offset."""
 
 from pathlib import Path
 
