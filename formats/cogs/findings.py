@@ -1,4 +1,4 @@
-"""Report all broken rules of a file (``cogsplat validate``)."""
+"""Report all broken rules of a file (``cogsplat check``)."""
 
 from __future__ import annotations
 

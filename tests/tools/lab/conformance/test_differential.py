@@ -13,7 +13,7 @@ from cogsplat.codec.errors import StorageError
 from cogsplat.tools.lab.conformance.differential import fuzz, vector_files
 
 COUNT = int(os.environ.get("COGSPLAT_FUZZ", "200"))
-"""Mutants; CI makes more of them, and ``cogsplat conformance fuzz`` as many as one likes."""
+"""Mutants; CI makes more of them, and ``cogsplat lab conformance fuzz`` any number."""
 
 
 def ours(kind: str) -> list[str]:
