@@ -129,7 +129,7 @@ def test_each_page_is_asked_for_once_and_opening_asks_for_no_segment() -> None:
 def test_an_object_that_is_missing_spoils_no_other(data: bytes) -> None:
     objects = unpacked(data)
     with cogsplat.open(data) as whole:
-        rows = [whole.chunk_rows(9).head, whole.rows_of(10).head]
+        rows = [whole.chunk_rows(9).head, whole.chunk_rows(10).head]
         places = [(int(whole.offsets[row]), int(whole.segments.length[row])) for row in rows]
         found = FolderMap(objects[MANIFEST], "whole")
         gone, wrong = (found.object_ranges(*place)[0].name for place in places)
