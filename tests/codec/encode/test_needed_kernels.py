@@ -11,7 +11,8 @@ from cogsplat.codec.encode.needed_kernels import needed_kernels
 
 ROOT = Path(__file__).resolve().parents[3]
 
-# Encodes a scene with cameras and without, decodes it, and compares the types of every call.
+# Encodes a scene with cameras, without, and by the profile vq; decodes it, and compares the types of
+# every call.
 CALLS = """
 import sys
 from numba.core import sigutils
@@ -23,12 +24,15 @@ from cogsplat.codec.streams import decoding_tiers
 from cogsplat.codec.streams.decoding_tiers import KERNEL_MODULES
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
-# Otherwise numpy decodes until the kernels are loaded behind its work.
+# Otherwise numpy decodes until the kernels are loaded in the background.
 decoding_tiers.use_compiled(True)
 config = EncodeConfig(chunk_splats=300, threads=1)
 for cameras in (synth_cameras(4, 64, 48), None):
     splats = synth(3000)
     cogsplat.encode(splats, sys.argv[1], cameras=cameras, config=config, force=True)
+cogsplat.decode(sys.argv[1])
+vq = EncodeConfig(chunk_splats=300, threads=1, profile="vq", order="contribution")
+cogsplat.encode(splats, sys.argv[1], cameras=synth_cameras(4, 64, 48), config=vq, force=True)
 cogsplat.decode(sys.argv[1])
 kernels = needed_kernels(config, planned=True) + kernels_in(KERNEL_MODULES)
 for kernel in kernels:
