@@ -11,8 +11,8 @@ from cogsplat.codec.encode.needed_kernels import needed_kernels
 
 ROOT = Path(__file__).resolve().parents[3]
 
-# Encodes a scene with cameras, without, and by the profile vq; decodes it, and compares the types of
-# every call.
+# Encodes a scene with cameras, without, and by the profile vq; decodes it, and compares the types
+# of every call.
 CALLS = """
 import sys
 from numba.core import sigutils
