@@ -78,8 +78,8 @@ def encode(
     force : bool
         Replace an existing file.
     progress : Progress
-        Called with a stage, its finished steps and all its steps. A `OverallProgress` is told the
-        expected cost of the stages first. Raising `Cancelled` stops the work and leaves no file.
+        Called with a stage, its finished steps and all its steps. An `OverallProgress` receives
+        the expected costs of the stages first. Raising `Cancelled` stops the work and leaves no file.
 
     Returns
     -------
@@ -191,7 +191,9 @@ def tune(
     Examples
     --------
     >>> import cogsplat
-    >>> config = cogsplat.TuneConfig(round_steps=1, recovery_steps=1, quantised_steps=1)
+    >>> config = cogsplat.TuneConfig(
+    ...     keep=0.5, round_steps=1, recovery_steps=1, quantised_steps=1
+    ... )
     >>> report = cogsplat.tune(
     ...     "scene.ply", "tuned.cogs", cameras="cameras.json", target="60%", config=config
     ... )
