@@ -79,7 +79,7 @@ def encode(
         Replace an existing file.
     progress : Progress
         Called with a stage, its finished steps and all its steps. An `OverallProgress` receives
-        the expected costs of the stages first. Raising `Cancelled` stops the work and leaves no file.
+        the expected costs of the stages first. Raising `Cancelled` stops the work without a file.
 
     Returns
     -------
@@ -408,6 +408,7 @@ def score(
 
 
 def _require_scene(scene: object) -> None:
+    """Refuse an argument that is neither splats nor a path."""
     if not isinstance(scene, Splats | str | os.PathLike):
         raise TypeError(f"a {type(scene).__name__}, expected Splats or the path of a scene")
 

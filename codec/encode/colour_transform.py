@@ -67,7 +67,13 @@ class ColourBasis:
         return out
 
     def with_decoded_rows(self, decoded: F32) -> ColourBasis:
-        """Return the basis with its decoded rows."""
+        """Return the basis with its decoded rows.
+
+        Parameters
+        ----------
+        decoded : (B, K-1, 3) float32
+            Rows as a decoder has them.
+        """
         return replace(self, rows=decoded.reshape(len(decoded), -1))
 
     @property
@@ -78,7 +84,13 @@ class ColourBasis:
         return np.linalg.solve(rows @ weighted, weighted.T).T.astype(np.float64)
 
     def coordinates(self, coefficients: F32) -> F64:
-        """Return the coordinates (n, B) that approximate (n, K-1, 3) coefficients best."""
+        """Return the coordinates, (n, B), that approximate coefficients best.
+
+        Parameters
+        ----------
+        coefficients : (n, K-1, 3) float32
+            SH coefficients above DC.
+        """
         found: F64 = _flat(coefficients) @ self.projection
         return found
 
@@ -122,6 +134,7 @@ def _flat(coefficients: F32) -> F64:
 
 
 def _round(values: F64) -> I64:
+    """Round to integers, with small values set to zero."""
     codes = np.rint(values)
     codes[np.abs(values) < _DEAD_ZONE] = 0
     return codes.astype(np.int64)

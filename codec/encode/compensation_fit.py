@@ -356,6 +356,7 @@ def errors(
     runner = executor or LocalThreads()
 
     def error(chunks: int) -> float:
+        """Return the weighted mean squared error of a prefix."""
         far = partial(_view_error, size=int(ends[chunks]), chunks=chunks)
         return float(
             weights @ np.array(list(runner.map(far, sampled, splats, references, compensation)))

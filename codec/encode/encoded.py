@@ -273,7 +273,13 @@ class EncodedScene:
         return segment_order.order_segments(parts, missing, self._colour_bytes)
 
     def segment_bytes(self, place: OrderedSegment) -> int:
-        """Return the size in bytes of one of `ordered_segments`."""
+        """Return the size of a segment, bytes.
+
+        Parameters
+        ----------
+        place : OrderedSegment
+            One of `ordered_segments`.
+        """
         if place.kind is OrderedKind.CODEBOOKS:
             return self._colour_bytes
         payloads = self.chunks[place.chunk].payloads

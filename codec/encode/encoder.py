@@ -166,6 +166,7 @@ class _Plan:
 
 
 def _write_rows(rows: Splats, out: Splats) -> None:
+    """Copy decoded rows into an array of the workspace."""
     for name in ("means", "scales", "quats", "opacities", "sh0", "shN"):
         getattr(out, name)[:] = getattr(rows, name)
 

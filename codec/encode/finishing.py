@@ -94,10 +94,12 @@ class Finisher:
 
     @property
     def _in_files(self) -> bool:
+        """Whether long arrays lie in mapped files."""
         return self.prepared.workspace.in_files
 
     @property
     def _view_executor(self) -> Executor | None:
+        """Executor of single views; one thread for mapped arrays, to save memory."""
         # With mapped arrays one view is rendered after the other, to save memory.
         return LocalThreads(1) if self._in_files else self.executor
 
@@ -214,6 +216,7 @@ class Finisher:
         return self.size_of(encoded)
 
     def _encode_chunks(self, quality_db: float) -> EncodedScene:
+        """Encode the chunks at a nominal quality, dB."""
         return encode_chunks(
             self.prepared, quality_db, executor=self.executor, progress=self.progress
         )

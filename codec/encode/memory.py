@@ -129,4 +129,5 @@ def memory_need(
 
 
 def _gb(size: int) -> str:
+    """Format bytes as gigabytes."""
     return f"{size / 1e9:.2f} GB"

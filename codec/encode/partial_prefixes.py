@@ -67,6 +67,7 @@ def received_parts(encoded: EncodedScene) -> list[ReceivedParts]:
 
 
 def _owners(places: Sequence[OrderedSegment], kind: OrderedKind) -> frozenset[int]:
+    """Return the chunks of the segments of one kind."""
     return frozenset(place.chunk for place in places if place.kind is kind)
 
 

@@ -183,6 +183,7 @@ def _encode_at_target(
 
 
 def _report(scored: ScoredViews, hit: SearchResult, timed: TimedProgress) -> EncodeReport:
+    """Return the report of the whole encode."""
     return replace(
         scored.report,
         seconds=timed.seconds,

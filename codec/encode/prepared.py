@@ -252,6 +252,7 @@ def _cut_cells(prepared: PreparedScene, rows: NDArray[np.int64]) -> NestedCells:
 
 
 def _require_scores(scores: Scores, splats: int) -> None:
+    """Refuse scores of another number of splats."""
     for name in ("contribution", "energy", "peak", "covered"):
         length = len(getattr(scores, name))
         if length != splats:
@@ -259,6 +260,7 @@ def _require_scores(scores: Scores, splats: int) -> None:
 
 
 def _require_storable(splats: Splats) -> None:
+    """Refuse values beyond the range of the format."""
     for name in ("means", "scales", "opacities", "sh0", "shN"):
         for start in range(0, len(splats), _BLOCK):
             values = getattr(splats, name)[start : start + _BLOCK]

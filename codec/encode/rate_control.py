@@ -178,9 +178,11 @@ def search_size(
     """
 
     def fits(trial: _Trial) -> bool:
+        """Tell whether a trial fits the target size."""
         return bool(round(2.0**trial.value) <= size_bytes)
 
     def is_better(trial: _Trial, best: _Trial) -> bool:
+        """Tell whether a trial is better: the finer one that fits, else the smaller one."""
         if fits(trial) and fits(best):
             return trial.quality_db > best.quality_db
         return trial.value < best.value
@@ -294,6 +296,7 @@ def _psnr_goal(psnr_db: float, tolerance_db: float) -> _Goal:
     """Return the goal of a search for a PSNR."""
 
     def miss(value: float) -> float:
+        """Return the distance from the target, dB."""
         return abs(value - psnr_db)
 
     return _Goal(
@@ -306,6 +309,7 @@ def _psnr_goal(psnr_db: float, tolerance_db: float) -> _Goal:
 
 
 def _out_of_reach(wanted: str, found: str) -> DataError:
+    """Return the error of a target that no setting meets."""
     return DataError(
         "target-out-of-reach",
         f"a {wanted} for this scene: the nearest it comes is {found}, expected a target in reach",
@@ -382,4 +386,5 @@ def _next(trials: list[_Trial], goal: float, rise: float) -> float:
 
 
 def _clamp_quality(quality_db: float) -> float:
+    """Clamp a nominal quality to the range of the profiles, dB."""
     return min(max(quality_db, MIN_QUALITY_DB), MAX_QUALITY_DB)

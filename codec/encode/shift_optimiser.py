@@ -336,5 +336,6 @@ class ShiftOptimiser:
 
 
 def _in_steps(shifts: F64) -> NDArray[np.int8]:
+    """Quantise shifts to the units of the file."""
     stored: NDArray[np.int8] = np.clip(np.rint(shifts / _STEPS), -127, 127).astype(np.int8)
     return stored

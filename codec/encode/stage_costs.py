@@ -91,13 +91,13 @@ def stage_costs(splats: int, request: EncodeRequest, *, scored: bool = False) ->
     prediction = _of_view(_PREDICT, pixels, splats)
     costs = [StageCost("plan views", _PLAN)] if planned else []
     if not scored:
-        costs.append(_scored(splats, views, pixels, preset, jitter=jitter))
+        costs.append(_scoring(splats, views, pixels, preset, jitter=jitter))
     if seen and (fits or order == "gain"):
         share = preset.reference_share
         drawn = 1.0 if preset.reference_jitter else _WITHOUT_COPIES
-        costs.append(_referred(splats, min(views, preset.reference_views), share * pixels, drawn))
+        costs.append(_references(splats, min(views, preset.reference_views), share * pixels, drawn))
     if order == "gain":
-        costs.append(_gained(splats, preset))
+        costs.append(_gain(splats, preset))
     costs.append(StageCost("order", _of_scene(_ORDER, splats)))
     books = _of_scene(_CODEBOOKS, splats) if config.profile == "vq" else 0.0
     quantisers = _of_scene(_QUANTISERS, splats)
@@ -119,7 +119,7 @@ def stage_costs(splats: int, request: EncodeRequest, *, scored: bool = False) ->
     if seen and fits and config.preview is not None:
         costs.append(StageCost("preview", _PREVIEW * preset.reference_share))
     if seen and fits:
-        costs.append(_fitted(splats, preset))
+        costs.append(_fit(splats, preset))
     if seen:
         costs.append(StageCost("predict", prediction, predictions))
     return [*costs, StageCost("write", _of_scene(_WRITE, splats))]
@@ -155,7 +155,7 @@ def score_cost(
         Score jittered copies as well.
     """
     views = len(preset.views(cameras))
-    return _scored(splats, views, _mean_pixels(cameras), preset, jitter=jitter)
+    return _scoring(splats, views, _mean_pixels(cameras), preset, jitter=jitter)
 
 
 def order_costs(splats: int, order: str, cameras: Sequence[Camera]) -> list[StageCost]:
@@ -178,19 +178,25 @@ def order_costs(splats: int, order: str, cameras: Sequence[Camera]) -> list[Stag
     if split_name(order)[0] != "gain":
         return []
     preset = PRESETS[DEFAULT_PRESET]
-    return [_referred(splats, len(cameras), _mean_pixels(cameras)), _gained(splats, preset)]
+    return [
+        _references(splats, len(cameras), _mean_pixels(cameras)),
+        _gain(splats, preset),
+    ]
 
 
-def _scored(splats: int, views: int, pixels: float, preset: Preset, *, jitter: bool) -> StageCost:
+def _scoring(splats: int, views: int, pixels: float, preset: Preset, *, jitter: bool) -> StageCost:
+    """Return the cost of scoring."""
     steps = views * (1 + preset.jitter_copies if jitter else 1)
     return StageCost("score", _of_view(_SCORE, pixels, splats), steps)
 
 
-def _referred(splats: int, views: int, pixels: float, drawn: float = 1.0) -> StageCost:
+def _references(splats: int, views: int, pixels: float, drawn: float = 1.0) -> StageCost:
+    """Return the cost of rendering reference views."""
     return StageCost("reference views", drawn * _of_view(_REFERENCE, pixels, splats), views)
 
 
-def _gained(splats: int, preset: Preset) -> StageCost:
+def _gain(splats: int, preset: Preset) -> StageCost:
+    """Return the cost of the order by gain."""
     work = _draws(preset.gain) / _draws(GainEffort())
     fixed, each = _GAIN
     fixed *= preset.reference_share
@@ -202,7 +208,8 @@ def _draws(effort: GainEffort) -> float:
     return effort.views * math.log(effort.until / _FIRST_PREFIX) / math.log1p(effort.growth)
 
 
-def _fitted(splats: int, preset: Preset) -> StageCost:
+def _fit(splats: int, preset: Preset) -> StageCost:
+    """Return the cost of the compensation fit."""
     usual = PRESETS[DEFAULT_PRESET]
     work = preset.fit_iterations * preset.fit_views / (usual.fit_iterations * usual.fit_views)
     fixed, each = _COMPENSATE
@@ -211,12 +218,15 @@ def _fitted(splats: int, preset: Preset) -> StageCost:
 
 
 def _mean_pixels(cameras: Sequence[Camera]) -> float:
+    """Return the mean number of pixels of the cameras."""
     return sum(camera.width * camera.height for camera in cameras) / len(cameras)
 
 
 def _of_view(cost: tuple[float, float], pixels: float, splats: float) -> float:
+    """Return a cost per view, from costs per pixel and per splat."""
     return cost[0] * pixels + cost[1] * splats
 
 
 def _of_scene(cost: tuple[float, float], splats: int) -> float:
+    """Return a cost per scene, from a fixed cost and a cost per splat."""
     return cost[0] + cost[1] * splats

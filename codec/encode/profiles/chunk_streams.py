@@ -20,18 +20,18 @@ def chunk_means(means: F32, step: float, sort: bool) -> tuple[NDArray[np.int64],
     Parameters
     ----------
     means : (n, 3) float32
-        Scene units.
+        Means of the chunk, scene units.
     step : float
         Largest quantiser step, scene units.
     sort : bool
-        Whether to sort by Morton code and store the differences.
+        Sort by Morton code and store differences; otherwise keep the order.
 
     Returns
     -------
     rows : (n,) int64
-        Permutation of the chunk's rows.
+        Order of the chunk's rows.
     stream : Stream
-        Sorted or scalar.
+        Coded means.
     decoded : (n, 3) float32
         Decoded means.
     """

@@ -25,6 +25,7 @@ from . import near_lossless, transform, vq
 
 
 def _no_chunk(run: slice) -> Payloads:
+    """Refuse to encode a chunk of a scene without rows."""
     raise ValueError(f"rows {run.start}:{run.stop} of a scene without rows, expected none")
 
 
@@ -64,6 +65,7 @@ class Profile(Protocol):
 
 
 def _near_lossless(scene: ChunkedScene, quality_db: float, progress: Progress) -> PlannedScene:
+    """Plan the profile `near-lossless`."""
     config = scene.config
     bound = near_lossless.mean_bound(scene.source.scales[scene.rows], config.near_lossless)
     return PlannedScene(
@@ -74,6 +76,7 @@ def _near_lossless(scene: ChunkedScene, quality_db: float, progress: Progress) -
 
 
 def _transform(scene: ChunkedScene, quality_db: float, progress: Progress) -> PlannedScene:
+    """Plan the profile `transform`."""
     source, config, workspace = scene.source.without_extras(), scene.config, scene.workspace
     scores = (
         scene.scores if config.ablation.sensitivities else replace(scene.scores, sensitivities=None)
@@ -81,12 +84,15 @@ def _transform(scene: ChunkedScene, quality_db: float, progress: Progress) -> Pl
     energy = rate_costs.positive_energy(scores, scene.rows)
 
     def part(run: slice) -> Splats:
+        """Return the splats of a range of rows, with outliers clipped."""
         return vq.clip_outliers(workspace.take(source, scene.rows[run]))
 
     def coefficients_of(run: slice) -> NDArray[np.float32]:
+        """Return the SH coefficients of a range of rows, with outliers clipped."""
         return vq.clip_coefficients(workspace.gather(source.shN, scene.rows[run]))
 
     def own_costs(run: slice) -> Costs:
+        """Return the costs of a range of rows."""
         rows = scene.rows[run]
         return rate_costs.costs(part(run), scores.take(rows, workspace.gather), energy[run])
 
@@ -115,6 +121,7 @@ def _transform(scene: ChunkedScene, quality_db: float, progress: Progress) -> Pl
 
 
 def _vq(scene: ChunkedScene, quality_db: float, progress: Progress) -> PlannedScene:
+    """Train the codebooks of the profile `vq`."""
     # Codebooks are trained on all splats, so this profile copies the ordered scene.
     ordered = vq.clip_outliers(scene.source.without_extras().take(scene.rows))
     config = scene.config

@@ -1,4 +1,4 @@
-"""The `near-lossless` profile: every attribute within a stated bound of the source."""
+"""Profile `near-lossless`: every attribute stays within a stated bound of the source."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ _MIN_QUAT_BOUND: Final = 1e-6
 
 @dataclass(frozen=True)
 class NearLosslessBounds:
-    """Largest differences between source and decoded scene, by attribute.
+    """Error bounds between source and decoded scene, by attribute.
 
     Parameters
     ----------
     means : float
-        Times the median deviation of the scene's splats, scene units.
+        Bound of means, in median standard deviations of the scene's splats.
     scales : float
-        Log: 0.002 is 0.2 % of a deviation.
+        Bound of log scales; 0.002 is 0.2 % of a standard deviation.
     quats : float
-        Per component of the unit quaternion, whose sign is free; at least 1e-6.
+        Bound per component of the unit quaternion, up to its sign; at least 1e-6.
     opacities : float
-        Logit; ±inf is kept exactly.
+        Bound of logits; ±inf is kept exactly.
     sh0, shN : float
-        Per coefficient.
+        Bound per SH coefficient.
     """
 
     means: float = 0.01
@@ -61,7 +61,15 @@ class NearLosslessBounds:
 
 
 def mean_bound(scales: F32, bounds: NearLosslessBounds) -> float:
-    """Return the bound of means in scene units, from the log scales of the scene, (N, 3)."""
+    """Return the error bound of means, scene units.
+
+    Parameters
+    ----------
+    scales : (N, 3) float32
+        Log scales of the scene.
+    bounds : NearLosslessBounds
+        Error bounds.
+    """
     if len(scales) == 0:
         return bounds.means
     return float(bounds.means * np.exp(np.median(scales.astype(np.float64))))
@@ -70,19 +78,18 @@ def mean_bound(scales: F32, bounds: NearLosslessBounds) -> float:
 def encode_chunk(
     splats: Splats, means_bound: float, bounds: NearLosslessBounds, sort: bool
 ) -> Payloads:
-    """Return the head and the tail of a chunk whose every value stays within bounds.
-
-    Their planes are not compressed yet.
+    """Encode a chunk into head and tail within error bounds, without compressing the planes.
 
     Parameters
     ----------
     splats : Splats
-        The chunk's rows.
+        Splats of the chunk.
     means_bound : float
-        Scene units.
+        Error bound of means, scene units.
     bounds : NearLosslessBounds
+        Error bounds of the other attributes.
     sort : bool
-        Whether to sort by Morton code inside the chunk.
+        Sort the chunk by Morton code.
     """
     rows, means = _means(splats.means, means_bound, sort)
     splats = splats.take(rows)
@@ -103,12 +110,14 @@ def encode_chunk(
 
 
 def _quat_step(bound: float) -> float:
+    """Return the quantiser step that keeps quaternion components within a bound."""
     # The component left out is at least 1/2, so its error is up to three times the others' to the
     # first order; 6·bound covers the second.
     return 2 * (bound - _QUAT_ROUNDING) / (3 + 6 * bound)
 
 
 def _means(means: F32, bound: float, sort: bool) -> tuple[NDArray[np.int64], Stream]:
+    """Quantise means within a bound; store float32 where no grid is fine enough."""
     rows, stream, decoded = chunk_means(means, 2 * bound * _SLACK, sort)
     if _largest(decoded, means[rows]) <= bound:
         return rows, stream
@@ -118,6 +127,7 @@ def _means(means: F32, bound: float, sort: bool) -> tuple[NDArray[np.int64], Str
 
 
 def _bounded(attribute: Attribute, values: F32, bound: float) -> Stream:
+    """Quantise values within a bound; store float32 where no grid is fine enough."""
     grid = grids.fit(values, 2 * bound * _SLACK)
     if _error(values, grid) <= bound:
         return scalar.write(attribute, values, grid)
@@ -125,6 +135,7 @@ def _bounded(attribute: Attribute, values: F32, bound: float) -> Stream:
 
 
 def _opacities(values: F32, bound: float) -> Stream:
+    """Quantise opacities within a bound, with codes for infinite logits."""
     finite = np.isfinite(values[:, 0])
     if not finite.all():
         inner = values[finite] if finite.any() else np.zeros((1, 1), np.float32)
@@ -138,6 +149,7 @@ def _opacities(values: F32, bound: float) -> Stream:
 
 
 def _error(values: F32, grid: grids.Grid) -> float:
+    """Return the largest quantisation error of an array."""
     return _largest(grid.dequantise(grid.quantise(values)), values)
 
 

@@ -127,18 +127,19 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
     Parameters
     ----------
     part : Splats
-        The chunk's rows.
+        Splats of the chunk.
     plan_ : TransformPlan
+        Parameters that all chunks share.
     run : slice
-        Where they stand in the planned scene.
+        Row range of the chunk in the planned scene.
     sort : bool
-        Whether to sort by Morton code.
+        Sort the chunk by Morton code.
     """
     lagrangian, used = plan_.lagrangian, plan_.ablation
     coarseness = plan_.coarseness.get(run.start, FINE)
     costs = rate_costs.limit_steps(plan_.costs_of(run), part.scales, lagrangian)
     angles, source_scales = swing_twist.decompose(rotations.unit(part.quats), part.scales)
-    # Scales come first: how many bits means and rotations have follows from the decoded ones.
+    # Scales come first: the decoded scales decide the bits of means and rotations.
     differences, grid = shapes.differences_to_store(source_scales, costs, lagrangian, used.areas)
     sizes = refinement_split.split(
         Attribute.SCALES, differences, grid, costs.scale_long, coarseness.scales

@@ -54,7 +54,9 @@ class VqPlan:
     factors : (N,) float32
         Log of the size that the shape vectors leave out.
     shape_payload : bytes
+        Payload of the shape codebook.
     shape_rows : int
+        Rows of the shape codebook.
     shape_indices : (N,) uint32
         Row of the shape codebook.
     shape_escape : (N,) bool
@@ -62,7 +64,9 @@ class VqPlan:
     colour_payloads : tuple of bytes
         One per SH band; empty where the scene has none.
     colour_rows : int
+        Rows of the colour codebook.
     colour_indices : (N,) uint32
+        Row of the colour codebook.
     colour_escape : (N,) bool
         Mask of splats whose colour is an escape row.
     """
@@ -123,12 +127,24 @@ def codebook_rows(splats: int, per_row: int) -> int:
 
 
 def clip_coefficients(values: F32) -> F32:
-    """Return SH coefficients clipped to ±`MAX_COEFFICIENT`; the same array where none is beyond."""
+    """Clip SH coefficients to ±`MAX_COEFFICIENT`.
+
+    Parameters
+    ----------
+    values : float32 array
+        Coefficients; returned without a copy if all are within the limit.
+    """
     return _clip(values, MAX_COEFFICIENT)
 
 
 def clip_outliers(splats: Splats) -> Splats:
-    """Return the scene with scales clipped to ±`MAX_LOG_SCALE`, SH to ±`MAX_COEFFICIENT`."""
+    """Clip the scales of a scene to ±`MAX_LOG_SCALE` and its SH to ±`MAX_COEFFICIENT`.
+
+    Parameters
+    ----------
+    splats : Splats
+        Scene to clip.
+    """
     return replace(
         splats,
         scales=_clip(splats.scales, MAX_LOG_SCALE),
@@ -138,6 +154,7 @@ def clip_outliers(splats: Splats) -> Splats:
 
 
 def _clip(values: F32, limit: float) -> F32:
+    """Clip values to a limit of either sign, without a copy where none exceeds it."""
     # Check first: hardly any scene has outliers, and a copy of shN is large.
     if -float(values.min(initial=0)) > limit or float(values.max(initial=0)) > limit:
         return np.clip(values, -limit, limit)
@@ -290,6 +307,7 @@ def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton:
 def _indices(
     attribute: Attribute, book: int, size: int, indices: U32, escape: NDArray[np.bool_]
 ) -> Stream:
+    """Return the stream of codebook indices; escape rows follow the codebook's."""
     count = int(escape.sum())
     indices = indices.copy()
     indices[escape] = size + np.arange(count, dtype=np.uint32)
