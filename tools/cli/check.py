@@ -18,7 +18,7 @@ from cogsplat.formats.network.urls import HTTP_SCHEMES, is_url, scheme_of
 from cogsplat.tools.hosting.doctor import Diagnosis, diagnose
 from cogsplat.tools.hosting.remedies import HOSTS, host_of, remedies
 from cogsplat.tools.hosting.rules import ERROR, NOTE, SEVERITIES, WARNING, HostFinding
-from cogsplat.tools.terminal.limits import current_limits, limits_option
+from cogsplat.tools.terminal.limits_option import current_limits, limits_option
 from cogsplat.tools.terminal.options import json_option, quiet_option
 from cogsplat.tools.terminal.output import (
     count_text,
@@ -28,7 +28,7 @@ from cogsplat.tools.terminal.output import (
     print_line,
 )
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT
 
 _INVALID_STATUS: Final = 3

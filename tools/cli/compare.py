@@ -15,7 +15,7 @@ from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.measuring_costs import comparison_costs, objects_cost
 from cogsplat.tools.evaluation.object_quality import ObjectQuality
-from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import (
     background_option,
     cameras_option,
@@ -38,7 +38,7 @@ from cogsplat.tools.terminal.output import (
 )
 from cogsplat.tools.terminal.output_names import PNG, check_name
 from cogsplat.tools.terminal.partial import partial_option
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH
 from cogsplat.tools.terminal.values import ChunkRange, Colour
 from cogsplat.tools.workflow.inputs import (

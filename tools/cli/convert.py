@@ -26,7 +26,7 @@ from cogsplat.formats.cogs.packing import folder_files
 from cogsplat.formats.network.urls import is_url
 from cogsplat.formats.scenes.registry import is_cogs
 from cogsplat.formats.storage.atomic import check_output, storage_errors
-from cogsplat.tools.terminal.limits import current_limits, limits_option
+from cogsplat.tools.terminal.limits_option import current_limits, limits_option
 from cogsplat.tools.terminal.options import (
     cameras_option,
     force_option,
@@ -43,7 +43,7 @@ from cogsplat.tools.terminal.output import (
     size_text,
 )
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.workflow.inputs import LoadedScene, input_files, read_any, scoring_cameras

@@ -18,7 +18,7 @@ from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.order.baselines import antimatter, sort_descending
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.atomic import check_output
-from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import (
     cameras_option,
     force_option,
@@ -28,7 +28,7 @@ from cogsplat.tools.terminal.options import (
 )
 from cogsplat.tools.terminal.output import display_name, print_facts, print_json, print_line
 from cogsplat.tools.terminal.partial import partial_option
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.workflow.inputs import (

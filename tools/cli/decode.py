@@ -16,7 +16,7 @@ from cogsplat.formats.scenes.ply.ply_scene import write_ply, write_ply_parts
 from cogsplat.formats.scenes.registry import WRITABLE
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
-from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import (
     compensate_option,
     force_option,
@@ -34,7 +34,7 @@ from cogsplat.tools.terminal.output import (
 )
 from cogsplat.tools.terminal.output_names import scene_format, written_bytes
 from cogsplat.tools.terminal.partial import partial_option
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT_BY_RANGES, OutputPath
 from cogsplat.tools.terminal.values import ChunkRange

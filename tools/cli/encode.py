@@ -32,7 +32,7 @@ from cogsplat.tools.cluster.dask_executor import connected
 from cogsplat.tools.evaluation.byte_inventory import stored_sizes
 from cogsplat.tools.evaluation.prefix_quality import PrefixQuality
 from cogsplat.tools.evaluation.report_page import write_report
-from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.option_groups import GroupedCommand
 from cogsplat.tools.terminal.options import (
     background_option,
@@ -66,7 +66,7 @@ from cogsplat.tools.terminal.output_names import (
     format_option,
 )
 from cogsplat.tools.terminal.partial import partial_option
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.scene_writing import no_extras_option
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
 from cogsplat.tools.terminal.usage import usage_errors

@@ -21,7 +21,7 @@ from cogsplat.tools.delivery.viewer_pages import (
     linked_page,
     write_standalone_page,
 )
-from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import (
     force_option,
     json_option,

@@ -24,7 +24,7 @@ from cogsplat.tools.evaluation.byte_inventory import (
     stored_sizes,
 )
 from cogsplat.tools.evaluation.scene_statistics import statistics as scene_statistics
-from cogsplat.tools.terminal.limits import current_limits, limits_option
+from cogsplat.tools.terminal.limits_option import current_limits, limits_option
 from cogsplat.tools.terminal.options import (
     json_option,
     part_options,
@@ -41,7 +41,7 @@ from cogsplat.tools.terminal.output import (
     size_text,
 )
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT_BY_RANGES, unfetched_url
 from cogsplat.tools.terminal.values import ChunkRange
 from cogsplat.tools.workflow.byte_table import print_byte_table

@@ -16,7 +16,7 @@ from cogsplat.formats.cameras.colmap_points import find_points, read_points
 from cogsplat.formats.cogs.metadata import FileMetadata
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.evaluation.photos import read_photos
-from cogsplat.tools.terminal.limits import current_limits, limits_option
+from cogsplat.tools.terminal.limits_option import current_limits, limits_option
 from cogsplat.tools.terminal.options import (
     background_option,
     cameras_option,
@@ -38,7 +38,7 @@ from cogsplat.tools.terminal.output import (
 )
 from cogsplat.tools.terminal.output_names import COGS, check_name, format_option
 from cogsplat.tools.terminal.partial import partial_option
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import Colour
 from cogsplat.tools.workflow.inputs import (

@@ -17,7 +17,7 @@ from cogsplat.codec.geometry import merging
 from cogsplat.codec.order import objects
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.atomic import check_output
-from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import (
     force_option,
     json_option,
@@ -32,7 +32,7 @@ from cogsplat.tools.terminal.output import (
     print_line,
 )
 from cogsplat.tools.terminal.partial import partial_option
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import Vector, vector

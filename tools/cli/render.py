@@ -10,7 +10,7 @@ import click
 from cogsplat.codec.cameras import Camera
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
-from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import (
     background_option,
     cameras_option,
@@ -31,7 +31,7 @@ from cogsplat.tools.terminal.output import (
 )
 from cogsplat.tools.terminal.output_names import PNG, check_name, format_option
 from cogsplat.tools.terminal.partial import partial_option
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import ChunkRange, Colour, picture_size
 from cogsplat.tools.workflow.inputs import (

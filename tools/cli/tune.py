@@ -16,7 +16,7 @@ from cogsplat.formats.cogs.metadata import FileMetadata
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.photos import read_photos
-from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.option_groups import GroupedCommand
 from cogsplat.tools.terminal.options import (
     background_option,
@@ -41,7 +41,7 @@ from cogsplat.tools.terminal.output import (
 )
 from cogsplat.tools.terminal.output_names import COGS, check_distinct, check_name, format_option
 from cogsplat.tools.terminal.partial import partial_option
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
 from cogsplat.tools.terminal.values import Colour, byte_count
 from cogsplat.tools.workflow.inputs import (

@@ -18,11 +18,11 @@ from cogsplat.tools.hosting.folder_upload import (
     upload_folder,
 )
 from cogsplat.tools.hosting.object_store import Bucket
-from cogsplat.tools.terminal.limits import current_limits, limits_option
+from cogsplat.tools.terminal.limits_option import current_limits, limits_option
 from cogsplat.tools.terminal.options import json_option, quiet_option
 from cogsplat.tools.terminal.output import count_text, print_json, print_line, size_text
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import PATH
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from cogsplat.tools.delivery.local_server import SceneServer
-from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import json_option, quiet_option, threads_option
 from cogsplat.tools.terminal.output import (
     count_text,

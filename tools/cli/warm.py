@@ -12,7 +12,7 @@ from cogsplat.codec.streams.decoding_tiers import KERNEL_MODULES
 from cogsplat.codec.threads import thread_count
 from cogsplat.tools.terminal.options import json_option, quiet_option, threads_option
 from cogsplat.tools.terminal.output import count_text, print_facts, print_json, print_line
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.workflow.compile_ahead import CompileAhead
 
 # Modules with the kernels of training.

@@ -22,7 +22,7 @@ from cogsplat.formats.network.download import download
 from cogsplat.formats.network.object_output import ObjectOutput
 from cogsplat.formats.network.urls import HTTP_SCHEMES, is_url, redacted, scheme_of
 
-from .progress import Stages
+from .progress_bars import Stages
 
 STREAM: Final = "-"
 """The argument for standard input or output."""

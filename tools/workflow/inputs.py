@@ -23,7 +23,7 @@ from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.scenes.registry import is_cogs, read_scene, scene_bytes, scene_files
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.formats.storage.source import Source
-from cogsplat.tools.terminal.limits import current_limits
+from cogsplat.tools.terminal.limits_option import current_limits
 from cogsplat.tools.terminal.partial import partial_accepted
 from cogsplat.tools.terminal.standard_streams import fetch_if_url, unfetched_url
 from cogsplat.tools.terminal.values import ChunkRange

@@ -16,7 +16,7 @@ from cogsplat.formats.scenes.registry import WRITABLE
 from cogsplat.formats.storage.atomic import storage_errors
 from cogsplat.tools.terminal.output import display_name, size_text
 from cogsplat.tools.terminal.output_names import scene_format, written_bytes
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting
 from cogsplat.tools.terminal.standard_streams import is_standard_output
 

@@ -13,10 +13,10 @@ from cogsplat.formats.cogs.folder_source import names_folder
 from cogsplat.formats.cogs.folder_writer import pack_cogs
 from cogsplat.formats.scenes.registry import is_cogs
 from cogsplat.tools.delivery.viewer_pages import SCENE_NAME
-from cogsplat.tools.terminal.limits import current_limits
+from cogsplat.tools.terminal.limits_option import current_limits
 from cogsplat.tools.terminal.output import print_error_line
 from cogsplat.tools.terminal.partial import partial_accepted
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 
 from .inputs import drop_invalid_splats, read_any
 

@@ -7,7 +7,7 @@ from cogs_samples import file_of, scene
 from fault_server import FaultServer, serving, status
 
 import cogsplat
-from cogsplat.tools.terminal import progress
+from cogsplat.tools.terminal import progress_bars
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def test_refusals_are_told_with_their_address(run, tmp_path, command):
 
 def test_a_fetch_of_a_whole_file_is_shown(run, server, tmp_path, monkeypatch):
     # Every report is a line, however fast it comes.
-    monkeypatch.setattr(progress, "_LINE_EVERY", 0.0)
+    monkeypatch.setattr(progress_bars, "_LINE_EVERY", 0.0)
     parts = 1 + -(-(len(server.data) - 65536) // (1 << 20))
     expected = [f"fetch {part}/{parts}" for part in range(1, parts + 1)]
     assert parts > 1
@@ -82,7 +82,7 @@ def test_a_fetch_of_a_whole_file_is_shown(run, server, tmp_path, monkeypatch):
 
 
 def test_a_scene_that_turns_out_to_be_fetched_is_shown(run, tmp_path, monkeypatch):
-    monkeypatch.setattr(progress, "_LINE_EVERY", 0.0)
+    monkeypatch.setattr(progress_bars, "_LINE_EVERY", 0.0)
     cogsplat.write(scene(2000), tmp_path / "a.ply")
     with serving(FaultServer((tmp_path / "a.ply").read_bytes())) as server:
         assert "fetch 1/2\nfetch 2/2" in run("info", server.url("a.ply")).err

@@ -27,7 +27,7 @@ from cogsplat.tools.lab.benchmark import rate_distortion as benches
 from cogsplat.tools.lab.benchmark.ablation import AblationTable
 from cogsplat.tools.lab.benchmark.rate_distortion import Bench, BenchInput, Row, StageTime
 from cogsplat.tools.pictures.svg_charts import Series, bar_chart, line_chart
-from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import (
     background_option,
     cameras_option,
@@ -47,7 +47,7 @@ from cogsplat.tools.terminal.output import (
     size_text,
 )
 from cogsplat.tools.terminal.partial import partial_option
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH
 from cogsplat.tools.terminal.values import Colour
 from cogsplat.tools.workflow.inputs import (

@@ -14,7 +14,7 @@ from cogsplat.tools.lab.conformance.differential import FuzzReport, vector_files
 from cogsplat.tools.lab.conformance.differential import fuzz as fuzz_decoders
 from cogsplat.tools.terminal.options import json_option, quiet_option
 from cogsplat.tools.terminal.output import count_text, print_json, print_line
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import PATH
 
 from .conformance_options import MOST_SHOWN, VECTORS, own_vectors, timeout_option

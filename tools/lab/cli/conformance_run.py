@@ -13,7 +13,7 @@ from cogsplat.tools.lab.conformance.runner import Failure, Report
 from cogsplat.tools.lab.conformance.runner import run as run_vectors
 from cogsplat.tools.terminal.options import json_option, quiet_option
 from cogsplat.tools.terminal.output import count_text, print_json, print_line, print_table
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 
 from .conformance_options import MOST_SHOWN, VECTORS, own_vectors, timeout_option
 

@@ -22,7 +22,7 @@ from cogsplat.tools.terminal.output import (
     print_table,
     size_text,
 )
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import PATH
 from cogsplat.tools.workflow.compile_ahead import CompileAhead
 

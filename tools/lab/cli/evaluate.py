@@ -45,7 +45,7 @@ from cogsplat.tools.lab.evaluation.tables import (
     tell,
     written_pages,
 )
-from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.option_groups import GroupedCommand
 from cogsplat.tools.terminal.options import (
     background_option,
@@ -63,7 +63,7 @@ from cogsplat.tools.terminal.options import (
 )
 from cogsplat.tools.terminal.output import display_name, print_facts, print_json, print_line
 from cogsplat.tools.terminal.partial import partial_option
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH
 from cogsplat.tools.terminal.values import Colour
 from cogsplat.tools.workflow.inputs import (

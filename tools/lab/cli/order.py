@@ -16,7 +16,7 @@ from cogsplat.codec.order import objects
 from cogsplat.codec.order.chunk_plan import DEFAULT_CHUNK_SPLATS
 from cogsplat.codec.order.orders import OrderInputs, needs_scores, order_rows
 from cogsplat.formats.storage.atomic import atomic_write, check_output
-from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.option_groups import GroupedCommand
 from cogsplat.tools.terminal.options import (
     cameras_option,
@@ -38,7 +38,7 @@ from cogsplat.tools.terminal.output import (
 )
 from cogsplat.tools.terminal.output_names import NPY, check_name
 from cogsplat.tools.terminal.partial import partial_option
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.workflow.inputs import (
     input_files,

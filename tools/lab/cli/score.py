@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.formats.storage.atomic import atomic_write, check_output
-from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import (
     cameras_option,
     device_option,
@@ -33,7 +33,7 @@ from cogsplat.tools.terminal.output import (
 )
 from cogsplat.tools.terminal.output_names import NPY, check_name
 from cogsplat.tools.terminal.partial import partial_option
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.workflow.inputs import input_files, plan_cameras, read_any, scoring_cameras
 

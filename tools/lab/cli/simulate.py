@@ -30,7 +30,7 @@ from cogsplat.tools.lab.streaming.streamed_sog import BUDGET_SPLATS, streamed_so
 from cogsplat.tools.lab.streaming.traces import Trace, dolly, orbital, recorded
 from cogsplat.tools.lab.streaming.waiting import fetched_by_waiting
 from cogsplat.tools.pictures.png import write_png
-from cogsplat.tools.terminal.limits import current_limits, limits_option
+from cogsplat.tools.terminal.limits_option import current_limits, limits_option
 from cogsplat.tools.terminal.option_groups import GroupedCommand
 from cogsplat.tools.terminal.options import (
     force_option,
@@ -46,7 +46,7 @@ from cogsplat.tools.terminal.output import (
     print_table,
 )
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH
 from cogsplat.tools.terminal.values import number_of_bytes
 from cogsplat.tools.workflow.inputs import (

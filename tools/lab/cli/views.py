@@ -17,7 +17,7 @@ from cogsplat.formats.storage.atomic import check_output, storage_errors
 from cogsplat.tools.cli.render import fitted
 from cogsplat.tools.pictures.contact_sheet import THUMBNAIL, contact_sheet
 from cogsplat.tools.pictures.png import write_png
-from cogsplat.tools.terminal.limits import limits_option
+from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import (
     force_option,
     json_option,
@@ -33,7 +33,7 @@ from cogsplat.tools.terminal.output import (
     size_text,
 )
 from cogsplat.tools.terminal.partial import partial_option
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.workflow.inputs import input_files, read_any
 

@@ -7,7 +7,7 @@ import pytest
 from running import Run, SmallScene
 
 from cogsplat.codec.progress import StageCost
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal.progress_bars import Stages
 
 
 class Watched:

@@ -6,15 +6,15 @@ import sys
 import pytest
 
 from cogsplat.codec.progress import StageCost
-from cogsplat.tools.terminal import progress
-from cogsplat.tools.terminal.progress import Stages
+from cogsplat.tools.terminal import progress_bars
+from cogsplat.tools.terminal.progress_bars import Stages
 
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     """Return a list whose one number is the time."""
     now = [100.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(progress_bars.time, "monotonic", lambda: now[0])
     return now
 
 

@@ -2,7 +2,7 @@ import click
 import pytest
 
 from cogsplat.formats.storage.limits import Limits
-from cogsplat.tools.terminal.limits import current_limits, limits_of
+from cogsplat.tools.terminal.limits_option import current_limits, limits_of
 
 
 @pytest.mark.parametrize(
