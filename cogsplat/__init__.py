@@ -140,9 +140,9 @@ def open(
     partial : bool
         Accept a file that is still being received, or a folder that lacks segments.
     size_bytes : int, optional
-        Take the file as if its transfer had stopped after so many bytes.
+        Length, bytes, after which the file is cut, to simulate a stopped transfer.
     limits : Limits, optional
-        What may be allocated for it.
+        Limits on memory, splats and cameras of the file.
     network : NetworkOptions, optional
         How a URL is read: headers, retries, waiting.
 
@@ -183,7 +183,7 @@ def _show_in_notebooks() -> None:
 
 
 def _bundle(file: CogsFile) -> object:
-    """Return what a notebook shows of an open file: a MIME bundle, or None.
+    """Return the MIME bundle that a notebook shows for an open file, or None.
 
     It comes from an entry point, since the viewer stands above this module, which cannot import it.
     """
@@ -213,13 +213,13 @@ def decode(
     Parameters
     ----------
     path : path, URL, bytes, binary file object or Source
-        As in `open`.
+        File, folder or URL, as in `open`.
     chunks : tuple of (int or None, int or None), optional
         Half-open range of chunks; None leaves an end open.
     splats : int, optional
-        Whole chunks from the first until there are at least so many splats.
+        Minimum number of splats: whole chunks are decoded from the first on until it is reached.
     size_bytes : int, optional
-        Only what is complete in the first so many bytes of the file.
+        Length, bytes, of the part of the file to decode; incomplete segments are ignored.
     objects : sequence of int, optional
         The chunks of these objects alone, by label; `splats` counts theirs.
     sh_degree : int, optional
@@ -251,7 +251,7 @@ def decode(
     ValueError
         More than one of `chunks`, `splats` and `size_bytes`, a range outside the file, an object
         that it does not have, a negative number, `compensate` with chunks that are not the first,
-        a level that it does not have, or one beside any of these.
+        a level that it does not have, or a level together with a part.
 
     Examples
     --------
@@ -308,7 +308,7 @@ def read(path: _Path, *, limits: Limits | None = None) -> Splats:
     ----------
     path : path
     limits : Limits, optional
-        What the file may cost in memory, and how many splats it may hold.
+        Limits on memory and number of splats.
 
     Returns
     -------

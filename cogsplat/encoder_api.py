@@ -159,7 +159,7 @@ def tune(
     force: bool = False,
     progress: Progress = silent,
 ) -> EncodeReport:
-    """Train fewer splats to show what a scene shows, and encode them into a COGS file.
+    """Prune and train a scene for a target size or PSNR, and encode it into a COGS file.
 
     Parameters
     ----------
@@ -408,7 +408,7 @@ def score(
 
 
 def _require_scene(scene: object) -> None:
-    """Refuse an argument that is neither splats nor a path."""
+    """Require splats or a path."""
     if not isinstance(scene, Splats | str | os.PathLike):
         raise TypeError(f"a {type(scene).__name__}, expected Splats or the path of a scene")
 
