@@ -1,8 +1,7 @@
-"""Make the shared vectors of the scheduler: random states and what is decided in each.
+"""Generate the scheduler's test vectors: random client states with the expected decisions.
 
 Run ``python -m cogsplat.tools.lab.make_decisions`` after every change of docs/streaming.md, and
-commit what it writes. Both implementations must decide the same (tests/tools/lab/scheduling and
-tools/web).
+commit the file it writes. The Python and TypeScript implementations are both tested against it.
 """
 
 from __future__ import annotations
@@ -17,8 +16,8 @@ from cogsplat.codec.geometry.rotations import matrices
 from cogsplat.codec.partition.nested_cells import parents
 from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.tools.lab.scheduling import chunk_ratios
-from cogsplat.tools.lab.scheduling.poses import Pose, path
-from cogsplat.tools.lab.scheduling.scheduler import Holdings, Scheduler, Unit
+from cogsplat.tools.lab.scheduling.poses import Pose, predicted_poses
+from cogsplat.tools.lab.scheduling.scheduler import ClientState, Scheduler, Unit
 
 DECISIONS: Final = (
     Path(__file__).resolve().parents[2]
@@ -34,9 +33,9 @@ _STATES: Final = 40
 
 
 class Scene(TypedDict):
-    """A scene of the vectors.
+    """Scene of the test vectors.
 
-    A unit is its chunk, whether it is a head, end, size, and the units that it needs.
+    A unit is a tuple of chunk, head flag, end offset, size in bytes and dependencies.
     """
 
     boxes: list[list[float]]
@@ -49,10 +48,10 @@ class Scene(TypedDict):
 
 
 class State(TypedDict):
-    """What a client has, where it looks from, and what is decided.
+    """State of a client, its poses and the expected decision.
 
-    A pose is a position, a rotation row by row, and two tangents; a decision is what to stop, to
-    evict and to fetch.
+    A pose is a position, a rotation in row-major order and two tangents. A decision is the lists of
+    aborted units, evicted chunks and fetched units.
     """
 
     scene: int
@@ -70,25 +69,25 @@ class State(TypedDict):
 
 
 def ratios_of(scene: Scene, rule: str) -> chunk_ratios.PoseRatios:
-    """Return a rule of `RULES` for a scene."""
+    """Return the ratio function of a scene for a rule of `RULES`."""
     boxes = np.array(scene["boxes"], np.float64)
     contribution = np.array(scene["contribution"], np.float64)
     if rule == "sgss":
-        return chunk_ratios.by_sgss(boxes, np.array(scene["splats"], np.float64))
+        return chunk_ratios.sgss_priorities(boxes, np.array(scene["splats"], np.float64))
     if rule == "boxes":
-        return chunk_ratios.by_boxes(boxes, contribution)
+        return chunk_ratios.ratios_from_boxes(boxes, contribution)
     table = ViewTable(
         np.array(scene["positions"], np.float32),
         np.array(scene["directions"], np.int8),
         np.array(scene["codes"], np.uint8),
     )
-    return chunk_ratios.by_view_table(table, boxes, contribution)
+    return chunk_ratios.ratios_from_view_table(table, boxes, contribution)
 
 
-def decided(scene: Scene, state: State) -> list[list[int]]:
-    """Return what is decided in a state."""
+def decide(scene: Scene, state: State) -> list[list[int]]:
+    """Return the scheduler's decision in a state: aborted, evicted, fetched."""
     units = [Unit(c, bool(head), end, size, tuple(a)) for c, head, end, size, a in scene["units"]]
-    held = Holdings(
+    client = ClientState(
         frozenset(state["there"]),
         frozenset(state["under_way"]),
         dict(state["received"]),
@@ -96,29 +95,29 @@ def decided(scene: Scene, state: State) -> list[list[int]]:
         state["bytes_per_second"],
         state["latency"],
     )
-    poses = path(_pose(state["now"]), _pose(state["before"]), state["elapsed"])
-    ratios = chunk_ratios.along(ratios_of(scene, state["rule"]), poses)
-    decision = Scheduler(units, scene["splats"]).decide(ratios, held)
-    return [decision.stop, decision.evict, decision.fetch]
+    poses = predicted_poses(_pose(state["now"]), _pose(state["before"]), state["elapsed"])
+    ratios = chunk_ratios.weighted_ratios(ratios_of(scene, state["rule"]), poses)
+    decision = Scheduler(units, scene["splats"]).decide(ratios, client)
+    return [decision.abort, decision.evict, decision.fetch]
 
 
-def make() -> tuple[list[Scene], list[State]]:
-    """Return scenes and states, the same every time."""
+def generate() -> tuple[list[Scene], list[State]]:
+    """Generate scenes and states from a fixed seed."""
     rng = np.random.default_rng(16)
     scenes = [_scene(rng) for _ in range(_SCENES)]
     states = []
     for number, scene in enumerate(scenes):
         for turn in range(_STATES):
             state = _state(rng, number, scene, RULES[turn % len(RULES)] if turn % 2 else "views")
-            state["decision"] = decided(scene, state)
+            state["decision"] = decide(scene, state)
             states.append(state)
     return scenes, states
 
 
 def text() -> str:
-    """Return the vectors as JSON, a scene or state a line."""
+    """Return the test vectors as JSON, one scene or state per line."""
     parts = []
-    scenes, states = make()
+    scenes, states = generate()
     named: dict[str, list[Scene] | list[State]] = {"scenes": scenes, "states": states}
     for name, entries in named.items():
         lines = ",\n".join(json.dumps(entry, separators=(",", ":")) for entry in entries)
@@ -160,7 +159,7 @@ def _scene(rng: np.random.Generator) -> Scene:
 def _units(
     rng: np.random.Generator, above: list[int]
 ) -> list[tuple[int, int, int, int, list[int]]]:
-    """Return a codebook, and heads in their order with what refines them behind them."""
+    """Return units of a file: a codebook, then heads, each followed by refinements of chunks."""
     rows: list[tuple[int, int, list[int]]] = [(-1, 0, [])]
     heads: dict[int, int] = {}
     later: list[int] = []
@@ -173,10 +172,10 @@ def _units(
             rows.append((owner, 0, [heads[owner], *([0] if rng.random() < 0.4 else [])]))
     end = int(rng.integers(500, 3000))
     units = []
-    for chunk, head, after in rows:
+    for chunk, head, dependencies in rows:
         size = int(rng.integers(100, 5000))
         end += size
-        units.append((chunk, head, end, size, after))
+        units.append((chunk, head, end, size, dependencies))
     return units
 
 
@@ -189,15 +188,15 @@ def _state(rng: np.random.Generator, number: int, scene: Scene, rule: str) -> St
     rotations = matrices(quats)
     tangents = rng.uniform(0.3, 1.4, 2)
     moved = position - 0.2 * rng.normal(size=3)
-    # Whatever is there has what it needs.
+    # Every present unit has its dependencies.
     there: set[int] = set()
-    for unit, (_, _, _, _, after) in enumerate(units):
-        if rng.random() < 0.55 and there.issuperset(after):
+    for unit, (_, _, _, _, dependencies) in enumerate(units):
+        if rng.random() < 0.55 and there.issuperset(dependencies):
             there.add(unit)
-    open_ = [unit for unit in range(len(units)) if unit not in there]
-    under_way = [unit for unit in open_ if rng.random() < 0.3]
+    missing = [unit for unit in range(len(units)) if unit not in there]
+    under_way = [unit for unit in missing if rng.random() < 0.3]
     received = [
-        (unit, int(rng.integers(0, units[unit][3]))) for unit in open_ if rng.random() < 0.4
+        (unit, int(rng.integers(0, units[unit][3]))) for unit in missing if rng.random() < 0.4
     ]
     heads = {row[0] for unit, row in enumerate(units) if row[1] and unit in {*there, *under_way}}
     used = sum(scene["splats"][chunk] for chunk in heads)

@@ -29,9 +29,9 @@ from cogsplat.tools.delivery.slow_server import SlowServer, running
 from cogsplat.tools.lab.scheduling.poses import Pose
 from cogsplat.tools.lab.streaming.client import Link, Units
 from cogsplat.tools.lab.streaming.comparison import Moment, Simulation
-from cogsplat.tools.lab.streaming.curves import strips
-from cogsplat.tools.lab.streaming.traces import Trace, recorded
-from cogsplat.tools.lab.streaming.visits import Browser
+from cogsplat.tools.lab.streaming.curves import picture_strips
+from cogsplat.tools.lab.streaming.traces import Trace, recorded_trace
+from cogsplat.tools.lab.streaming.visit_client import Browser
 from cogsplat.tools.pictures.png import write_png
 
 from .chromium import opened_page
@@ -109,7 +109,7 @@ def in_browser(
     times = np.arange(0.0, trace.seconds + _LOOK_SECONDS, _LOOK_SECONDS)
     visit = {
         "url": "/scene.cogs",
-        "poses": [_pose(Pose.of_camera(trace.at(float(seconds)))) for seconds in times],
+        "poses": [_pose(Pose.from_camera(trace.camera_at(float(seconds)))) for seconds in times],
         "interval": _LOOK_SECONDS,
         "budget": budget_splats,
         "moments": moments,
@@ -164,12 +164,12 @@ def compare(
     pictures: dict[str, list[np.ndarray]] = {"": [], "browser": [], "simulated": []}
     for entry in noted:
         seconds = entry["seconds"]
-        camera = trace.at(seconds)
+        camera = trace.camera_at(seconds)
         whole = simulation.picture(camera)
-        held = [units_there(simulation.units, entry["chunks"]), arrivals.there(seconds)]
+        held = [units_there(simulation.units, entry["chunks"]), arrivals.present_at(seconds)]
         of_chunks = np.where(simulation.units.chunk >= 0, simulation.units.size_bytes, 0)
         sizes = [int(of_chunks[there].sum()) for there in held]
-        drawn = [client.drawn(there, camera) for there in held]
+        drawn = [client.splats_of(there, camera) for there in held]
         shown = [simulation.picture(camera, splats) for splats in drawn]
         rows.append(
             Comparison(
@@ -220,7 +220,7 @@ def main(
     as_json: bool,
 ) -> None:
     """Compare a visit in Chromium with its simulation."""
-    walked = recorded(read_cameras(trace), pose_seconds)
+    walked = recorded_trace(read_cameras(trace), pose_seconds)
     known, _ = hold_out(read_cameras(cameras), 8)
     end = min(seconds or walked.seconds, walked.seconds)
     times = [end * (k + 1) / moments for k in range(moments)]
@@ -241,7 +241,7 @@ def main(
             ],
         }
         chosen = {name: [found[k] for k in kept] for name, found in shown.items()}
-        write_png(strips(chosen, judged, scene.name), pictures, force=True)
+        write_png(picture_strips(chosen, judged, scene.name), pictures, force=True)
     if as_json:
         click.echo(json.dumps([asdict(row) for row in rows]))
         return

@@ -25,10 +25,10 @@ from cogsplat.tools.lab.streaming.comparison import (
     bytes_until,
     moments_behind,
 )
-from cogsplat.tools.lab.streaming.curves import chart, strips
+from cogsplat.tools.lab.streaming.curves import picture_strips, psnr_chart
+from cogsplat.tools.lab.streaming.goal_bytes import bytes_to_hold_goal
 from cogsplat.tools.lab.streaming.streamed_sog import BUDGET_SPLATS, streamed_sog_client
-from cogsplat.tools.lab.streaming.traces import Trace, dolly, orbital, recorded
-from cogsplat.tools.lab.streaming.waiting import fetched_by_waiting
+from cogsplat.tools.lab.streaming.traces import Trace, dolly_trace, orbital_trace, recorded_trace
 from cogsplat.tools.pictures.png import write_png
 from cogsplat.tools.terminal.limits_option import current_limits, limits_option
 from cogsplat.tools.terminal.option_groups import GroupedCommand
@@ -291,28 +291,29 @@ def simulate(
         bits = _bits_for(simulation, walked, bandwidth, as_large_as)
         link = Link(bits, latency / 1000.0)
         film = _Film(moments if strip_path is not None else 0)
-        along = simulation.along(
+        measured = simulation.run_trace(
             walked, link, chosen, moments, stages, film.add, budget_splats=budget or 0
         )
         waited = (
-            fetched_by_waiting(simulation, walked, chosen, moments, goal, stages) if wait else {}
+            bytes_to_hold_goal(simulation, walked, chosen, moments, goal, stages) if wait else {}
         )
         at_rest = simulation.at_rest(tests, chosen, stages)
     if csv_path is not None:
-        _write_csv(along, csv_path, force=force)
+        _write_csv(measured, csv_path, force=force)
     against = "the whole" if source is None else display_name(source)
     title = f"{display_name(path)}, {trace} at {bits / 1e6:.3g} Mbit/s"
     if plot_path is not None:
         with atomic_write(plot_path, force=force) as opened:
-            opened.write(chart(along, title).encode())
+            opened.write(psnr_chart(measured, title).encode())
     if strip_path is not None:
-        write_png(strips(film.pictures, film.kept_moments(along), title), strip_path, force=force)
+        pages = picture_strips(film.pictures, film.kept_moments(measured), title)
+        write_png(pages, strip_path, force=force)
     behind = (
-        {name: moments_behind(along[name], along["file"], goal) for name in chosen}
+        {name: moments_behind(measured[name], measured["file"], goal) for name in chosen}
         if "file" in chosen
         else {}
     )
-    means = {name: float(np.mean([m.psnr_db for m in seen])) for name, seen in along.items()}
+    means = {name: float(np.mean([m.psnr_db for m in seen])) for name, seen in measured.items()}
     if as_json:
         print_json(
             {
@@ -331,7 +332,7 @@ def simulate(
                     {
                         "policy": name,
                         "psnr_db": means[name],
-                        "goal_bytes": bytes_until(along[name], goal),
+                        "goal_bytes": bytes_until(measured[name], goal),
                         "behind_file": behind.get(name),
                         "waited_bytes": waited.get(name),
                         "moments": [
@@ -342,7 +343,7 @@ def simulate(
                                 "ssim": m.ssim,
                                 "wasted_bytes": m.wasted_bytes,
                             }
-                            for m in along[name]
+                            for m in measured[name]
                         ],
                         "at_rest": [
                             {"share": share, "psnr_db": quality}
@@ -368,9 +369,9 @@ def simulate(
         (
             name,
             f"{means[name]:.2f}",
-            f"{np.mean([m.ssim for m in along[name]]):.3f}",
-            _share(bytes_until(along[name], goal), simulation),
-            _share(along[name][-1].wasted_bytes, simulation),
+            f"{np.mean([m.ssim for m in measured[name]]):.3f}",
+            _share(bytes_until(measured[name], goal), simulation),
+            _share(measured[name][-1].wasted_bytes, simulation),
             *([_share(waited[name][-1], simulation)] if wait else []),
             *(f"{quality:.2f}" for quality in at_rest[name]),
         )
@@ -389,17 +390,17 @@ def simulate(
 def _trace(name: str, tests: list[cogsplat.Camera], pose_seconds: float) -> Trace:
     """Return the path that ``--trace`` names."""
     if name == "orbital":
-        return orbital(tests)
+        return orbital_trace(tests)
     if name == "dolly":
-        return dolly(tests)
-    return recorded(load_cameras(Path(name)), pose_seconds)
+        return dolly_trace(tests)
+    return recorded_trace(load_cameras(Path(name)), pose_seconds)
 
 
 def _bits_for(
     simulation: Simulation, trace: Trace, bandwidth: float | None, as_large_as: int | None
 ) -> float:
     """Return the bandwidth, bits per second; by default the whole file arrives within the trace."""
-    total = float(simulation.units.size_bytes.sum()) + simulation.units.opening_bytes
+    total = float(simulation.units.size_bytes.sum()) + simulation.units.index_bytes
     if bandwidth is None:
         return 8.0 * total / (trace.seconds or 1.0)
     return bandwidth if as_large_as is None else bandwidth * total / as_large_as

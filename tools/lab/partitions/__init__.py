@@ -1,1 +1,1 @@
-"""Partitions of space into boxes, compared by benchmarks."""
+"""Partitions of space into boxes, for benchmarks."""

@@ -1,4 +1,4 @@
-"""The cheapest partition of all: an integer program over boxes, with most of them ruled out."""
+"""Cheapest partition of a grid into boxes, by an integer program with pruned candidates."""
 
 from __future__ import annotations
 
@@ -13,25 +13,26 @@ from .guillotine import cut_costs
 
 F64 = NDArray[np.float64]
 
-# What a reduced cost may miss 0 by, as the solver rounds.
-_ROUNDING: Final = 1e-9
+# Tolerance for the rounding of the solver, relative to the cost.
+_TOLERANCE: Final = 1e-9
 
 
 @dataclass(frozen=True)
 class Solution:
-    """A partition of the grid into boxes.
+    """Partition of a grid into boxes, with its cost and a lower bound.
 
     Parameters
     ----------
     boxes : list of Box
-        Each basic cuboid lies in one of them; sorted.
+        Disjoint boxes that cover the grid, sorted.
     cost : float
+        Cost of the partition (`BoxCosts.total`).
     bound : float
-        No partition costs less.
+        Lower bound of the cost of any partition.
     candidates : int
-        Boxes that no cheaper way to cut them rules out.
+        Number of boxes that are cheaper whole than cut.
     kept : int
-        Those of them that the integer program chose from.
+        Number of candidates given to the integer program.
     """
 
     boxes: list[Box]
@@ -48,33 +49,33 @@ def cheapest_partition(costs: BoxCosts, seconds: float = 60.0) -> Solution:
     ----------
     costs : BoxCosts
     seconds : float
-        Most time for the integer program. When it runs out, the best partition so far is returned
-        with a `bound` below its cost.
+        Time limit of the integer program. When it is reached, the best partition so far is
+        returned, with a `bound` below its cost.
 
     Returns
     -------
     Solution
-        The boxes depend on the solver's version where several partitions cost the same, and on the
-        machine's speed where the time runs out.
+        Among partitions of equal cost, the choice depends on the solver's version. If the time
+        limit is reached, the result depends on the speed of the machine.
 
     Notes
     -----
-    SGSS gives all boxes to the solver. Here most are ruled out first, which changes no optimum.
-    A box that straight cuts make cheaper, or no dearer, is not needed. The linear program without
-    integrality bounds every partition from below; where straight cuts reach the bound, they are the
-    answer. Else a box whose reduced cost is larger than the gap is in no better partition.
+    SGSS gives all boxes to the solver. Here most are pruned first, which keeps the optimum. A box
+    is dropped if guillotine cuts of it cost no more. The linear relaxation gives a lower bound; if
+    the guillotine partition reaches it, that is the result. Otherwise boxes whose reduced cost
+    exceeds the gap cannot be in a better partition and are dropped.
     """
     cuts = cut_costs(costs)
     boxes = cuts.partition()
     known = costs.total(boxes)
-    slack = _ROUNDING * max(known, 1.0)
+    slack = _TOLERANCE * max(known, 1.0)
     candidates = costs.cost < cuts.cut - slack
-    prices, bound = _prices(costs, candidates)
-    kept = np.flatnonzero(candidates & (_reduced(costs, prices) <= known - bound + slack))
+    prices, bound = _dual_prices(costs, candidates)
+    kept = np.flatnonzero(candidates & (_reduced_costs(costs, prices) <= known - bound + slack))
     solution = Solution(sorted(boxes), known, bound, int(candidates.sum()), len(kept))
     if known - bound <= slack or not len(kept):
         return solution
-    chosen, lower = _program(costs, kept, seconds)
+    chosen, lower = _solve_program(costs, kept, seconds)
     if chosen is None or costs.total(chosen) >= known - slack:
         lower = min(lower, known)
         return Solution(solution.boxes, known, max(bound, lower), solution.candidates, len(kept))
@@ -83,32 +84,32 @@ def cheapest_partition(costs: BoxCosts, seconds: float = 60.0) -> Solution:
     return Solution(sorted(chosen), cost, bound, solution.candidates, len(kept))
 
 
-def _reduced(costs: BoxCosts, prices: F64) -> F64:
-    """Return what each box costs above the prices of its cuboids."""
+def _reduced_costs(costs: BoxCosts, prices: F64) -> F64:
+    """Return the reduced cost of each box: its cost minus the dual prices of its cuboids."""
     return costs.cost - box_sums(prices, costs.spans)
 
 
-def _prices(costs: BoxCosts, candidates: NDArray[np.bool_]) -> tuple[F64, float]:
-    """Return a price of each cuboid and a bound: no partition into candidates costs less."""
+def _dual_prices(costs: BoxCosts, candidates: NDArray[np.bool_]) -> tuple[F64, float]:
+    """Solve the linear relaxation; return the dual price of each cuboid and the lower bound."""
     from scipy.optimize import linprog
 
     shape = tuple(span.length for span in costs.spans)
     columns = np.flatnonzero(candidates)
     found = linprog(
         costs.cost.ravel()[columns],
-        A_eq=_members(costs, columns),
+        A_eq=_incidence(costs, columns),
         b_eq=np.ones(int(np.prod(shape))),
         method="highs",
     )
     prices = np.asarray(found.eqlin.marginals, np.float64).reshape(shape)
-    # With all reduced costs at least 0, the sum of prices is below every partition. Lowering the
-    # price of each cuboid by the worst of them makes up for what the solver rounds.
-    worst = min(float(_reduced(costs, prices).ravel()[columns].min()), 0.0)
+    # If all reduced costs are at least 0, the sum of the prices is a lower bound. The most negative
+    # one, due to rounding of the solver, is subtracted from every price.
+    worst = min(float(_reduced_costs(costs, prices).ravel()[columns].min()), 0.0)
     return prices + worst, float(prices.sum()) + worst * prices.size
 
 
-def _members(costs: BoxCosts, columns: NDArray[np.int64]) -> object:
-    """Return which cuboids (rows) each box (column) covers, as a sparse matrix."""
+def _incidence(costs: BoxCosts, columns: NDArray[np.int64]) -> object:
+    """Return the sparse matrix of cuboids (rows) covered by boxes (columns)."""
     from scipy.sparse import csc_array
 
     spans = costs.spans
@@ -128,17 +129,17 @@ def _members(costs: BoxCosts, columns: NDArray[np.int64]) -> object:
     )
 
 
-def _program(
+def _solve_program(
     costs: BoxCosts, kept: NDArray[np.int64], seconds: float
 ) -> tuple[list[Box] | None, float]:
-    """Return the cheapest partition into kept boxes that was found, and the solver's bound."""
+    """Solve the integer program; return the boxes, None if none were found, and the bound."""
     from scipy.optimize import Bounds, LinearConstraint, milp
 
     found = milp(
         costs.cost.ravel()[kept],
         integrality=np.ones(len(kept)),
         bounds=Bounds(0.0, 1.0),
-        constraints=LinearConstraint(_members(costs, kept), 1.0, 1.0),
+        constraints=LinearConstraint(_incidence(costs, kept), 1.0, 1.0),
         options={"time_limit": seconds, "mip_rel_gap": 0.0},
     )
     lower = -np.inf if found.mip_dual_bound is None else float(found.mip_dual_bound)

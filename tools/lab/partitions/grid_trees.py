@@ -1,4 +1,4 @@
-"""Fast partitions of a grid: a k-d tree and an octree, grown where most splats are."""
+"""Greedy partitions of a grid: a k-d tree and an octree that split the fullest box first."""
 
 from __future__ import annotations
 
@@ -9,19 +9,18 @@ from .box_costs import Box, cut_box
 
 
 def kd_partition(cuboids: BasicCuboids, cells: int) -> list[Box]:
-    """Cut the box with most splats in two, again and again.
+    """Partition a grid by a k-d tree, splitting the box with most splats first.
 
     Parameters
     ----------
     cuboids : BasicCuboids
     cells : int
-        Boxes, at least 1; fewer where the grid has fewer cuboids that hold splats.
+        Number of boxes, at least 1; fewer if the grid has fewer non-empty cuboids.
 
     Returns
     -------
     list of Box
-        Each cut goes across the longest axis of its box, at the plane that has nearly half of the
-        box's splats on each side.
+        Boxes split across their longest axis, at the plane nearest to the median of the splats.
     """
     boxes = [_whole(cuboids)]
     while len(boxes) < cells:
@@ -35,18 +34,18 @@ def kd_partition(cuboids: BasicCuboids, cells: int) -> list[Box]:
 
 
 def octree_partition(cuboids: BasicCuboids, cells: int) -> list[Box]:
-    """Cut the box with most splats at the middle of all its axes, again and again.
+    """Partition a grid by an octree, splitting the box with most splats first.
 
     Parameters
     ----------
     cuboids : BasicCuboids
     cells : int
-        Boxes at most, at least 1.
+        Maximum number of boxes, at least 1.
 
     Returns
     -------
     list of Box
-        An axis of a single cuboid is not cut, so that a box has up to eight parts.
+        Boxes split at the middle of every axis with more than one cuboid.
     """
     boxes = [_whole(cuboids)]
     while True:
@@ -70,7 +69,7 @@ def _splats(cuboids: BasicCuboids, box: Box) -> int:
 
 
 def _halves(cuboids: BasicCuboids, box: Box) -> list[Box]:
-    """Return a box cut in two, or nothing where it is one cuboid."""
+    """Split a box at the median of its longest axis; empty for a single cuboid."""
     a, b, c, d, e, f = box
     lengths = [
         float(cuboids.edges[axis][box[axis + 3]] - cuboids.edges[axis][box[axis]])
@@ -89,7 +88,7 @@ def _halves(cuboids: BasicCuboids, box: Box) -> list[Box]:
 
 
 def _octants(box: Box) -> list[Box]:
-    """Return a box cut at the middle of each axis."""
+    """Split a box at the middle of each axis."""
     parts = [box]
     for axis in range(3):
         middle = (box[axis] + box[axis + 3]) // 2

@@ -1,1 +1,1 @@
-"""What a client that looks at a part of a scene fetches next: docs/streaming.md, exactly."""
+"""Reference implementation of the view-dependent fetch scheduler (docs/streaming.md)."""

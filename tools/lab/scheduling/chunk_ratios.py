@@ -1,4 +1,7 @@
-"""How much more than usual a pose shows of each chunk (docs/streaming.md, 3 to 6)."""
+"""Visibility ratios: a chunk's share of the current picture over its average share.
+
+Specified in docs/streaming.md, sections 4 to 6.
+"""
 
 from __future__ import annotations
 
@@ -10,185 +13,213 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.segments.view_shares import ViewTable
 
-from .boxes import in_pyramid, middle_depths, picture_shares
+from .box_projections import centre_depths, intersects_frustum, screen_coverage
 from .poses import Pose, cross, dot
 
 F64 = NDArray[np.float64]
 
-LEAST_RATIO: Final = 1.0 / 512.0
-"""Ratio of a chunk that a pose shows nothing of: it comes when all that is seen is there."""
+MIN_RATIO: Final = 1.0 / 512.0
+"""Lower bound of ratios: invisible chunks are fetched after visible ones, but are fetched."""
 
-# Tangent of half the angle that viewpoints are taken to see in both directions.
-_TABLE_TANGENT: Final = 1.0
-# Half a turn counts as much as 0.6 times the spread of the viewpoints.
-_TURN: Final = 0.3
-# What keeps the weight of a viewpoint finite.
-_NEAREST: Final = 0.01
-# Shares of contribution below this count as this.
-_LEAST_USUAL: Final = 1e-12
-_NEAREST_DEPTH: Final = 0.2
-# SGSS (Zhu et al., MMSys 2025): sparser boxes have low priority, whatever they show. The paper does
-# not state what keeps its distance from 0.
-_SPARSE: Final = 10.0
+# Tangent of the half field of view that is assumed for viewpoints of the table, both axes.
+_VIEWPOINT_TANGENT: Final = 1.0
+# Weight of rotation against distance: half a turn equals 0.6 times the viewpoints' spread.
+_ROTATION_WEIGHT: Final = 0.3
+# Added to the distance of a viewpoint, so that its weight stays finite.
+_DISTANCE_OFFSET: Final = 0.01
+# Lower bound of a chunk's share of the total contribution; avoids division by 0.
+_MIN_AVERAGE_SHARE: Final = 1e-12
+# Lower bound of depths, the near plane of 3DGS, scene units.
+_MIN_DEPTH: Final = 0.2
+# SGSS (Zhu et al., MMSys 2025): boxes of lower density always have low priority, splats per cubic
+# scene unit. The paper does not state the constant that keeps its distance from 0.
+_MIN_DENSITY: Final = 10.0
 _EPSILON: Final = 1e-6
 
 PoseRatios = Callable[[Pose], F64]
-"""Ratios of all chunks for a pose, (c,) float64."""
+"""Function from a pose to the visibility ratios of all chunks, (c,) float64."""
 
 
-def total(values: F64) -> float:
-    """Return a sum, from the first value on."""
+def ordered_sum(values: F64) -> float:
+    """Return the sum of values, added from the first to the last (docs/streaming.md, 1)."""
     return float(np.cumsum(values)[-1]) if len(values) else 0.0
 
 
-def along(ratios: PoseRatios, path: Sequence[tuple[Pose, float]]) -> F64:
-    """Return the sum of a path's ratios, each times its weight, from the first pose on."""
-    pose, weight = path[0]
-    out = ratios(pose) * weight
-    for pose, weight in path[1:]:
-        out = out + ratios(pose) * weight
-    return out
-
-
-def over_usual(shown: F64, contribution: F64) -> F64:
-    """Return shares of what is shown over shares of what chunks contribute (docs/streaming.md, 4).
+def weighted_ratios(ratios: PoseRatios, poses: Sequence[tuple[Pose, float]]) -> F64:
+    """Return the weighted sum of the ratios at several poses (docs/streaming.md, 7).
 
     Parameters
     ----------
-    shown : (c,) float64
-        What a picture shows of each chunk, in any unit, at least 0.
-    contribution : (c,) float64
-        As `by_boxes` takes it.
+    ratios : PoseRatios
+    poses : sequence of (Pose, float)
+        Poses with their weights (`poses.predicted_poses`); added in this order.
 
     Returns
     -------
     (c,) float64
-        At least `LEAST_RATIO`; 1 for all where nothing is shown or nothing contributes.
     """
-    everything, whole = total(shown), total(contribution)
-    if not everything > 0.0 or not whole > 0.0:
-        return np.ones(len(shown))
-    usual = np.maximum(contribution / whole, _LEAST_USUAL)
-    return np.maximum(shown / everything / usual, LEAST_RATIO)
+    pose, weight = poses[0]
+    out = ratios(pose) * weight
+    for pose, weight in poses[1:]:
+        out = out + ratios(pose) * weight
+    return out
 
 
-def by_boxes(boxes: F64, contribution: F64) -> PoseRatios:
-    """Return ratios by boxes alone: contribution over the square of the depth, where they show.
+def visibility_ratios(visibility: F64, contribution: F64) -> F64:
+    """Divide each chunk's share of the visibility by its share of the contribution (section 4).
+
+    Parameters
+    ----------
+    visibility : (c,) float64
+        Visibility of each chunk in one picture, any unit, at least 0.
+    contribution : (c,) float64
+        Stored contribution of each chunk (mean over the training views).
+
+    Returns
+    -------
+    (c,) float64
+        At least `MIN_RATIO`; 1 for all chunks if either input sums to 0.
+    """
+    all_visible, whole = ordered_sum(visibility), ordered_sum(contribution)
+    if not all_visible > 0.0 or not whole > 0.0:
+        return np.ones(len(visibility))
+    average = np.maximum(contribution / whole, _MIN_AVERAGE_SHARE)
+    return np.maximum(visibility / all_visible / average, MIN_RATIO)
+
+
+def ratios_from_boxes(boxes: F64, contribution: F64) -> PoseRatios:
+    """Return the ratio function for files without a view table (docs/streaming.md, 5).
+
+    The visibility of a box in the frustum is its contribution over its squared depth.
 
     Parameters
     ----------
     boxes : (c, 6) float64
+        Bounding box of each chunk: minimum, maximum, scene units.
     contribution : (c,) float64
-        Of each chunk, as the file has it.
+        Stored contribution of each chunk.
     """
 
     def ratios(pose: Pose) -> F64:
-        depth = np.maximum(middle_depths(boxes, pose), _NEAREST_DEPTH)
-        seen = picture_shares(boxes, pose) > 0.0
-        return over_usual(np.where(seen, contribution / (depth * depth), 0.0), contribution)
+        depth = np.maximum(centre_depths(boxes, pose), _MIN_DEPTH)
+        is_visible = screen_coverage(boxes, pose) > 0.0
+        return visibility_ratios(
+            np.where(is_visible, contribution / (depth * depth), 0.0), contribution
+        )
 
     return ratios
 
 
-def by_view_table(table: ViewTable, boxes: F64, contribution: F64) -> PoseRatios:
-    """Return ratios by what the viewpoints near a pose show (docs/streaming.md, 4).
+def ratios_from_view_table(table: ViewTable, boxes: F64, contribution: F64) -> PoseRatios:
+    """Return the ratio function that interpolates a view table (docs/streaming.md, 4).
 
     Parameters
     ----------
     table : ViewTable
-    boxes, contribution
-        As `by_boxes` takes them.
+    boxes : (c, 6) float64
+        Bounding box of each chunk: minimum, maximum, scene units.
+    contribution : (c,) float64
+        Stored contribution of each chunk.
     """
     viewpoints = _viewpoints(table)
     shares = [table.shares[view] for view in range(len(viewpoints))]
-    # What a viewpoint shows of a chunk is no more than its box takes, whatever angle was seen.
-    taken = [
-        np.maximum(picture_shares(boxes, view), share)
+    # The view of the table may be wider than assumed here, so coverage is at least the share.
+    coverages = [
+        np.maximum(screen_coverage(boxes, view), share)
         for view, share in zip(viewpoints, shares, strict=True)
     ]
     spread = _spread([view.position for view in viewpoints])
-    usual = contribution / (total(contribution) or 1.0)
+    average = contribution / (ordered_sum(contribution) or 1.0)
 
     def ratios(pose: Pose) -> F64:
-        shown, most = np.zeros(len(boxes)), np.zeros(len(boxes))
-        for view, share, box in zip(viewpoints, shares, taken, strict=True):
+        visible, covered = np.zeros(len(boxes)), np.zeros(len(boxes))
+        for view, share, coverage in zip(viewpoints, shares, coverages, strict=True):
             weight = _weight(pose, view, spread)
-            shown = shown + share * weight
-            most = most + box * weight
-        # Of chunks that no viewpoint looks at, what they contribute on average.
-        filled = np.where(most > 0.0, shown / np.where(most > 0.0, most, 1.0), usual)
-        return over_usual(picture_shares(boxes, pose) * filled, contribution)
+            visible = visible + share * weight
+            covered = covered + coverage * weight
+        # Chunks outside the frustum of every viewpoint fall back to their average contribution.
+        filled = np.where(covered > 0.0, visible / np.where(covered > 0.0, covered, 1.0), average)
+        return visibility_ratios(screen_coverage(boxes, pose) * filled, contribution)
 
     return ratios
 
 
-def by_sgss(boxes: F64, splats: F64) -> PoseRatios:
-    """Return SGSS' priorities PW in the place of ratios; 0 for what its test finds not visible.
+def sgss_priorities(boxes: F64, splats: F64) -> PoseRatios:
+    """Return the function for SGSS' priorities PW, used in place of ratios (docs/streaming.md, 6).
 
     Parameters
     ----------
     boxes : (c, 6) float64
+        Bounding box of each chunk: minimum, maximum, scene units.
     splats : (c,) float64
-        Splats of each chunk.
+        Splat count of each chunk.
     """
     size = np.maximum(boxes[:, 3:] - boxes[:, :3], 1e-9)
     density = splats / (size[:, 0] * size[:, 1] * size[:, 2])
 
     def ratios(pose: Pose) -> F64:
-        depth = np.maximum(middle_depths(boxes, pose), 0.0) + _EPSILON
-        priority = density * picture_shares(boxes, pose) / depth
-        low = np.where(density < _SPARSE, density * _EPSILON, priority)
-        return np.where(in_pyramid(boxes, pose), low, 0.0)
+        depth = np.maximum(centre_depths(boxes, pose), 0.0) + _EPSILON
+        priority = density * screen_coverage(boxes, pose) / depth
+        priority = np.where(density < _MIN_DENSITY, density * _EPSILON, priority)
+        return np.where(intersects_frustum(boxes, pose), priority, 0.0)
 
     return ratios
 
 
-def counted_splats(splats: NDArray[np.int64], ratios: F64) -> NDArray[np.int64]:
-    """Return as how many splats each chunk counts when a picture is compensated (section 10).
+def visible_splat_counts(splats: NDArray[np.int64], ratios: F64) -> NDArray[np.int64]:
+    """Scale the splat counts of chunks by their visibility, for compensation (section 10).
 
     Parameters
     ----------
     splats : (c,) int64
-        Splats of each chunk.
+        Splat count of each chunk.
     ratios : (c,) float64
-        Of the pose of the picture.
+        Visibility ratios at the pose of the picture.
 
     Returns
     -------
     (c,) int64
-        1 to what the chunk has: fewer where the pose shows less of it than pictures usually do.
+        From 1 to the chunk's splat count; reduced where the ratio is below 1.
     """
     counts: NDArray[np.int64] = np.floor(splats * np.minimum(ratios, 1.0)).astype(np.int64)
     return np.maximum(counts, 1)
 
 
 def _viewpoints(table: ViewTable) -> list[Pose]:
-    """Return the viewpoints of a table as poses: upright or not does not matter."""
+    """Convert the viewpoints of a view table to poses; their roll is arbitrary."""
     poses = []
     for position, direction in zip(table.positions, table.directions, strict=True):
         forward = direction.astype(np.float64)
         forward = forward / np.sqrt(dot(forward, forward))
-        # The axis that is most across, the first of several.
+        # The axis most perpendicular to the view direction; the first of several.
         axis = np.zeros(3)
         axis[int(np.argmin(np.abs(forward)))] = 1.0
         right = cross(axis, forward)
         right = right / np.sqrt(dot(right, right))
         rotation = np.stack([right, cross(forward, right), forward])
-        poses.append(Pose(position.astype(np.float64), rotation, _TABLE_TANGENT, _TABLE_TANGENT))
+        poses.append(
+            Pose(position.astype(np.float64), rotation, _VIEWPOINT_TANGENT, _VIEWPOINT_TANGENT)
+        )
     return poses
 
 
 def _spread(positions: Sequence[F64]) -> float:
     """Return the root mean square distance of positions from their mean."""
     count = float(len(positions))
-    middle = np.array([total(np.array([p[axis] for p in positions])) / count for axis in range(3)])
-    squares = np.array([dot(p - middle, p - middle) for p in positions])
-    return max(float(np.sqrt(total(squares) / count)), 1e-9)
+    centre = np.array(
+        [ordered_sum(np.array([p[axis] for p in positions])) / count for axis in range(3)]
+    )
+    squares = np.array([dot(p - centre, p - centre) for p in positions])
+    return max(float(np.sqrt(ordered_sum(squares) / count)), 1e-9)
 
 
 def _weight(pose: Pose, view: Pose, spread: float) -> float:
-    """Return how much a viewpoint says about a pose."""
-    away = pose.position - view.position
-    turned = 1.0 - dot(pose.rotation[2], view.rotation[2])
-    near = 1.0 / (float(np.sqrt(dot(away, away))) / spread + _TURN * turned + _NEAREST)
-    return (near * near) * (near * near)
+    """Return the interpolation weight of a viewpoint at a pose."""
+    offset = pose.position - view.position
+    rotation = 1.0 - dot(pose.rotation[2], view.rotation[2])
+    closeness = 1.0 / (
+        float(np.sqrt(dot(offset, offset))) / spread
+        + _ROTATION_WEIGHT * rotation
+        + _DISTANCE_OFFSET
+    )
+    return (closeness * closeness) * (closeness * closeness)

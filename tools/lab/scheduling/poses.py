@@ -1,4 +1,4 @@
-"""Poses that a visitor looks from, and where these will soon be (docs/streaming.md, 2)."""
+"""Camera poses and their extrapolation (docs/streaming.md, 2)."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from cogsplat.codec.cameras import Camera
 
 F64 = NDArray[np.float64]
 
-AHEAD: Final = ((0.0, 1.0), (0.5, 0.5), (1.0, 0.25))
-"""Seconds ahead that count, and how much: docs/streaming.md, 2."""
+LOOKAHEAD: Final = ((0.0, 1.0), (0.5, 0.5), (1.0, 0.25))
+"""Seconds ahead and weight of each predicted pose (docs/streaming.md, 2)."""
 
-# Nobody goes on for longer than so many times the time that was observed.
-_MOST_EXTRAPOLATED: Final = 4.0
+# Longest extrapolation, as a multiple of the observed time.
+_MAX_EXTRAPOLATION: Final = 4.0
 
-# A shorter vector has no direction.
-_SHORTEST: Final = 1e-6
+# Vectors that are not longer than this are treated as zero.
+_MIN_LENGTH: Final = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Where a visitor is and what part of space the picture shows.
+    """Position, orientation and field of view of a camera.
 
     Parameters
     ----------
     position : (3,) float64
-        In the space of the means.
+        Camera centre in world space, scene units.
     rotation : (3, 3) float64
-        World to camera; its rows are right, down and forward.
+        World to camera; the rows are right, down and forward.
     tan_x, tan_y : float
-        Half of the picture's width and height at a distance of 1, above 0.
+        Tangents of the half field of view, horizontal and vertical, above 0.
     """
 
     position: F64
@@ -42,8 +42,8 @@ class Pose:
     tan_y: float
 
     @classmethod
-    def of_camera(cls, camera: Camera) -> Self:
-        """Return the pose of a camera; the wider half counts where the middle is off."""
+    def from_camera(cls, camera: Camera) -> Self:
+        """Return the pose of a camera; an off-centre principal point widens the field of view."""
         half_width = max(camera.cx, camera.width - camera.cx)
         half_height = max(camera.cy, camera.height - camera.cy)
         return cls(
@@ -54,54 +54,68 @@ class Pose:
         )
 
 
-def predicted(now: Pose, before: Pose, elapsed: float, ahead: float) -> Pose:
-    """Return the pose of a visitor who goes on as before.
+def extrapolate(now: Pose, before: Pose, elapsed: float, ahead: float) -> Pose:
+    """Extrapolate the camera motion linearly.
 
     Parameters
     ----------
     now : Pose
+        Current pose.
     before : Pose
-        Of `elapsed` seconds ago.
-    elapsed, ahead : float
-        Seconds. Where nothing elapsed, the pose stays.
+        Pose `elapsed` seconds ago.
+    elapsed : float
+        Time between the two poses, s; `now` is returned if it is 0.
+    ahead : float
+        Time to extrapolate by, s.
     """
     if not elapsed > 0.0 or not ahead > 0.0:
         return now
-    times = min(ahead / elapsed, _MOST_EXTRAPOLATED)
-    position = now.position + (now.position - before.position) * times
-    turned = now.rotation + (now.rotation - before.rotation) * times
-    rotation = _orthonormal(turned)
+    factor = min(ahead / elapsed, _MAX_EXTRAPOLATION)
+    position = now.position + (now.position - before.position) * factor
+    moved = now.rotation + (now.rotation - before.rotation) * factor
+    rotation = _orthonormal(moved)
     return Pose(position, now.rotation if rotation is None else rotation, now.tan_x, now.tan_y)
 
 
-def path(now: Pose, before: Pose, elapsed: float) -> list[tuple[Pose, float]]:
-    """Return the pose of now and those soon to come, each with how much it counts (`AHEAD`)."""
-    return [(predicted(now, before, elapsed, seconds), weight) for seconds, weight in AHEAD]
+def predicted_poses(now: Pose, before: Pose, elapsed: float) -> list[tuple[Pose, float]]:
+    """Return the current pose and the extrapolated ones with their weights (`LOOKAHEAD`).
+
+    Parameters
+    ----------
+    now : Pose
+        Current pose.
+    before : Pose
+        Pose `elapsed` seconds ago.
+    elapsed : float
+        Time between the two poses, s.
+    """
+    return [(extrapolate(now, before, elapsed, seconds), weight) for seconds, weight in LOOKAHEAD]
 
 
-def _orthonormal(turned: F64) -> F64 | None:
-    """Return the rotation of forward as it is and right across it; None where it has none."""
-    forward = _unit(turned[2])
+def _orthonormal(matrix: F64) -> F64 | None:
+    """Orthonormalise a matrix, keeping the direction of its forward row; None if degenerate."""
+    forward = _unit(matrix[2])
     if forward is None:
         return None
-    right = _unit(turned[0] - forward * dot(turned[0], forward))
+    right = _unit(matrix[0] - forward * dot(matrix[0], forward))
     if right is None:
         return None
     return np.stack([right, cross(forward, right), forward])
 
 
 def dot(a: F64, b: F64) -> float:
-    """Return a scalar product, summed from the first component on."""
+    """Return the scalar product of 3-vectors, summed from the first component on."""
     return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
 def cross(a: F64, b: F64) -> F64:
-    """Return a cross product."""
+    """Return the cross product of 3-vectors."""
     return np.array(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     )
 
 
 def _unit(vector: F64) -> F64 | None:
+    """Normalise a vector; None if its length is at most `_MIN_LENGTH`."""
     length = float(np.sqrt(dot(vector, vector)))
-    return vector / length if length > _SHORTEST else None
+    return vector / length if length > _MIN_LENGTH else None

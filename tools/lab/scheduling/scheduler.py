@@ -1,4 +1,4 @@
-"""What to fetch next, what to stop and what to throw away (docs/streaming.md, 7 to 9)."""
+"""Scheduler: which units to fetch, abort and evict next (docs/streaming.md, 7 to 9)."""
 
 from __future__ import annotations
 
@@ -13,61 +13,63 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-# What is asked for beyond a round trip: requests never run dry, and none is made long before.
-_AHEAD_SECONDS: Final = 0.25
+# Data in flight beyond the bandwidth-delay product. More would delay reactions to a new pose, less
+# would let the connection run idle.
+_MARGIN_SECONDS: Final = 0.25
 
-# What is thrown away or stopped must be worth so many times less than what takes its place, or two
-# chunks of nearly one worth would take turns.
+# Hysteresis: an evicted chunk or aborted unit must be worth less than its replacement by this
+# factor. Without it, two chunks of similar value would replace each other in turn.
 _EVICT_FACTOR: Final = 2.0
 _ABORT_FACTOR: Final = 16.0
 
 
 @dataclass(frozen=True)
 class Unit:
-    """A segment that a client may fetch, in the order of the file.
+    """A segment that a client may fetch; units are numbered in the order of the file.
 
     Parameters
     ----------
     chunk : int
-        -1 for one that belongs to no chunk, such as a segment of a codebook.
+        Index of the chunk; -1 for a segment of no chunk, such as a codebook.
     is_head : bool
-        Whether the chunk's rows are there once it is.
+        Whether the segment is the head of its chunk.
     end : int
-        Byte of the file behind the segment.
+        Offset of the first byte after the segment in the file.
     size_bytes : int
-    after : tuple of int
-        Units that it is of no use without; the head of a chunk names that of its parent.
+        Length of the segment.
+    dependencies : tuple of int
+        Units required to decode or draw the segment; for a head, the head of the parent chunk.
     """
 
     chunk: int
     is_head: bool
     end: int
     size_bytes: int
-    after: tuple[int, ...]
+    dependencies: tuple[int, ...]
 
 
 @dataclass(frozen=True)
-class Holdings:
-    """What a client has, and its means.
+class ClientState:
+    """Units that a client has or has requested, its budget and its connection.
 
     Parameters
     ----------
-    there : set of int
-        Units that have come.
-    under_way : set of int
-        Units that are asked for.
+    present : set of int
+        Units received completely.
+    in_flight : set of int
+        Units requested and not received completely.
     received : mapping of int to int
-        Bytes that have come of units that are not whole, under way or stopped.
+        Bytes received of incomplete units, in flight or aborted.
     budget_splats : int
-        Most splats of chunks whose heads are there or under way; 0 for any number.
+        Limit on the splats of chunks whose heads are present or in flight; 0 for no limit.
     bytes_per_second : float
-        What the connection is thought to bring.
+        Estimated bandwidth.
     latency : float
-        Seconds from a request to its first byte.
+        Estimated time from a request to its first byte, s.
     """
 
-    there: frozenset[int]
-    under_way: frozenset[int]
+    present: frozenset[int]
+    in_flight: frozenset[int]
     received: dict[int, int]
     budget_splats: int
     bytes_per_second: float
@@ -76,87 +78,90 @@ class Holdings:
 
 @dataclass(frozen=True)
 class Decision:
-    """What a client does now, in this order.
+    """Actions of a client, in the order of execution.
 
     Parameters
     ----------
-    stop : list of int
-        Units under way that are no longer wanted now. What has come of them stays.
+    abort : list of int
+        Units in flight whose requests are aborted; bytes received so far are kept.
     evict : list of int
-        Chunks whose units are thrown away.
+        Chunks whose units are dropped from memory.
     fetch : list of int
-        Units to ask for, the first first.
+        Units to request, by falling priority.
     """
 
-    stop: list[int]
+    abort: list[int]
     evict: list[int]
     fetch: list[int]
 
 
 def urgencies(ratios: F64, chunk: I64, end: I64) -> F64:
-    """Return what a byte of each unit is thought to gain (docs/streaming.md, 7).
+    """Estimate the gain per byte of each unit at the current pose (docs/streaming.md, 7).
 
     Parameters
     ----------
     ratios : (c,) float64
-        Of each chunk, of `chunk_ratios.along`.
+        Visibility ratio of each chunk (`chunk_ratios.weighted_ratios`).
     chunk : (u,) int64
-        Chunk of each unit; -1 for one that belongs to none.
+        Chunk of each unit; -1 for none.
     end : (u,) int64
-        Byte of the file behind each unit.
+        Offset of the first byte after each unit.
 
     Returns
     -------
     (u,) float64
     """
     of_units = np.where(chunk >= 0, ratios[np.maximum(chunk, 0)], 1.0)
-    places = end.astype(np.float64)
-    result: F64 = of_units / (places * places)
+    offsets = end.astype(np.float64)
+    result: F64 = of_units / (offsets * offsets)
     return result
 
 
 def window_bytes(bytes_per_second: float, latency: float) -> float:
-    """Return how many bytes are kept under way, at least (docs/streaming.md, 7).
+    """Return the minimum amount of data to keep in flight (docs/streaming.md, 7).
 
     Parameters
     ----------
     bytes_per_second : float
-        What the connection is thought to bring.
+        Estimated bandwidth.
     latency : float
-        Seconds from a request to its first byte.
+        Estimated time from a request to its first byte, s.
 
     Returns
     -------
     float
+        Bytes.
     """
-    return bytes_per_second * (latency + _AHEAD_SECONDS)
+    return bytes_per_second * (latency + _MARGIN_SECONDS)
 
 
 def best_chain(
     order: Iterable[int],
     urgency: Sequence[float] | F64,
     size_bytes: Sequence[int] | I64,
-    after: Sequence[Sequence[int]],
+    dependencies: Sequence[Sequence[int]],
     is_missing: Callable[[int], bool],
 ) -> tuple[Sequence[int], float] | None:
-    """Return the chain whose first unit is asked for next, and its worth (docs/streaming.md, 7).
+    """Find the most valuable chain: a unit preceded by its missing dependencies (section 7).
 
     Parameters
     ----------
     order : iterable of int
-        Units that may be asked for, by falling urgency.
+        Candidate units, by falling urgency.
     urgency : (u,) float
-        Of all units, above 0.
+        Urgency of every unit, above 0.
     size_bytes : (u,) int
-    after : sequence of sequence of int
-        Units that each unit is of no use without.
+        Size of every unit.
+    dependencies : sequence of sequence of int
+        Direct dependencies of every unit.
     is_missing : callable
-        Whether a unit is neither there nor under way.
+        Whether a unit still has to be requested.
 
     Returns
     -------
-    chain, worth : sequence of int, float
-        None where `order` is empty.
+    chain, value : sequence of int, float
+        The chain, to be fetched from its first unit on, and its mean urgency per byte. None if
+        `order` is empty.
 
     Examples
     --------
@@ -166,49 +171,51 @@ def best_chain(
     """
     best: tuple[Sequence[int], float] | None = None
     for unit in order:
-        chain = _chain(unit, after, is_missing)
+        chain = _chain(unit, dependencies, is_missing)
         if len(chain) == 1:
-            worth = float(urgency[unit])
+            value = float(urgency[unit])
         else:
             gain, size = 0.0, 0.0
             for part in chain:
                 gain += float(urgency[part]) * float(size_bytes[part])
                 size += float(size_bytes[part])
-            worth = gain / size
-        if best is None or worth > best[1]:
-            best = chain, worth
+            value = gain / size
+        if best is None or value > best[1]:
+            best = chain, value
         if len(chain) == 1:
             break
     return best
 
 
 def _chain(
-    unit: int, after: Sequence[Sequence[int]], is_missing: Callable[[int], bool]
+    unit: int, dependencies: Sequence[Sequence[int]], is_missing: Callable[[int], bool]
 ) -> list[int]:
-    """Return a unit behind those that it needs and that are missing."""
+    """Return the missing transitive dependencies of a unit in fetch order, then the unit."""
     out: list[int] = []
-    for before in after[unit]:
-        if is_missing(before):
-            out += [other for other in _chain(before, after, is_missing) if other not in out]
+    for dependency in dependencies[unit]:
+        if is_missing(dependency):
+            chain = _chain(dependency, dependencies, is_missing)
+            out += [other for other in chain if other not in out]
     return [*out, unit]
 
 
 class Scheduler:
-    """Decides for one scene.
+    """Scheduler for the units of one scene.
 
     Parameters
     ----------
     units : sequence of Unit
+        All units, in the order of the file.
     splats : sequence of int
-        Of each chunk.
+        Splat count of each chunk.
 
     Examples
     --------
     >>> import numpy as np
-    >>> from cogsplat.tools.lab.scheduling.scheduler import Holdings, Scheduler, Unit
+    >>> from cogsplat.tools.lab.scheduling.scheduler import ClientState, Scheduler, Unit
     >>> units = [Unit(k, True, 100 * k + 100, 100, (0,) * (k > 0)) for k in range(3)]
-    >>> nothing = Holdings(frozenset(), frozenset(), {}, 0, 400.0, 0.25)
-    >>> Scheduler(units, [10, 10, 10]).decide(np.array([1.0, 0.1, 1.0]), nothing).fetch
+    >>> empty = ClientState(frozenset(), frozenset(), {}, 0, 400.0, 0.25)
+    >>> Scheduler(units, [10, 10, 10]).decide(np.array([1.0, 0.1, 1.0]), empty).fetch
     [0, 2]
     """
 
@@ -218,228 +225,235 @@ class Scheduler:
         self._chunk = np.array([unit.chunk for unit in units], np.int64)
         self._end = np.array([unit.end for unit in units], np.int64)
         self._heads = {unit.chunk: at for at, unit in enumerate(units) if unit.is_head}
-        self._of_chunk: dict[int, list[int]] = {chunk: [] for chunk in self._heads}
+        self._units_of_chunk: dict[int, list[int]] = {chunk: [] for chunk in self._heads}
         for at, unit in enumerate(units):
             if unit.chunk >= 0:
-                self._of_chunk[unit.chunk].append(at)
+                self._units_of_chunk[unit.chunk].append(at)
 
-    def decide(self, ratios: F64, holdings: Holdings) -> Decision:
-        """Return what to do now.
+    def decide(self, ratios: F64, state: ClientState) -> Decision:
+        """Decide which units to abort, evict and fetch.
 
         Parameters
         ----------
         ratios : (c,) float64
-            Of each chunk, of `chunk_ratios.along`.
-        holdings : Holdings
+            Visibility ratio of each chunk (`chunk_ratios.weighted_ratios`).
+        state : ClientState
         """
         urgency = urgencies(ratios, self._chunk, self._end).tolist()
         order = sorted(range(len(self._units)), key=lambda unit: (-urgency[unit], unit))
-        round_ = _Round(self._units, self._splats, self._heads, self._of_chunk, urgency, holdings)
-        round_.stop_what_waits(order)
+        round_ = _Round(
+            self._units, self._splats, self._heads, self._units_of_chunk, urgency, state
+        )
+        round_.abort_outranked(order)
         round_.make_room(math.inf, ())
-        while not round_.is_full():
-            best = round_.best(order)
+        while not round_.is_window_full():
+            best = round_.best_chain(order)
             if best is None:
                 break
-            round_.want(best[0])
-        return Decision(round_.stopped, round_.evicted, round_.chosen)
+            round_.request_first(best[0])
+        return Decision(round_.aborted, round_.evicted, round_.chosen)
 
 
 @dataclass
-class _Held:
-    """Chunks whose heads are there or coming, their splats, and what the least of them is worth."""
+class _Resident:
+    """Chunks that count against the budget, their total splats and their lowest keep value."""
 
     chunks: set[int]
     splats: int
-    least_worth: float
+    min_keep_value: float
 
-    def add(self, chunk: int, splats: int, worth: float) -> None:
+    def add(self, chunk: int, splats: int, keep_value: float) -> None:
         self.chunks.add(chunk)
         self.splats += splats
-        self.least_worth = min(self.least_worth, worth)
+        self.min_keep_value = min(self.min_keep_value, keep_value)
 
 
 class _Round:
-    """One decision while it is made."""
+    """Working state of one decision."""
 
     def __init__(
         self,
         units: Sequence[Unit],
         splats: Sequence[int],
         heads: dict[int, int],
-        of_chunk: dict[int, list[int]],
+        units_of_chunk: dict[int, list[int]],
         urgency: list[float],
-        holdings: Holdings,
+        state: ClientState,
     ) -> None:
         self._units, self._splats, self._heads = units, splats, heads
-        self._of_chunk, self._urgency, self._holdings = of_chunk, urgency, holdings
-        self._there = set(holdings.there)
-        self._coming = set(holdings.under_way)
-        self._received = dict(holdings.received)
-        self._window = window_bytes(holdings.bytes_per_second, holdings.latency)
+        self._units_of_chunk, self._urgency, self._state = units_of_chunk, urgency, state
+        self._present = set(state.present)
+        self._in_flight = set(state.in_flight)
+        self._received = dict(state.received)
+        self._window = window_bytes(state.bytes_per_second, state.latency)
         self._sizes = [unit.size_bytes for unit in units]
-        self._after = [unit.after for unit in units]
-        self._aside: set[int] = set()
-        self._held: _Held | None = None
-        self.stopped: list[int] = []
+        self._dependencies = [unit.dependencies for unit in units]
+        self._skipped: set[int] = set()
+        self._resident: _Resident | None = None
+        self.aborted: list[int] = []
         self.evicted: list[int] = []
         self.chosen: list[int] = []
 
-    def is_full(self) -> bool:
-        """Whether as much is under way as the window holds."""
-        left = sum(self._left(unit) for unit in self._coming)
-        return left >= self._window and bool(self._coming)
+    def is_window_full(self) -> bool:
+        """Whether the bytes in flight reach the window."""
+        remaining = sum(self._remaining_bytes(unit) for unit in self._in_flight)
+        return remaining >= self._window and bool(self._in_flight)
 
-    def best(self, order: Sequence[int]) -> tuple[Sequence[int], float] | None:
-        """Return the chain to go on with, of units that were not set aside, and its worth."""
-        units = (unit for unit in order if self._is_missing(unit) and unit not in self._aside)
-        return best_chain(units, self._urgency, self._sizes, self._after, self._is_missing)
+    def best_chain(self, order: Sequence[int]) -> tuple[Sequence[int], float] | None:
+        """Return the best chain and its value, without units skipped in this decision."""
+        units = (unit for unit in order if self._is_missing(unit) and unit not in self._skipped)
+        return best_chain(units, self._urgency, self._sizes, self._dependencies, self._is_missing)
 
-    def stop_what_waits(self, order: Sequence[int]) -> None:
-        """Stop units under way that are worth far less than the best that is not."""
-        best = self.best(order)
+    def abort_outranked(self, order: Sequence[int]) -> None:
+        """Abort units in flight whose value is far below that of the best missing unit."""
+        best = self.best_chain(order)
         if best is None:
             return
-        _, worth = best
-        worths = self._worths()
-        for unit in sorted(self._holdings.under_way, key=lambda u: (worths[u], -u)):
-            wait = self._left(unit) / self._holdings.bytes_per_second
-            if worths[unit] * _ABORT_FACTOR >= worth:
+        _, best_value = best
+        values = self._in_flight_values()
+        for unit in sorted(self._state.in_flight, key=lambda u: (values[u], -u)):
+            transfer_seconds = self._remaining_bytes(unit) / self._state.bytes_per_second
+            if values[unit] * _ABORT_FACTOR >= best_value:
                 break
-            # What would be here before another answer began is let come.
-            if wait <= self._holdings.latency or self._is_needed(unit):
+            # A unit that completes before a new response could start is not worth aborting.
+            if transfer_seconds <= self._state.latency or self._is_required(unit):
                 continue
-            self._coming.remove(unit)
-            self.stopped.append(unit)
+            self._in_flight.remove(unit)
+            self.aborted.append(unit)
 
-    def _worths(self) -> dict[int, float]:
-        """Return what units under way are worth: as much as anything missing that needs them."""
-        worths = {unit: self._urgency[unit] for unit in self._coming}
+    def _in_flight_values(self) -> dict[int, float]:
+        """Return per unit in flight the largest urgency of itself and its missing dependents."""
+        values = {unit: self._urgency[unit] for unit in self._in_flight}
         for unit in range(len(self._units)):
-            left = [unit] if self._is_missing(unit) else []
-            while left:
-                for before in self._units[left.pop()].after:
-                    left.append(before)
-                    if before in worths:
-                        worths[before] = max(worths[before], self._urgency[unit])
-        return worths
+            stack = [unit] if self._is_missing(unit) else []
+            while stack:
+                for dependency in self._units[stack.pop()].dependencies:
+                    stack.append(dependency)
+                    if dependency in values:
+                        values[dependency] = max(values[dependency], self._urgency[unit])
+        return values
 
-    def want(self, chain: Sequence[int]) -> None:
-        """Choose the first unit of a chain, or set the last aside where there is no room for it."""
+    def request_first(self, chain: Sequence[int]) -> None:
+        """Choose the first unit of a chain; skip the last unit if the chain exceeds the budget."""
         first, last = self._units[chain[0]], chain[-1]
-        # What was stopped or thrown away in this decision is not asked for by it again.
-        is_gone = any(u in self.stopped or self._units[u].chunk in self.evicted for u in chain)
-        if is_gone or (first.is_head and not self.make_room(self._keep(last), chain)):
-            self._aside.add(last)
+        # Units aborted or evicted in this decision are not requested again by it.
+        is_dropped = any(u in self.aborted or self._units[u].chunk in self.evicted for u in chain)
+        if is_dropped or (first.is_head and not self.make_room(self._keep_value(last), chain)):
+            self._skipped.add(last)
             return
-        if first.is_head and self._held is not None:
-            self._held.add(first.chunk, self._splats[first.chunk], self._keep(chain[0]))
-        self._coming.add(chain[0])
+        if first.is_head and self._resident is not None:
+            self._resident.add(first.chunk, self._splats[first.chunk], self._keep_value(chain[0]))
+        self._in_flight.add(chain[0])
         self.chosen.append(chain[0])
 
-    def _keep(self, unit: int) -> float:
-        """Return what it is worth to keep a unit: room costs the same wherever it stands."""
+    def _keep_value(self, unit: int) -> float:
+        """Return urgency × end: the value of keeping a unit, as memory has no position."""
         return self._urgency[unit] * self._units[unit].end
 
-    def _left(self, unit: int) -> int:
+    def _remaining_bytes(self, unit: int) -> int:
         return self._units[unit].size_bytes - self._received.get(unit, 0)
 
     def _is_missing(self, unit: int) -> bool:
-        return unit not in self._there and unit not in self._coming
+        return unit not in self._present and unit not in self._in_flight
 
-    def _is_needed(self, unit: int) -> bool:
-        """Whether something that is there or coming is of no use without a unit."""
+    def _is_required(self, unit: int) -> bool:
+        """Whether a unit that is present or in flight depends on this one."""
         return any(
-            unit in after and not self._is_missing(other) for other, after in enumerate(self._after)
+            unit in dependencies and not self._is_missing(other)
+            for other, dependencies in enumerate(self._dependencies)
         )
 
-    def _held_chunks(self) -> _Held:
-        """Return the chunks whose heads are there or coming, found anew where some were evicted."""
-        if self._held is None:
+    def _resident_chunks(self) -> _Resident:
+        """Return the chunks whose heads are present or in flight; recomputed after evictions."""
+        if self._resident is None:
             chunks = {chunk for chunk, head in self._heads.items() if not self._is_missing(head)}
-            least = min((self._keep(self._heads[chunk]) for chunk in chunks), default=math.inf)
-            self._held = _Held(chunks, sum(self._splats[chunk] for chunk in chunks), least)
-        return self._held
+            lowest = min(
+                (self._keep_value(self._heads[chunk]) for chunk in chunks), default=math.inf
+            )
+            self._resident = _Resident(chunks, sum(self._splats[c] for c in chunks), lowest)
+        return self._resident
 
-    def make_room(self, keep: float, chain: Sequence[int]) -> bool:
-        """Evict chunks that are worth less until the first head of a chain fits.
+    def make_room(self, keep_value: float, chain: Sequence[int]) -> bool:
+        """Evict chunks of lower value until the first head of a chain fits the budget.
 
         Parameters
         ----------
-        keep : float
-            What it is worth to have the chain.
+        keep_value : float
+            Value of keeping the last unit of the chain.
         chain : sequence of int
-            The first is a head; none for what a budget that was lowered still has room for.
+            Units of the chain, a head first; empty to enforce a budget that was lowered.
 
         Returns
         -------
         bool
-            False, and nothing is evicted, where not all heads of the chain would fit: a parent
-            that nothing can follow would make room for others again, and so on without end.
+            False, without evictions, if not all heads of the chain would fit. Otherwise a parent
+            could evict chunks for children that never fit, be evicted for them, and so on.
         """
-        budget = self._holdings.budget_splats
+        budget = self._state.budget_splats
         if not budget:
             return True
-        rows = [
+        counts = [
             self._splats[unit.chunk] for unit in (self._units[u] for u in chain) if unit.is_head
         ]
-        now = self._held_chunks()
-        room = budget - now.splats
-        if room >= sum(rows):
+        resident = self._resident_chunks()
+        room = budget - resident.splats
+        if room >= sum(counts):
             return True
-        # Most often there is nothing that is worth little enough, wherever it stands.
-        if not now.least_worth * _EVICT_FACTOR < keep:
+        # Fast path: no resident chunk has a value low enough.
+        if not resident.min_keep_value * _EVICT_FACTOR < keep_value:
             return False
-        held, kept = set(now.chunks), self._ancestors(chain)
-        going: list[int] = []
-        while room < sum(rows):
-            chunk = self._least(held, kept, keep)
+        remaining, ancestors = set(resident.chunks), self._ancestor_chunks(chain)
+        evicted: list[int] = []
+        while room < sum(counts):
+            chunk = self._eviction_candidate(remaining, ancestors, keep_value)
             if chunk is None:
                 return False
-            held.remove(chunk)
-            going.append(chunk)
+            remaining.remove(chunk)
+            evicted.append(chunk)
             room += self._splats[chunk]
-        # The other heads take their room when they are asked for.
-        while going and room - self._splats[going[-1]] >= sum(rows[:1]):
-            room -= self._splats[going.pop()]
-        self._held = None
-        for chunk in going:
+        # Room for the other heads of the chain is made when they are requested.
+        while evicted and room - self._splats[evicted[-1]] >= sum(counts[:1]):
+            room -= self._splats[evicted.pop()]
+        self._resident = None
+        for chunk in evicted:
             self.evicted.append(chunk)
-            for unit in self._of_chunk[chunk]:
-                self._there.discard(unit)
+            for unit in self._units_of_chunk[chunk]:
+                self._present.discard(unit)
                 self._received.pop(unit, None)
-                if unit in self._coming:
-                    self._coming.remove(unit)
-                    self.stopped.append(unit)
+                if unit in self._in_flight:
+                    self._in_flight.remove(unit)
+                    self.aborted.append(unit)
         return True
 
-    def _ancestors(self, chain: Sequence[int]) -> set[int]:
-        """Return the chunks of units and of all that these need."""
+    def _ancestor_chunks(self, chain: Sequence[int]) -> set[int]:
+        """Return the chunks of units and of their transitive dependencies."""
         found: set[int] = set()
-        left = list(chain)
-        while left:
-            unit = left.pop()
+        stack = list(chain)
+        while stack:
+            unit = stack.pop()
             if self._units[unit].chunk >= 0:
                 found.add(self._units[unit].chunk)
-            left += self._units[unit].after
+            stack += self._units[unit].dependencies
         return found
 
-    def _least(self, held: set[int], kept: set[int], keep: float) -> int | None:
-        """Return the chunk to evict first: worth least, parent of none that is held."""
+    def _eviction_candidate(
+        self, resident: set[int], ancestors: set[int], keep_value: float
+    ) -> int | None:
+        """Return the evictable chunk of the lowest value; None if there is none."""
         parents = {
-            self._units[before].chunk
-            for chunk in held
-            for before in self._units[self._heads[chunk]].after
+            self._units[dependency].chunk
+            for chunk in resident
+            for dependency in self._units[self._heads[chunk]].dependencies
         }
         chosen = {self._units[unit].chunk for unit in self.chosen}
-        open_ = [
+        candidates = [
             chunk
-            for chunk in held
-            if chunk not in kept
+            for chunk in resident
+            if chunk not in ancestors
             and chunk not in parents
             and chunk not in chosen
-            and self._keep(self._heads[chunk]) * _EVICT_FACTOR < keep
+            and self._keep_value(self._heads[chunk]) * _EVICT_FACTOR < keep_value
         ]
-        if not open_:
+        if not candidates:
             return None
-        return min(open_, key=lambda chunk: (self._keep(self._heads[chunk]), -chunk))
+        return min(candidates, key=lambda chunk: (self._keep_value(self._heads[chunk]), -chunk))

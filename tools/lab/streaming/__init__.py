@@ -1,1 +1,1 @@
-"""Streaming by view, simulated: where a visitor looks, what a client fetches next, what is seen."""
+"""Simulation of streaming clients: camera traces, fetch policies, links, and picture quality."""

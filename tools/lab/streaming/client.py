@@ -1,4 +1,4 @@
-"""A client of a scene that is cut into chunks: what it may fetch, and when it has come."""
+"""Streaming clients with one request in flight: fetchable units and their arrival times."""
 
 from __future__ import annotations
 
@@ -20,38 +20,39 @@ from .traces import Trace
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-LOOK_SECONDS: Final = 0.1
-"""How long until a client looks again from where the visitor is then (docs/streaming.md, 11)."""
+DECISION_INTERVAL: Final = 0.1
+"""Time between two evaluations of the pose, s (docs/streaming.md, 11)."""
 
 Priorities = Callable[[Camera], F64]
-"""How much a byte of each unit of a file is wanted from a pose; 0 where it is not asked for."""
+"""Function from a camera to the urgency of each unit, (u,) float64; 0 if not to be fetched."""
 
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """The segments of a file that pictures need, in the order of the file.
+    """Segments of a file that rendering needs, in the order of the file.
 
     Parameters
     ----------
     kind : (u,) int64
-        `SegmentKind` of each.
+        `SegmentKind` of each unit.
     chunk : (u,) int64
-        Chunk of a head, a refinement or a tail; -1 for codebooks.
+        Chunk of a head, refinement or tail; -1 for codebooks.
     end : (u,) int64
-        Byte of the file behind the segment.
+        Offset of the first byte after each unit.
     size_bytes : (u,) int64
-    after : list of tuple of int
-        Units that a unit is of no use without: those of the chunk's parent, codebooks, its head.
-    opening_bytes : int
-        Preamble, root and pages of the index, without which nobody knows what there is.
+        Size of each unit.
+    dependencies : list of tuple of int
+        Units required to decode or draw each unit: head, head of the parent chunk, codebooks.
+    index_bytes : int
+        Size of preamble, root and index pages, which are fetched before any unit.
     """
 
     kind: I64
     chunk: I64
     end: I64
     size_bytes: I64
-    after: list[tuple[int, ...]]
-    opening_bytes: int
+    dependencies: list[tuple[int, ...]]
+    index_bytes: int
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -59,13 +60,14 @@ class Units:
 
 @dataclass(frozen=True)
 class Link:
-    """A network.
+    """Network link between client and server.
 
     Parameters
     ----------
     bits_per_second : float
+        Bandwidth.
     latency : float
-        Seconds from a request to the first byte of its answer, when nothing else is under way.
+        Time from a request to the first byte of its response on an idle link, s.
     """
 
     bits_per_second: float
@@ -74,43 +76,44 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class Arrivals:
-    """What a client has fetched.
+    """Arrival and eviction times of the units that a client fetched.
 
     Parameters
     ----------
     units : list of int
-        In the order of their arrival; one that was thrown away and fetched again several times.
+        Units in the order of arrival; a unit fetched again after eviction occurs again.
     seconds : (u,) float64
-        When each had arrived.
-    leaves : (u,) float64, optional
-        When each was thrown away; none is, by default.
+        Time at which each unit was complete.
+    evicted_at : (u,) float64, optional
+        Time at which each unit was evicted, infinite for never; by default never for all.
     """
 
     units: list[int]
     seconds: F64
-    leaves: F64 | None = None
+    evicted_at: F64 | None = None
 
-    def came(self, seconds: float) -> list[int]:
-        """Return the units that had been fetched by a moment, as often as they were."""
+    def fetched_by(self, seconds: float) -> list[int]:
+        """Return the units fetched until a time, with repetitions."""
         return self.units[: int(np.searchsorted(self.seconds, seconds, "right"))]
 
-    def there(self, seconds: float) -> list[int]:
-        """Return the units that are there at a moment."""
-        came = self.came(seconds)
-        if self.leaves is None:
-            return came
-        stays = self.leaves[: len(came)] > seconds
-        return [unit for unit, is_there in zip(came, stays, strict=True) if is_there]
+    def present_at(self, seconds: float) -> list[int]:
+        """Return the units fetched and not evicted at a time."""
+        fetched = self.fetched_by(seconds)
+        if self.evicted_at is None:
+            return fetched
+        stays = self.evicted_at[: len(fetched)] > seconds
+        return [unit for unit, is_present in zip(fetched, stays, strict=True) if is_present]
 
 
 def units_of(file: CogsFile) -> Units:
-    """Return what a client may fetch of a file: of a part of one, the chunks that are complete."""
+    """List the fetchable units of a file; of a truncated file only complete chunks count."""
     kinds = file.segments.kind.astype(np.int64)
-    wanted = [SegmentKind.HEAD, SegmentKind.REFINEMENT, SegmentKind.TAIL, *COLOUR_BANDS]
-    of_chunk = np.isin(kinds, wanted[:3])
-    there = ~of_chunk | (file.segments.owner < file.complete_chunks())
-    there &= np.array([file.is_present(row) for row in range(len(kinds))], np.bool_)
-    rows = np.flatnonzero(np.isin(kinds, [*wanted, SegmentKind.SHAPE_CODEBOOK]) & there)
+    chunk_kinds = [SegmentKind.HEAD, SegmentKind.REFINEMENT, SegmentKind.TAIL]
+    fetched_kinds = [*chunk_kinds, *COLOUR_BANDS, SegmentKind.SHAPE_CODEBOOK]
+    of_chunk = np.isin(kinds, chunk_kinds)
+    is_fetchable = ~of_chunk | (file.segments.owner < file.complete_chunks())
+    is_fetchable &= np.array([file.is_present(row) for row in range(len(kinds))], np.bool_)
+    rows = np.flatnonzero(np.isin(kinds, fetched_kinds) & is_fetchable)
     rows = rows[np.argsort(file.offsets[rows], kind="stable")]
     of_chunk = of_chunk[rows]
     kind, owner = kinds[rows], file.segments.owner[rows].astype(np.int64)
@@ -118,108 +121,106 @@ def units_of(file: CogsFile) -> Units:
     heads = {int(chunk[u]): u for u in np.flatnonzero(kind == SegmentKind.HEAD).tolist()}
     shapes = tuple(np.flatnonzero(kind == SegmentKind.SHAPE_CODEBOOK).tolist())
     colours = tuple(np.flatnonzero(np.isin(kind, COLOUR_BANDS)).tolist())
-    above = parents(file.chunks.cell)
-    after: list[tuple[int, ...]] = []
+    parent_of = parents(file.chunks.cell)
+    dependencies: list[tuple[int, ...]] = []
     for u in range(len(rows)):
         if kind[u] == SegmentKind.HEAD:
-            parent = int(above[chunk[u]])
-            after.append(shapes + ((heads[parent],) if parent >= 0 else ()))
+            parent = int(parent_of[chunk[u]])
+            dependencies.append(shapes + ((heads[parent],) if parent >= 0 else ()))
         elif kind[u] == SegmentKind.TAIL:
-            after.append((*colours, heads[int(chunk[u])]))
+            dependencies.append((*colours, heads[int(chunk[u])]))
         elif kind[u] == SegmentKind.REFINEMENT:
-            after.append((heads[int(chunk[u])],))
+            dependencies.append((heads[int(chunk[u])],))
         else:
-            after.append(())
+            dependencies.append(())
     size = file.segments.length[rows].astype(np.int64)
     end = file.offsets[rows].astype(np.int64) + size
-    # The first segment of the file stands behind the root.
+    # The first segment of the file follows the root.
     index = int(file.offsets[0]) if len(file.offsets) else file.file_length
     index += sum(page.length for page in file.root.pages)
-    return Units(kind, chunk, end, size, after, index)
+    return Units(kind, chunk, end, size, dependencies, index)
 
 
-def fetch(units: Units, trace: Trace, link: Link, priorities: Priorities) -> Arrivals:
-    """Simulate a client that always has its next request under way.
+def simulate_fetch(units: Units, trace: Trace, link: Link, priorities: Priorities) -> Arrivals:
+    """Simulate a client with one request in flight at any time.
 
     Parameters
     ----------
     units : Units
     trace : Trace
-        Whose poses the client looks from.
+        Path of the client's camera.
     link : Link
-    priorities : callable
-        Of a pose: what the client wants.
+    priorities : Priorities
 
     Returns
     -------
     Arrivals
-        All units that are asked for before the end of the trace. What comes next was chosen one
-        latency before its first byte, from the pose of that moment: the first unit of the chain
-        that is worth most (docs/streaming.md, 7).
+        All units requested until the end of the trace. Each is the first unit of the best chain
+        (docs/streaming.md, 7) at the pose one latency before its first byte.
     """
-    now = link.latency + 8.0 * units.opening_bytes / link.bits_per_second
+    now = link.latency + 8.0 * units.index_bytes / link.bits_per_second
     missing = np.ones(len(units), np.bool_)
-    came: list[int] = []
+    fetched: list[int] = []
     seconds = []
     while missing.any():
-        # Without any answer yet, nobody knows what there is to choose from.
+        # Nothing is chosen before the index has arrived.
         chosen_at = max(now - link.latency, 0.0)
-        wanted = priorities(trace.at(chosen_at))
-        unit = _next_unit(units, wanted, _by_want(wanted), missing)
+        urgency = priorities(trace.camera_at(chosen_at))
+        unit = _next_unit(units, urgency, _by_urgency(urgency), missing)
         if unit is None:
             if chosen_at >= trace.seconds:
                 break
-            now += LOOK_SECONDS
+            now += DECISION_INTERVAL
             continue
         now += 8.0 * float(units.size_bytes[unit]) / link.bits_per_second
         missing[unit] = False
-        came.append(unit)
+        fetched.append(unit)
         seconds.append(now)
-    return Arrivals(came, np.array(seconds))
+    return Arrivals(fetched, np.array(seconds))
 
 
-def waited_for(units: Units, wanted: F64, there: Sequence[int] = ()) -> list[int]:
-    """Return what somebody fetches who stays at a pose, in that order.
+def fetch_order(units: Units, urgency: F64, present: Sequence[int] = ()) -> list[int]:
+    """Return the order in which a client at a fixed pose fetches its missing units.
 
     Parameters
     ----------
     units : Units
-    wanted : (u,) float64
-        Of the pose, as `Priorities` give it.
-    there : sequence of int
-        Units that were fetched before.
+    urgency : (u,) float64
+        Urgency of each unit at the pose (`Priorities`).
+    present : sequence of int
+        Units fetched before.
 
     Returns
     -------
     list of int
-        All others that the pose wants.
+        Missing units of urgency above 0.
     """
     missing = np.ones(len(units), np.bool_)
-    missing[list(there)] = False
-    order = _by_want(wanted)
+    missing[list(present)] = False
+    order = _by_urgency(urgency)
     found: list[int] = []
-    while (unit := _next_unit(units, wanted, order, missing)) is not None:
+    while (unit := _next_unit(units, urgency, order, missing)) is not None:
         missing[unit] = False
         found.append(unit)
     return found
 
 
-def _by_want(wanted: F64) -> I64:
-    """Return the units that are asked for, those that are wanted most first."""
-    order = np.argsort(-wanted, kind="stable")
-    return order[wanted[order] > 0.0]
+def _by_urgency(urgency: F64) -> I64:
+    """Return the units of urgency above 0, by falling urgency."""
+    order = np.argsort(-urgency, kind="stable")
+    return order[urgency[order] > 0.0]
 
 
-def _next_unit(units: Units, wanted: F64, order: I64, missing: NDArray[np.bool_]) -> int | None:
-    """Return the first unit of the missing chain that is worth most (docs/streaming.md, 7).
+def _next_unit(units: Units, urgency: F64, order: I64, missing: NDArray[np.bool_]) -> int | None:
+    """Return the first unit of the best chain (docs/streaming.md, 7); None if none is missing.
 
-    None where nothing is wanted. The order is that of `_by_want`.
+    `order` is the result of `_by_urgency`.
     """
     best = best_chain(
         order[missing[order]].tolist(),
-        wanted,
+        urgency,
         units.size_bytes,
-        units.after,
+        units.dependencies,
         lambda unit: bool(missing[unit]),
     )
     return None if best is None else int(best[0][0])

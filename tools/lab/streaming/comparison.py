@@ -1,4 +1,4 @@
-"""Policies beside each other: what a visitor sees as bytes come, along a trace and at rest."""
+"""Comparison of fetch policies: picture quality along a trace and at fixed poses."""
 
 from __future__ import annotations
 
@@ -16,16 +16,23 @@ from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import sample_evenly
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.tools.lab.scheduling.chunk_ratios import by_boxes, by_view_table
+from cogsplat.tools.lab.scheduling.chunk_ratios import ratios_from_boxes, ratios_from_view_table
 from cogsplat.tools.lab.scheduling.poses import Pose
 
-from .client import Arrivals, Link, Priorities, Units, fetch, units_of, waited_for
-from .policies import by_pose, by_ratios, file_order, nearest_boxes, sgss, table_of
-from .row_clients import RowClient, by_antimatter, by_sgss_cells
-from .shown import ShownScene
+from .client import Arrivals, Link, Priorities, Units, fetch_order, simulate_fetch, units_of
+from .partial_renderer import PartialRenderer
+from .policies import (
+    by_true_contribution,
+    by_urgency,
+    file_order,
+    measured_view_table,
+    nearest_chunks,
+    sgss_chunks,
+)
+from .row_clients import RowClient, antimatter_client, sgss_client
 from .streamed_sog import StreamedSogClient
 from .traces import Trace
-from .visits import Browser, visit
+from .visit_client import Browser, simulate_visit
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -43,41 +50,46 @@ POLICIES: Final = (
     "visit",
     "oracle",
 )
-"""Names of the policies. ``file`` is the order of the file, ``whole`` the same shown once all of it
-is there. ``distance`` and ``sgss`` fetch whole chunks by their distance and by SGSS' priority.
-``antimatter`` and ``sgss-cells`` fetch splats by volume times opacity, and as SGSS does, in cells
-and an order of its own. ``frustum``, ``views`` and ``oracle`` put the file's order off by boxes, by
-what the nearest views show, and by what the pose itself shows. ``visit`` is `views` as the npm
-package does it: several requests at a time, for a path, stopped and resumed, within a budget."""
+"""Names of the policies.
+
+- ``file``: order of the file. ``whole``: the same, drawn only when complete.
+- ``distance``, ``sgss``: complete chunks by distance, and by SGSS' priority.
+- ``antimatter``: splats by volume times opacity. ``sgss-cells``: cells and order of SGSS.
+- ``frustum``, ``views``, ``oracle``: by urgency, with visibility ratios from boxes, from the view
+  table, and from the true contributions to the current view.
+- ``visit``: `views` as in the npm package, with concurrent requests, pose extrapolation, aborts,
+  resumption and a memory budget.
+"""
 
 PEER: Final = "streamed-sog"
-"""Name of the client of another file: by the rules of PlayCanvas' viewer (`streamed_sog`)."""
+"""Name of the policy of the Streamed SOG client (`streamed_sog`)."""
 
 SHARES: Final = (0.2, 0.3, 0.5, 0.7)
-"""Shares of the bytes after which a view at rest is judged."""
+"""Shares of the bytes at which pictures from fixed poses are compared."""
 
 TABLE_VIEWS: Final = 64
-"""Views, at most, whose contributions `views` knows."""
+"""Viewpoints at most in a view table that is measured for a file without one."""
 
-Shown = Callable[[str, float, F32], None]
-"""Takes a picture: the policy, empty for the whole scene, and the second of the trace."""
+PictureCallback = Callable[[str, float, F32], None]
+"""Receives the policy (empty for the reference), the time in the trace, s, and a picture."""
 
 
 @dataclass(frozen=True)
 class Moment:
-    """What a visitor sees at a moment.
+    """Bytes received and picture quality at one time of a trace.
 
     Parameters
     ----------
     seconds : float
+        Time in the trace.
     bytes : int
-        Of segments that have arrived.
+        Bytes of segments received.
     psnr_db : float
-        Against the picture of the whole file, or of the source; 100 at most.
+        PSNR against the picture of the full file, or of the source; 100 at most.
     ssim : float
-        Likewise.
+        SSIM against the same picture.
     wasted_bytes : int
-        Of `bytes`, those of chunks that no moment so far has shown anything of.
+        Part of `bytes` in chunks that contributed to no picture so far.
     """
 
     seconds: float
@@ -88,7 +100,7 @@ class Moment:
 
 
 def bytes_until(moments: Sequence[Moment], goal_db: float) -> int | None:
-    """Return the bytes at the first moment from which on a PSNR is kept; None where none is."""
+    """Return the bytes received when a PSNR is reached for good; None if it is not."""
     found = None
     for moment in reversed(moments):
         if moment.psnr_db < goal_db:
@@ -98,13 +110,18 @@ def bytes_until(moments: Sequence[Moment], goal_db: float) -> int | None:
 
 
 def moments_behind(moments: Sequence[Moment], others: Sequence[Moment], goal_db: float) -> int:
-    """Return at how many moments, after the first second, others show a PSNR and these do not.
+    """Count the moments at which another policy reaches a PSNR and this one does not.
+
+    The first second is left out.
 
     Parameters
     ----------
-    moments, others : sequence of Moment
-        At the same times.
+    moments : sequence of Moment
+        Moments of the policy.
+    others : sequence of Moment
+        Moments of the other policy, at the same times.
     goal_db : float
+        PSNR, dB.
     """
     return sum(
         moment.seconds > 1.0 and moment.psnr_db < goal_db <= other.psnr_db
@@ -114,46 +131,48 @@ def moments_behind(moments: Sequence[Moment], others: Sequence[Moment], goal_db:
 
 @dataclass(frozen=True, eq=False)
 class Client:
-    """Somebody who fetches a scene.
+    """Client of one policy: units, fetch order and drawn splats.
 
     Parameters
     ----------
     units : Units
-        What may be fetched.
-    wanted : Priorities
+        Fetchable units.
+    priorities : Priorities
+        Urgency of each unit at a pose.
     rows : list of slice or (n,) int64
-        Rows of `scene` that each unit is about; none for codebooks.
-    drawn : callable
-        What is drawn of units that are there, from a pose.
+        Rows of `scene` in each unit; empty for codebooks.
+    splats_of : callable
+        Function from received units and a camera to the splats drawn.
     scene : Splats
-        All that there is to fetch.
+        Splats of all units.
     """
 
     units: Units
-    wanted: Priorities
+    priorities: Priorities
     rows: Sequence[slice | I64]
-    drawn: Callable[[Sequence[int], Camera], Splats]
+    splats_of: Callable[[Sequence[int], Camera], Splats]
     scene: Splats
 
 
 class Simulation:
-    """A scene in a client's hands.
+    """Simulation of clients of one file under several policies.
 
     Parameters
     ----------
     file : CogsFile
     known : sequence of Camera
-        Views whose contributions `views` knows where the file has no view table; at most
-        `TABLE_VIEWS` of them, evenly chosen.
+        Views from which a view table is measured if the file has none; at most `TABLE_VIEWS`,
+        sampled evenly.
     threads : int
+        Threads for rendering and scoring.
     compensate : bool
-        Whether clients of the file change what they have to make up for what is missing.
+        Whether clients apply compensation for missing chunks (SPEC 8.5).
     source : Splats, optional
-        Whose pictures all others are compared with; by default the whole file's.
+        Scene of the reference pictures; by default the decoded file.
     peer : StreamedSogClient, optional
-        The client of the policy `PEER`, of the same scene in another file.
+        Client of the policy `PEER`: the same scene as Streamed SOG.
     progress : Progress
-        Called with the stage ``table``, of a file without a view table.
+        Called with the stage ``table`` while a view table is measured.
     """
 
     def __init__(
@@ -169,9 +188,9 @@ class Simulation:
     ) -> None:
         self.units: Units = units_of(file)
         self._source, self._peer = source, peer
-        self._shown = ShownScene(file, threads, compensate=compensate)
+        self._renderer = PartialRenderer(file, threads, compensate=compensate)
         self._known = sample_evenly(known, TABLE_VIEWS)
-        chunks = slice(0, self._shown.chunks)
+        chunks = slice(0, self._renderer.chunks)
         row = file.view_table_row
         stored = file.view_table() if row is not None and file.is_present(row) else None
         if stored is None:
@@ -181,30 +200,30 @@ class Simulation:
         self._boxes = file.chunks.box[chunks].astype(np.float64)
         self._splats = file.chunks.splats[chunks].astype(np.float64)
         self._contribution = file.chunks.contribution[chunks].astype(np.float64)
-        self._ratios = by_view_table(self._table, self._boxes, self._contribution)
-        # A visitor knows what the file says, and no pictures besides.
-        self._visitors_ratios = (
-            by_boxes(self._boxes, self._contribution) if stored is None else self._ratios
+        self._ratios = ratios_from_view_table(self._table, self._boxes, self._contribution)
+        # `visit` uses only information in the file, never the measured table.
+        self._visit_ratios = (
+            ratios_from_boxes(self._boxes, self._contribution) if stored is None else self._ratios
         )
 
     def _measured_table(self, progress: Progress) -> ViewTable:
-        """Return what the known views show, of a file that does not say."""
+        """Measure the view table from the known views."""
         count = len(self._known)
         rows = []
         for number, camera in enumerate(self._known):
             progress("table", number, count)
-            rows.append(self._shown.contributions(camera))
+            rows.append(self._renderer.chunk_contributions(camera))
         progress("table", count, count)
-        return table_of(self._known, np.stack(rows))
+        return measured_view_table(self._known, np.stack(rows))
 
     @property
     def chunks(self) -> int:
         """Number of chunks."""
-        return self._shown.chunks
+        return self._renderer.chunks
 
     @property
     def known_views(self) -> int:
-        """Number of viewpoints whose shares are known."""
+        """Number of viewpoints in the view table."""
         return len(self._table.positions)
 
     def policy(self, name: str) -> Priorities:
@@ -212,57 +231,60 @@ class Simulation:
         units, boxes, contribution = self.units, self._boxes, self._contribution
         makers: dict[str, Callable[[], Priorities]] = {
             "file": lambda: file_order(units),
-            "distance": lambda: nearest_boxes(units, boxes),
-            "sgss": lambda: sgss(units, boxes, self._splats),
-            "frustum": lambda: by_ratios(units, by_boxes(boxes, contribution)),
-            "views": lambda: by_ratios(units, self._ratios),
-            "visit": lambda: by_ratios(units, self._visitors_ratios),
-            "oracle": lambda: by_pose(units, self._shown.contributions, contribution),
+            "distance": lambda: nearest_chunks(units, boxes),
+            "sgss": lambda: sgss_chunks(units, boxes, self._splats),
+            "frustum": lambda: by_urgency(units, ratios_from_boxes(boxes, contribution)),
+            "views": lambda: by_urgency(units, self._ratios),
+            "visit": lambda: by_urgency(units, self._visit_ratios),
+            "oracle": lambda: by_true_contribution(
+                units, self._renderer.chunk_contributions, contribution
+            ),
         }
         return makers[name]()
 
     def client(self, name: str) -> Client:
-        """Return the client of a policy."""
+        """Create the client of a policy, by its name in `POLICIES` or `PEER`."""
         if name == PEER:
             peer = self._peer
             if peer is None:
                 raise ValueError(f"{name}: no other file was given")
-            return Client(peer.units, peer.wanted, peer.rows, peer.drawn, peer.scene)
-        splats, units = self._shown.splats, self.units
+            return Client(peer.units, peer.priorities, peer.rows, peer.splats_of, peer.scene)
+        splats, units = self._renderer.splats, self.units
         size = int(units.size_bytes.sum())
         if name in ("antimatter", "sgss-cells"):
             made: RowClient = (
-                by_antimatter(splats, size, units.opening_bytes)
+                antimatter_client(splats, size, units.index_bytes)
                 if name == "antimatter"
-                else by_sgss_cells(splats, self._known, size, units.opening_bytes)
+                else sgss_client(splats, self._known, size, units.index_bytes)
             )
             rows = made.rows
 
-            def of_rows(there: Sequence[int], _: Camera) -> Splats:
+            def splats_of_pieces(present: Sequence[int], _: Camera) -> Splats:
                 return splats.take(
-                    np.concatenate([np.zeros(0, np.int64), *(rows[u] for u in there)])
+                    np.concatenate([np.zeros(0, np.int64), *(rows[u] for u in present)])
                 )
 
-            return Client(made.units, made.wanted, rows, of_rows, splats)
-        of_units = [
-            self._shown.rows(chunk) if chunk >= 0 else slice(0, 0) for chunk in units.chunk.tolist()
+            return Client(made.units, made.priorities, rows, splats_of_pieces, splats)
+        rows_of_units = [
+            self._renderer.rows(chunk) if chunk >= 0 else slice(0, 0)
+            for chunk in units.chunk.tolist()
         ]
 
-        def of_segments(there: Sequence[int], camera: Camera) -> Splats:
-            if name == "whole" and len(there) < len(units):
+        def splats_of_segments(present: Sequence[int], camera: Camera) -> Splats:
+            if name == "whole" and len(present) < len(units):
                 return splats.take(slice(0, 0))
-            ratios = self._visitors_ratios if name == "visit" else self._ratios
-            return self._shown.drawn(units, there, ratios(Pose.of_camera(camera)))
+            ratios = self._visit_ratios if name == "visit" else self._ratios
+            return self._renderer.splats_of_units(units, present, ratios(Pose.from_camera(camera)))
 
-        wanted = self.policy("file" if name == "whole" else name)
-        return Client(units, wanted, of_units, of_segments, splats)
+        priorities = self.policy("file" if name == "whole" else name)
+        return Client(units, priorities, rows_of_units, splats_of_segments, splats)
 
     def picture(self, camera: Camera, splats: Splats | None = None) -> F32:
-        """Return the picture of the whole file, or of other splats: (H, W, 3), 0 to 1."""
-        return self._shown.picture(camera, splats)
+        """Render splats, by default the full file, to an (H, W, 3) picture of values 0 to 1."""
+        return self._renderer.picture(camera, splats)
 
     def reference(self, camera: Camera) -> F32:
-        """Return the picture that others are compared with: (H, W, 3), 0 to 1."""
+        """Render the reference picture: (H, W, 3), 0 to 1."""
         return self.picture(camera, self._source)
 
     def arrivals(
@@ -275,44 +297,44 @@ class Simulation:
         budget_splats: int = 0,
         browser: Browser | None = None,
     ) -> Arrivals:
-        """Return when a client's units come.
+        """Simulate the arrival of a client's units.
 
         Parameters
         ----------
         name : str
-            Of the client's policy.
+            Name of the client's policy.
         client : Client
         trace : Trace
         link : Link
         budget_splats : int
-            Most splats in memory of ``visit``; 0 for any number.
+            Memory limit of ``visit``, splats; 0 for no limit.
         browser : Browser, optional
-            In which ``visit`` runs.
+            Machine that ``visit`` runs on; by default one without delays.
         """
         if name != "visit":
-            return fetch(client.units, trace, link, client.wanted)
-        return visit(
+            return simulate_fetch(client.units, trace, link, client.priorities)
+        return simulate_visit(
             client.units,
             self._splats.astype(np.int64).tolist(),
-            self._visitors_ratios,
+            self._visit_ratios,
             trace,
             link,
             budget_splats=budget_splats,
             browser=browser,
         )
 
-    def along(
+    def run_trace(
         self,
         trace: Trace,
         link: Link,
         policies: Sequence[str],
         moments: int,
         progress: Progress = silent,
-        shown: Shown | None = None,
+        on_picture: PictureCallback | None = None,
         *,
         budget_splats: int = 0,
     ) -> dict[str, list[Moment]]:
-        """Return what a visitor sees along a trace, by policy.
+        """Simulate policies along a trace and measure the pictures.
 
         Parameters
         ----------
@@ -320,82 +342,90 @@ class Simulation:
         link : Link
         policies : sequence of str
         moments : int
-            How many, evenly over the time that the trace or, where that is shorter, the download
-            of the whole takes. So the mean over them is the area under a curve over time.
+            Number of measurements, spread evenly over the trace, or over the download if that is
+            shorter.
         progress : Progress
             Called with the stage ``trace``.
-        shown : callable, optional
+        on_picture : PictureCallback, optional
             Called with every picture.
         budget_splats : int
-            Most splats in memory of ``visit``; 0 for any number.
+            Memory limit of ``visit``, splats; 0 for no limit.
         """
         clients = {name: self.client(name) for name in policies}
         arrivals = {
             name: self.arrivals(name, client, trace, link, budget_splats=budget_splats)
             for name, client in clients.items()
         }
-        # When the last unit has come: sums of times round, so that it is not reckoned from bytes.
+        # Arrival of the last unit. Computed from bytes it would differ by rounding.
         ends = [float(arrived.seconds[-1]) for arrived in arrivals.values() if arrived.units]
         download = max(ends, default=link.latency)
         end = min(trace.seconds, download) if trace.seconds > 0.0 else download
-        # The last moment is the end to the bit: what comes then is there.
+        # The last time equals the end exactly, so that it includes the last arrival.
         times = np.linspace(0.0, end, moments + 1)[1:]
-        seen: dict[str, list[Moment]] = {name: [] for name in policies}
+        measured: dict[str, list[Moment]] = {name: [] for name in policies}
         scenes = {id(client.scene): client.scene for client in clients.values()}
         is_seen = {key: np.zeros(len(scene), np.bool_) for key, scene in scenes.items()}
         for number, seconds in enumerate(times.tolist()):
             progress("trace", number, moments)
-            pose = trace.at(seconds)
-            whole = self.reference(pose)
+            camera = trace.camera_at(seconds)
+            reference = self.reference(camera)
             for key, scene in scenes.items():
-                is_seen[key] |= self._shown.contributions_of_splats(pose, scene) > 0.0
-            if shown is not None:
-                shown("", seconds, whole)
+                is_seen[key] |= self._renderer.splat_contributions(camera, scene) > 0.0
+            if on_picture is not None:
+                on_picture("", seconds, reference)
             for name, arrived in arrivals.items():
                 client = clients[name]
-                came = arrived.came(seconds)
-                sizes = client.units.size_bytes[came]
+                fetched = arrived.fetched_by(seconds)
+                sizes = client.units.size_bytes[fetched]
                 rows_seen = is_seen[id(client.scene)]
                 unseen = [
                     client.units.chunk[unit] >= 0 and not rows_seen[client.rows[unit]].any()
-                    for unit in came
+                    for unit in fetched
                 ]
-                picture = self._shown.picture(pose, client.drawn(arrived.there(seconds), pose))
-                if shown is not None:
-                    shown(name, seconds, picture)
+                splats = client.splats_of(arrived.present_at(seconds), camera)
+                picture = self._renderer.picture(camera, splats)
+                if on_picture is not None:
+                    on_picture(name, seconds, picture)
                 moment = Moment(
                     seconds,
                     int(sizes.sum()),
-                    psnr(picture, whole),
-                    ssim(picture, whole),
+                    psnr(picture, reference),
+                    ssim(picture, reference),
                     int(sizes[np.array(unseen, np.bool_)].sum()),
                 )
-                seen[name].append(moment)
+                measured[name].append(moment)
         progress("trace", moments, moments)
-        return seen
+        return measured
 
     def at_rest(
         self, views: Sequence[Camera], policies: Sequence[str], progress: Progress = silent
     ) -> dict[str, list[float]]:
-        """Return the mean PSNR of views after `SHARES` of the bytes, by policy.
+        """Return the mean PSNR of fixed views after `SHARES` of the bytes, by policy.
 
-        The bytes are shares of the file's, also for a client of another. Each view is looked from
-        alone, by somebody who waits. Progress is called with the stage ``views``.
+        Each view is a separate client that starts empty. The shares always refer to the size of
+        this file, also for `PEER`.
+
+        Parameters
+        ----------
+        views : sequence of Camera
+        policies : sequence of str
+        progress : Progress
+            Called with the stage ``views``.
         """
         total = int(self.units.size_bytes.sum())
         clients = {name: self.client(name) for name in policies}
         found: dict[str, list[list[float]]] = {name: [] for name in policies}
         for number, camera in enumerate(views):
             progress("views", number, len(views))
-            whole = self.reference(camera)
+            reference = self.reference(camera)
             for name, client in clients.items():
-                order = waited_for(client.units, client.wanted(camera))
+                order = fetch_order(client.units, client.priorities(camera))
                 sizes = np.cumsum(client.units.size_bytes[order])
                 counts = [int(np.searchsorted(sizes, share * total, "right")) for share in SHARES]
                 pictures = (
-                    self._shown.picture(camera, client.drawn(order[:count], camera))
+                    self._renderer.picture(camera, client.splats_of(order[:count], camera))
                     for count in counts
                 )
-                found[name].append([psnr(picture, whole) for picture in pictures])
+                found[name].append([psnr(picture, reference) for picture in pictures])
         progress("views", len(views), len(views))
         return {name: np.mean(rows, axis=0).tolist() for name, rows in found.items()}

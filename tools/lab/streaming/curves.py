@@ -1,4 +1,4 @@
-"""What policies show along a trace, as a chart and as rows of pictures."""
+"""Chart and picture strips of a simulated trace."""
 
 from __future__ import annotations
 
@@ -18,60 +18,63 @@ if TYPE_CHECKING:
 
 F32 = NDArray[np.float32]
 
-# 100 dB, where nothing differs any more, would press all else into the lower half of a chart.
-_TOP_DB = 60.0
+# Identical pictures have 100 dB, which would compress the rest of the chart to its lower half.
+_MAX_DB = 60.0
 
 
-def chart(along: Mapping[str, Sequence[Moment]], title: str) -> str:
-    """Return an SVG chart of PSNR over time, a line for each policy.
+def psnr_chart(measured: Mapping[str, Sequence[Moment]], title: str) -> str:
+    """Return an SVG chart of PSNR over time, one line per policy.
 
     Parameters
     ----------
-    along : mapping of str to sequence of Moment
+    measured : mapping of str to sequence of Moment
+        Moments by policy.
     title : str
+        Title of the chart.
     """
     series = [
         Series(
             name,
-            tuple((moment.seconds, min(moment.psnr_db, _TOP_DB)) for moment in moments),
+            tuple((moment.seconds, min(moment.psnr_db, _MAX_DB)) for moment in moments),
             (*POLICIES, PEER).index(name),
         )
-        for name, moments in along.items()
+        for name, moments in measured.items()
     ]
     return line_chart(
         title,
         "seconds",
-        "PSNR against the whole, dB",
+        "PSNR against the reference, dB",
         series,
-        note=f"what is above {_TOP_DB:g} dB is drawn there",
+        note=f"values above {_MAX_DB:g} dB are drawn at {_MAX_DB:g} dB",
     )
 
 
-def strips(
-    pictures: Mapping[str, Sequence[F32]], along: Mapping[str, Sequence[Moment]], title: str
+def picture_strips(
+    pictures: Mapping[str, Sequence[F32]], measured: Mapping[str, Sequence[Moment]], title: str
 ) -> Image:
-    """Return a picture of film-strips, one below the other: the whole scene, then each policy.
+    """Return an image of stacked film-strips: the reference, then each policy.
 
     Parameters
     ----------
     pictures : mapping of str to sequence of (H, W, 3) float32
-        By policy, empty for the whole scene: one of each moment.
-    along : mapping of str to sequence of Moment
-        The same moments.
+        Pictures by policy, one per moment; the key of the reference is empty.
+    measured : mapping of str to sequence of Moment
+        Moments of the pictures, by policy.
     title : str
+        Caption of the reference strip.
     """
     from PIL import Image
 
     rows = []
-    for name, seen in pictures.items():
-        moments = next(iter(along.values())) if not name else along[name]
+    for name, strip in pictures.items():
+        moments = next(iter(measured.values())) if not name else measured[name]
         captions = [
             [f"{moment.seconds:.1f} s"]
             if not name
             else [f"{moment.psnr_db:.1f} dB", f"{moment.bytes / 1000:,.0f} kB"]
             for moment in moments
         ]
-        rows.append(filmstrip(seen, captions, name or title))
+        rows.append(filmstrip(strip, captions, name or title))
     size = max(row.width for row in rows), sum(row.height for row in rows)
     page = Image.new("RGB", size, BACKGROUND)
     top = 0

@@ -1,4 +1,4 @@
-"""Which unit a client wants next from a pose: by the file, by boxes, by what views show."""
+"""Fetch policies: functions from a camera to the urgency of each unit."""
 
 from __future__ import annotations
 
@@ -9,7 +9,11 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.segments.view_shares import ViewTable, encode_shares, quantise_directions
-from cogsplat.tools.lab.scheduling.chunk_ratios import PoseRatios, by_sgss, over_usual
+from cogsplat.tools.lab.scheduling.chunk_ratios import (
+    PoseRatios,
+    sgss_priorities,
+    visibility_ratios,
+)
 from cogsplat.tools.lab.scheduling.poses import Pose
 from cogsplat.tools.lab.scheduling.scheduler import urgencies
 
@@ -19,43 +23,42 @@ F64 = NDArray[np.float64]
 
 
 def file_order(units: Units) -> Priorities:
-    """Return the order of the file, whatever the pose."""
+    """Return the policy that fetches in the order of the file."""
     order = 1.0 / units.end.astype(np.float64)
     return lambda _: order
 
 
-def nearest_boxes(units: Units, boxes: F64) -> Priorities:
-    """Return whole chunks by the distance of their boxes' middles from the eye."""
-    middles = 0.5 * (boxes[:, :3] + boxes[:, 3:])
+def nearest_chunks(units: Units, boxes: F64) -> Priorities:
+    """Return the policy that fetches complete chunks by the distance of their box centres."""
+    centres = 0.5 * (boxes[:, :3] + boxes[:, 3:])
 
-    def wanted(camera: Camera) -> F64:
-        away = middles - camera.position
-        return _of_units(units, -np.sqrt((away * away).sum(axis=1)))
+    def priorities(camera: Camera) -> F64:
+        offsets = centres - camera.position
+        return _unit_priorities(units, -np.sqrt((offsets * offsets).sum(axis=1)))
 
-    return wanted
-
-
-def sgss(units: Units, boxes: F64, splats: F64) -> Priorities:
-    """Return whole chunks by SGSS' priority (docs/streaming.md, 6), those not visible last."""
-    priorities = by_sgss(boxes, splats)
-    return lambda camera: _of_units(units, priorities(Pose.of_camera(camera)))
+    return priorities
 
 
-def by_ratios(units: Units, ratios: PoseRatios) -> Priorities:
-    """Return the urgencies of docs/streaming.md, 7."""
-    return lambda camera: urgencies(ratios(Pose.of_camera(camera)), units.chunk, units.end)
+def sgss_chunks(units: Units, boxes: F64, splats: F64) -> Priorities:
+    """Return the policy that fetches complete chunks by SGSS' priority (docs/streaming.md, 6)."""
+    chunk_priorities = sgss_priorities(boxes, splats)
+    return lambda camera: _unit_priorities(units, chunk_priorities(Pose.from_camera(camera)))
 
 
-def table_of(cameras: Sequence[Camera], contributions: F64) -> ViewTable:
-    """Return the view table of some views, for a file that has none.
+def by_urgency(units: Units, ratios: PoseRatios) -> Priorities:
+    """Return the policy that fetches by the urgency of docs/streaming.md, 7."""
+    return lambda camera: urgencies(ratios(Pose.from_camera(camera)), units.chunk, units.end)
+
+
+def measured_view_table(cameras: Sequence[Camera], contributions: F64) -> ViewTable:
+    """Build a view table from measured contributions, for a file without one.
 
     Parameters
     ----------
     cameras : sequence of Camera
-        At most 64.
+        Viewpoints, at most 64.
     contributions : (V, c) float64
-        Contribution of each chunk to each view, px: the shares of `chunk_contributions` times the
-        pixels of the view.
+        Contribution of each chunk to each view, px.
     """
     pixels = np.array([camera.width * camera.height for camera in cameras], np.float64)
     return ViewTable(
@@ -65,20 +68,31 @@ def table_of(cameras: Sequence[Camera], contributions: F64) -> ViewTable:
     )
 
 
-def by_pose(units: Units, contributions: Callable[[Camera], F64], contribution: F64) -> Priorities:
-    """Return the same by what the pose itself shows, which no client can know."""
+def by_true_contribution(
+    units: Units, contributions: Callable[[Camera], F64], contribution: F64
+) -> Priorities:
+    """Return the oracle policy: urgencies from the true contributions to the current view.
 
-    def wanted(camera: Camera) -> F64:
-        ratios = over_usual(contributions(camera), contribution)
+    Parameters
+    ----------
+    units : Units
+    contributions : callable
+        Function from a camera to the contribution of each chunk, (c,) float64.
+    contribution : (c,) float64
+        Stored contribution of each chunk.
+    """
+
+    def priorities(camera: Camera) -> F64:
+        ratios = visibility_ratios(contributions(camera), contribution)
         return urgencies(ratios, units.chunk, units.end)
 
-    return wanted
+    return priorities
 
 
-def _of_units(units: Units, of_chunks: F64) -> F64:
-    """Return each chunk's priority for its units; codebooks come with what needs them."""
-    priorities = np.where(units.chunk >= 0, of_chunks[np.maximum(units.chunk, 0)], -np.inf)
-    # Among equals, such as the segments of one chunk, the order of the file.
+def _unit_priorities(units: Units, chunk_priorities: F64) -> F64:
+    """Rank units by the priority of their chunk; codebooks come as dependencies."""
+    priorities = np.where(units.chunk >= 0, chunk_priorities[np.maximum(units.chunk, 0)], -np.inf)
+    # Ties, such as the segments of one chunk, keep the order of the file.
     rank = np.argsort(np.lexsort((np.arange(len(units)), -priorities)), kind="stable")
     result: F64 = 1.0 / (1.0 + rank.astype(np.float64))
     return result

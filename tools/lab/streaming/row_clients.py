@@ -1,8 +1,7 @@
-"""What other programs fetch, as clients of the same scene: splats one by one, in orders of theirs.
+"""Clients that fetch single splats in the order of antimatter15/splat or SGSS.
 
-A splat costs the mean of what the file spends on one. Chunks that could be decoded on their own
-would cost more, and the more the smaller they are, so that these clients have it easier than they
-would.
+Each splat costs the file's mean bytes per splat. That favours these clients: chunks that can be
+decoded independently would cost more per splat.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.tools.lab.partitions.basic_cuboids import BasicCuboids, basic_cuboids
 from cogsplat.tools.lab.partitions.box_costs import Box, box_costs
 from cogsplat.tools.lab.partitions.guillotine import cut_costs
-from cogsplat.tools.lab.scheduling.chunk_ratios import by_sgss
+from cogsplat.tools.lab.scheduling.chunk_ratios import sgss_priorities
 from cogsplat.tools.lab.scheduling.poses import Pose
 
 from .client import Priorities, Units
@@ -30,66 +29,69 @@ from .client import Priorities, Units
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-# Splats that come at once: finer than a chunk, and few enough pieces to choose from.
-_PIECE: Final = 256
-# SGSS has 300 to 2,000 basic cuboids (Zhu et al., MMSys 2025).
+# Splats per request: finer than a chunk, and few enough pieces to sort.
+_PIECE_SPLATS: Final = 256
+# SGSS uses 300 to 2,000 basic cuboids (Zhu et al., MMSys 2025).
 _CUBOIDS: Final = 300
-# SGSS fetches a cell of this priority PW before others: P, its decimal logarithm, is 1 or more.
-_HIGH: Final = 10.0
+# Cells of at least this priority PW are fetched first: SGSS requires log10(PW) of 1 or more.
+_HIGH_PRIORITY: Final = 10.0
 
 
 @dataclass(frozen=True, eq=False)
 class RowClient:
-    """A client that fetches pieces of a scene.
+    """Client that fetches fixed groups of splats, called pieces.
 
     Parameters
     ----------
     units : Units
-        The pieces.
+        One unit per piece.
     rows : list of (n,) int64
-        Rows of the scene that each piece holds.
-    wanted : Priorities
+        Rows of the scene in each piece.
+    priorities : Priorities
+        Urgency of each piece at a pose.
     """
 
     units: Units
     rows: list[I64]
-    wanted: Priorities
+    priorities: Priorities
 
 
-def by_antimatter(splats: Splats, size_bytes: int, opening_bytes: int) -> RowClient:
-    """Return a client that fetches by volume times opacity, as antimatter15/splat sorts.
+def antimatter_client(splats: Splats, size_bytes: int, index_bytes: int) -> RowClient:
+    """Return a client that fetches by volume times opacity, the order of antimatter15/splat.
 
     Parameters
     ----------
     splats : Splats
     size_bytes : int
-        Of all of them.
-    opening_bytes : int
-        Before the first piece.
+        Total size of the splats.
+    index_bytes : int
+        Bytes fetched before the first piece.
     """
     rows = _pieces(baselines.sort_descending(baselines.antimatter(splats)))
     order: F64 = 1.0 / (1.0 + np.arange(len(rows), dtype=np.float64))
-    return RowClient(_units(rows, size_bytes, opening_bytes), rows, lambda _: order)
+    return RowClient(_units(rows, size_bytes, index_bytes), rows, lambda _: order)
 
 
-def by_sgss_cells(
-    splats: Splats, cameras: Sequence[Camera], size_bytes: int, opening_bytes: int
+def sgss_client(
+    splats: Splats, cameras: Sequence[Camera], size_bytes: int, index_bytes: int
 ) -> RowClient:
-    """Return SGSS' client: cells of the cheapest cuts, splats by its score, cells by its priority.
+    """Return a client with the cells, splat scores and cell priorities of SGSS.
 
     Parameters
     ----------
     splats : Splats
     cameras : sequence of Camera
-        That the cells are cut for.
-    size_bytes, opening_bytes : int
-        As in `by_antimatter`.
+        Views that the partition into cells is optimised for.
+    size_bytes : int
+        Total size of the splats.
+    index_bytes : int
+        Bytes fetched before the first piece.
 
     Notes
     -----
-    Cells of high priority come together, each by the share of it that is there, before those of
-    low priority, and those that are outside the frustum last. The cells are the cheapest that
-    straight cuts make; the integer program's are at most a fraction of a percent cheaper.
+    Cells of high priority are fetched in parallel, then those of low priority, then those outside
+    the frustum. The cells are the cheapest guillotine partition; the integer program of SGSS is
+    cheaper by less than one percent.
     """
     grid = basic_cuboids(splats.means.astype(np.float64), cameras, _CUBOIDS)
     boxes = cut_costs(box_costs(grid)).partition()
@@ -105,37 +107,41 @@ def by_sgss_cells(
         part_of += [piece / len(pieces) for piece in range(len(pieces))]
     owner, part = np.array(cell_of, np.int64), np.array(part_of)
     extents = _extents(grid, boxes)
-    priorities = by_sgss(extents, np.bincount(cells, minlength=len(boxes)).astype(np.float64))
+    cell_priorities = sgss_priorities(
+        extents, np.bincount(cells, minlength=len(boxes)).astype(np.float64)
+    )
 
-    def wanted(camera: Camera) -> F64:
-        weight = priorities(Pose.of_camera(camera))
-        rank = np.where(weight > 0.0, np.where(weight >= _HIGH, 2.0, 1.0), 0.0)
+    def priorities(camera: Camera) -> F64:
+        weight = cell_priorities(Pose.from_camera(camera))
+        rank = np.where(weight > 0.0, np.where(weight >= _HIGH_PRIORITY, 2.0, 1.0), 0.0)
         result: F64 = rank[owner] - part + 1.0
         return result
 
-    return RowClient(_units(rows, size_bytes, opening_bytes), rows, wanted)
+    return RowClient(_units(rows, size_bytes, index_bytes), rows, priorities)
 
 
 def _pieces(rows: I64) -> list[I64]:
-    return [rows[start : start + _PIECE] for start in range(0, len(rows), _PIECE)]
+    """Split rows into pieces of `_PIECE_SPLATS`."""
+    return [rows[start : start + _PIECE_SPLATS] for start in range(0, len(rows), _PIECE_SPLATS)]
 
 
-def _units(rows: Sequence[I64], size_bytes: int, opening_bytes: int) -> Units:
+def _units(rows: Sequence[I64], size_bytes: int, index_bytes: int) -> Units:
+    """Return one unit per piece, sized by its splats."""
     counts = np.cumsum([0, *(len(piece) for piece in rows)])
     ends = np.rint(counts * (size_bytes / max(int(counts[-1]), 1))).astype(np.int64)
-    sizes = np.array([after - before for before, after in pairwise(ends.tolist())], np.int64)
+    sizes = np.array([end - start for start, end in pairwise(ends.tolist())], np.int64)
     return Units(
         kind=np.full(len(rows), int(SegmentKind.HEAD), np.int64),
         chunk=np.arange(len(rows), dtype=np.int64),
-        end=opening_bytes + ends[1:],
+        end=index_bytes + ends[1:],
         size_bytes=sizes,
-        after=[()] * len(rows),
-        opening_bytes=opening_bytes,
+        dependencies=[()] * len(rows),
+        index_bytes=index_bytes,
     )
 
 
 def _cells(grid: BasicCuboids, boxes: Sequence[Box], means: F64) -> I64:
-    """Return the box that each splat lies in."""
+    """Return the index of the box that contains each splat."""
     owner = np.zeros(grid.splats.shape, np.int64)
     for number, (a, b, c, d, e, f) in enumerate(boxes):
         owner[a:d, b:e, c:f] = number

@@ -1,20 +1,20 @@
-"""Streamed SOG as a client: its files, its levels of detail, and the order of PlayCanvas' viewer.
+"""Client of Streamed SOG with the level selection and fetch order of PlayCanvas' viewer.
 
-The rules are those of PlayCanvas' engine 2.23 (``gsplat-octree-instance``, ``gsplat-asset-loader``,
-``gsplat-budget-balancer``) as SuperSplat's viewer 1.36 configures it, written from what they do:
+The rules model PlayCanvas' engine 2.23 (``gsplat-octree-instance``, ``gsplat-asset-loader``,
+``gsplat-budget-balancer``) as configured by SuperSplat's viewer 1.36:
 
-- Each leaf of the tree shows one level at a time. The viewer asks for the coarsest level of all
-  leaves first, then for the level that each leaf should have, whatever lies between.
-- With room for all splats of the finest level, that is the level of every leaf. Otherwise leaves
-  are refined by their distance, each level reaching `_STEP` times as far as the finer one, as far
-  as the budget goes.
-- Files of what shows nothing yet come before files that take the place of others; among these
-  coarser ones come first, then those of the nearest leaf.
-- The distance is that of the eye from the leaf's box, of which 3/4 of what it is larger than the
-  median is taken off; five times as far where the box lies straight behind the eye.
+- Each leaf of the tree shows one level at a time. The coarsest level of all leaves is fetched
+  first, then the target level of each leaf; levels in between are skipped.
+- If the budget allows the finest level everywhere, it is the target of all leaves. Otherwise leaves
+  are refined by distance within the budget. Each level reaches `_LEVEL_REACH` times as far as the
+  next finer one.
+- Files for leaves that show nothing come before files that replace a level. Within each group
+  coarser files come first, then those of nearer leaves.
+- The distance is that from the camera to the leaf's box. Boxes larger than the median are shrunk by
+  3/4 of the excess. Directly behind the camera the distance counts five times.
 
-It is granted more than it has: a file's images do not wait for its ``meta.json``, files follow each
-other without a pause, and an image takes no time to decode.
+The model favours the peer: images do not wait for their ``meta.json``, files follow each other
+without a pause, and decoding takes no time.
 """
 
 from __future__ import annotations
@@ -43,32 +43,33 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 BUDGET_SPLATS: Final = 4_000_000
-"""Splats that SuperSplat's viewer 1.36 draws on a desktop, by default."""
+"""Default splat budget of SuperSplat's viewer 1.36 on a desktop."""
 
 # Engine 2.23: `lodMultiplier` and `lodDistanceShrink`. Viewer 1.36: `lodBehindPenalty`.
-_STEP: Final = 3.0
-_SHRINK: Final = 0.75
-_BEHIND: Final = 5.0
-# Tiers of requests: what shows nothing yet, what takes the place of something.
-_NOTHING_YET: Final = 2.0
-_BETTER: Final = 1.0
+_LEVEL_REACH: Final = 3.0
+_BOX_SHRINK: Final = 0.75
+_BEHIND_PENALTY: Final = 5.0
+# Priority tiers: first files for leaves that show nothing, then files that replace a level.
+_FIRST_TIER: Final = 2.0
+_REPLACEMENT_TIER: Final = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class StreamedSogClient:
-    """A client of a Streamed SOG scene.
+    """Client of a Streamed SOG scene.
 
     Parameters
     ----------
     tree : StreamedSog
+        Tree of the leaves and their levels.
     scene : Splats
-        Of all files, one after the other, the environment last.
+        Splats of all files in sequence, the environment last.
     rows : list of slice
-        Of `scene`, for each file.
+        Rows of `scene` in each file.
     units : Units
-        The files, each of its own chunk, in the order of the index.
+        One unit and chunk per file, in the order of the index.
     budget_splats : int
-        Most splats that are drawn, where the coarsest level has fewer.
+        Limit on drawn splats; the coarsest level is drawn even if it exceeds the limit.
     """
 
     tree: StreamedSog
@@ -77,38 +78,37 @@ class StreamedSogClient:
     units: Units
     budget_splats: int
 
-    def wanted(self, camera: Camera) -> F64:
-        """Return how much each file is wanted from a pose, 0 for one that no leaf asks for."""
-        tree, wanted = self.tree, np.zeros(len(self.rows))
+    def priorities(self, camera: Camera) -> F64:
+        """Return the priority of each file at a pose; 0 for files that no leaf needs."""
+        tree, priorities = self.tree, np.zeros(len(self.rows))
         if tree.environment is not None:
-            wanted[-1] = _NOTHING_YET + 1.0
-        away = _distances(tree.boxes, camera)
-        nearness = 1.0 / (1.0 + away * away)
+            priorities[-1] = _FIRST_TIER + 1.0
+        distance = _distances(tree.boxes, camera)
+        nearness = 1.0 / (1.0 + distance * distance)
         depth = tree.file.shape[1]
-        best = self._levels(away)
-        tiers = ((_NOTHING_YET, np.full(len(best), depth - 1)), (_BETTER, best))
+        target = self._target_levels(distance)
+        tiers = ((_FIRST_TIER, np.full(len(target), depth - 1)), (_REPLACEMENT_TIER, target))
         for tier, levels in tiers:
-            leaves = np.flatnonzero(_chosen(tree.file, levels) >= 0)
+            leaves = np.flatnonzero(_files_at(tree.file, levels) >= 0)
             urgency = tier + (levels[leaves] + nearness[leaves]) / depth
-            np.maximum.at(wanted, _chosen(tree.file, levels)[leaves], urgency)
-        return wanted
+            np.maximum.at(priorities, _files_at(tree.file, levels)[leaves], urgency)
+        return priorities
 
-    def drawn(self, there: Sequence[int], camera: Camera) -> Splats:
-        """Return what is drawn of files that are there, from a pose.
+    def splats_of(self, present: Sequence[int], camera: Camera) -> Splats:
+        """Return the splats drawn at a pose from the received files.
 
-        Of each leaf the level that it should have, or the finest of those that are coarser, or the
-        coarsest there is.
+        A leaf without its target level shows the next coarser one received, else the next finer.
         """
         tree = self.tree
         has = np.zeros(len(self.rows), np.bool_)
-        has[list(there)] = True
-        best = self._levels(_distances(tree.boxes, camera))
+        has[list(present)] = True
+        target = self._target_levels(_distances(tree.boxes, camera))
         depth = tree.file.shape[1]
         rows = [np.zeros(0, np.int64)]
         if tree.environment is not None and has[-1]:
             rows.append(np.arange(self.rows[-1].start, self.rows[-1].stop))
-        for leaf in np.flatnonzero(best >= 0).tolist():
-            level = int(best[leaf])
+        for leaf in np.flatnonzero(target >= 0).tolist():
+            level = int(target[leaf])
             for other in [*range(level, depth), *range(level - 1, -1, -1)]:
                 file = int(tree.file[leaf, other])
                 if file >= 0 and has[file]:
@@ -117,44 +117,45 @@ class StreamedSogClient:
                     break
         return self.scene.take(np.concatenate(rows))
 
-    def _levels(self, away: F64) -> I64:
-        """Return the level that each leaf should have; -1 for one without splats."""
+    def _target_levels(self, distance: F64) -> I64:
+        """Return the target level of each leaf; -1 for leaves without splats."""
         tree = self.tree
         depth = tree.file.shape[1]
-        # What a leaf has at a level where it has no splats: the next finer, or else coarser one. It
-        # is left out where all that it has is finer.
+        # Leaves without splats at a level use the next finer level, else the next coarser one. A
+        # leaf is omitted at a level if it only has finer ones.
         used = np.stack([_used_level(tree.file, level) for level in range(depth)], axis=1)
         counts = np.where(used >= 0, np.take_along_axis(tree.count, np.maximum(used, 0), 1), 0)
-        # Refinements of leaves from level k + 1 to k, by the reach of level 0 that it would take.
-        reach = np.maximum(away, 1e-6)[:, None] / _STEP ** np.arange(depth - 1)
+        # Refinements of leaves from level k + 1 to k, ordered by the reach of level 0 they require.
+        reach = np.maximum(distance, 1e-6)[:, None] / _LEVEL_REACH ** np.arange(depth - 1)
         order = np.argsort(reach, axis=None, kind="stable")
-        more = (counts[:, :-1] - counts[:, 1:]).ravel()[order]
-        beyond = np.flatnonzero(counts[:, -1].sum() + np.cumsum(more) > self.budget_splats)
-        taken = order[: beyond[0]] if len(beyond) else order
-        place = depth - 1 - np.bincount(taken // max(depth - 1, 1), minlength=len(away))
-        levels: I64 = used[np.arange(len(away)), place]
+        growth = (counts[:, :-1] - counts[:, 1:]).ravel()[order]
+        beyond = np.flatnonzero(counts[:, -1].sum() + np.cumsum(growth) > self.budget_splats)
+        accepted = order[: beyond[0]] if len(beyond) else order
+        place = depth - 1 - np.bincount(accepted // max(depth - 1, 1), minlength=len(distance))
+        levels: I64 = used[np.arange(len(distance)), place]
         return levels
 
 
 def streamed_sog_client(
     path: StrPath, budget_splats: int = BUDGET_SPLATS, *, limits: Limits | None = None
 ) -> StreamedSogClient:
-    """Read a Streamed SOG scene, and return its client.
+    """Read a Streamed SOG scene and create its client.
 
     Parameters
     ----------
     path : path
-        A ``lod-meta.json``.
+        Path of ``lod-meta.json``.
     budget_splats : int
+        Limit on drawn splats.
     limits : Limits, optional
-        Of the index and of each file.
+        Limits for reading the index and each file.
 
     Raises
     ------
     FormatError
-        ``sog-bad-levels``: a leaf names more splats than a file has.
+        ``sog-bad-levels``: a leaf refers to splats beyond the end of a file.
     CogsplatError
-        As `read_lod_meta` and `read_sog`.
+        Errors of `read_lod_meta` and `read_sog`.
     """
     tree = read_lod_meta(path, limits=limits)
     paths = [*tree.files, *([] if tree.environment is None else [tree.environment])]
@@ -170,7 +171,7 @@ def streamed_sog_client(
             f"at most its {has[tree.file[leaf, level]]}",
         )
     degree = max(part.sh_degree for part in parts)
-    parts = [_of_degree(part, degree) for part in parts]
+    parts = [_pad_degree(part, degree) for part in parts]
     sizes = np.array(
         [sum(file.stat().st_size for file in sog_files(part)) for part in paths], np.int64
     )
@@ -180,27 +181,27 @@ def streamed_sog_client(
         chunk=np.arange(len(paths), dtype=np.int64),
         end=tree.size_bytes + np.cumsum(sizes),
         size_bytes=sizes,
-        after=[()] * len(paths),
-        opening_bytes=tree.size_bytes,
+        dependencies=[()] * len(paths),
+        index_bytes=tree.size_bytes,
     )
     rows = [slice(a, b) for a, b in pairwise(ends)]
     return StreamedSogClient(tree, concatenate(parts), rows, units, budget_splats)
 
 
-def _of_degree(splats: Splats, degree: int) -> Splats:
-    """Return a scene with SH of a degree no lower than its own, of which what it lacks is zero."""
+def _pad_degree(splats: Splats, degree: int) -> Splats:
+    """Pad the SH coefficients of a scene with zeros to a higher degree."""
     missing = sh_coefficients(degree) - sh_coefficients(splats.sh_degree)
     return replace(splats, shN=np.pad(splats.shN, ((0, 0), (0, missing), (0, 0))))
 
 
-def _chosen(file: I64, levels: I64) -> I64:
-    """Return the file of each leaf at a level of its own; -1 where it has none."""
+def _files_at(file: I64, levels: I64) -> I64:
+    """Look up the file of each leaf at its level; -1 for none."""
     found: I64 = file[np.arange(len(file)), np.maximum(levels, 0)]
     return np.where(levels >= 0, found, -1)
 
 
 def _used_level(file: I64, level: int) -> I64:
-    """Return the level that each leaf shows where it should have this one; -1 for none."""
+    """Return the level that each leaf shows when a level is its target; -1 for none."""
     depth = file.shape[1]
     found = np.full(len(file), -1, np.int64)
     for other in [*range(depth - 1, level, -1), *range(level), level]:
@@ -210,12 +211,12 @@ def _used_level(file: I64, level: int) -> I64:
 
 
 def _distances(boxes: F64, camera: Camera) -> F64:
-    """Return how far the engine takes each box to be from a pose, in scene units, (n,)."""
+    """Return the distance of each box from a camera by the engine's metric, scene units, (n,)."""
     half = 0.5 * (boxes[:, 3:] - boxes[:, :3])
-    excess = _SHRINK * np.maximum(half - np.median(half, axis=0), 0.0)
+    excess = _BOX_SHRINK * np.maximum(half - np.median(half, axis=0), 0.0)
     eye = camera.position.astype(np.float64)
-    near = np.clip(eye, boxes[:, :3] + excess, boxes[:, 3:] - excess) - eye
-    away: F64 = np.sqrt((near * near).sum(axis=1))
-    ahead = (near * camera.rotation[2]).sum(axis=1) / np.maximum(away, 1e-6)
-    away *= 1.0 + (_BEHIND - 1.0) * np.maximum(-ahead, 0.0)
-    return away
+    offset = np.clip(eye, boxes[:, :3] + excess, boxes[:, 3:] - excess) - eye
+    distance: F64 = np.sqrt((offset * offset).sum(axis=1))
+    ahead = (offset * camera.rotation[2]).sum(axis=1) / np.maximum(distance, 1e-6)
+    distance *= 1.0 + (_BEHIND_PENALTY - 1.0) * np.maximum(-ahead, 0.0)
+    return distance

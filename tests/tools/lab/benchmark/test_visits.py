@@ -13,7 +13,7 @@ from cogsplat.tools.lab.benchmark import visits
 from cogsplat.tools.lab.benchmark.visits import compare, in_browser, units_there
 from cogsplat.tools.lab.streaming.client import Link, units_of
 from cogsplat.tools.lab.streaming.comparison import Simulation
-from cogsplat.tools.lab.streaming.traces import recorded
+from cogsplat.tools.lab.streaming.traces import recorded_trace
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, rooms_walk, synth_rooms
 
 
@@ -45,7 +45,7 @@ def test_a_browser_comes_to_what_is_simulated(
     with cogsplat.open(house) as file:
         simulation = Simulation(file, rooms_cameras(4, views=2), threads=1)
         total = int(file.chunks.splats.sum())
-    walked = recorded(rooms_walk(4)[:4], 0.5)
+    walked = recorded_trace(rooms_walk(4)[:4], 0.5)
     link = Link(4e6, 0.02)
     # Much later than all can have come, however busy the machine is. What a budget holds depends on
     # the order in which things came.

@@ -50,10 +50,10 @@ def test_views_count_the_means_in_their_pictures() -> None:
     grid = basic_cuboids(means, [AHEAD], 200)
     x, y, z = means.T
     inside = (z > 0.2) & (np.abs(x) < z) & (np.abs(y) < z)
-    assert grid.seen.sum() == inside.sum()
-    assert (grid.seen[0] <= grid.splats).all()
+    assert grid.visible.sum() == inside.sum()
+    assert (grid.visible[0] <= grid.splats).all()
     behind = grid.edges[2][1:] <= 0.2
-    assert not grid.seen[0][:, :, behind].any()
+    assert not grid.visible[0][:, :, behind].any()
 
 
 def test_nothing_to_cut_is_misuse() -> None:

@@ -25,7 +25,7 @@ def test_every_box_costs_what_counting_says(seed: int) -> None:
     grid = random_grid((3, 2, 4), seed)
     costs = box_costs(grid)
     filled = (grid.splats > 0).sum()
-    views = [view for view in grid.seen if view.any()]
+    views = [view for view in grid.visible if view.any()]
     shape = grid.splats.shape
     ranges = [[(a, b) for a in range(n) for b in range(a + 1, n + 1)] for n in shape]
     for (a, d), (b, e), (c, f) in product(*ranges):
@@ -41,10 +41,10 @@ def test_every_box_costs_what_counting_says(seed: int) -> None:
 def test_waste_is_what_views_fetch_over_what_they_see() -> None:
     grid = random_grid((2, 1, 1), 0, views=2)
     grid.splats[:] = np.array([10, 40]).reshape(2, 1, 1)
-    grid.seen[:] = np.array([[5, 0], [5, 20]]).reshape(2, 2, 1, 1)
+    grid.visible[:] = np.array([[5, 0], [5, 20]]).reshape(2, 2, 1, 1)
     assert waste(grid, [(0, 0, 0, 2, 1, 1)]) == pytest.approx((50 / 5 + 50 / 25) / 2)
     assert waste(grid, [(0, 0, 0, 1, 1, 1), (1, 0, 0, 2, 1, 1)]) == pytest.approx((2 + 2) / 2)
-    grid.seen[:] = 0
+    grid.visible[:] = 0
     assert waste(grid, [(0, 0, 0, 2, 1, 1)]) == 1.0
 
 

@@ -1,4 +1,4 @@
-"""Policies beside each other on a house: who chooses by view sees more of it for the same bytes."""
+"""Comparison of policies on a small house."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.tools.lab.scheduling.chunk_ratios import by_boxes
+from cogsplat.tools.lab.scheduling.chunk_ratios import ratios_from_boxes
 from cogsplat.tools.lab.streaming.client import Link, units_of
 from cogsplat.tools.lab.streaming.comparison import (
     POLICIES,
@@ -17,8 +17,8 @@ from cogsplat.tools.lab.streaming.comparison import (
     bytes_until,
     moments_behind,
 )
-from cogsplat.tools.lab.streaming.traces import recorded
-from cogsplat.tools.lab.streaming.visits import visit
+from cogsplat.tools.lab.streaming.traces import recorded_trace
+from cogsplat.tools.lab.streaming.visit_client import simulate_visit
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, rooms_walk
 
 
@@ -35,7 +35,7 @@ def simulation(house_file: CogsFile) -> Simulation:
     return Simulation(house_file, small(rooms_cameras(4, views=4)), threads=1)
 
 
-def test_choosing_by_view_shows_more_than_the_order_of_the_file(simulation: Simulation) -> None:
+def test_view_dependent_policies_beat_the_order_of_the_file(simulation: Simulation) -> None:
     found = simulation.at_rest(small(rooms_walk(4)[::15]), POLICIES)
     assert set(found) == set(POLICIES)
     file, views, oracle = (np.array(found[name]) for name in ("file", "views", "oracle"))
@@ -45,10 +45,10 @@ def test_choosing_by_view_shows_more_than_the_order_of_the_file(simulation: Simu
     assert (np.diff(file) > 0.0).all()
 
 
-def test_along_a_trace_more_bytes_come_with_time(simulation: Simulation) -> None:
-    trace = recorded(small(rooms_walk(4)), 0.5)
+def test_bytes_grow_along_a_trace(simulation: Simulation) -> None:
+    trace = recorded_trace(small(rooms_walk(4)), 0.5)
     total = 8.0 * float(simulation.units.end[-1])
-    seen = simulation.along(trace, Link(total / trace.seconds, 0.02), ["file", "views"], 4)
+    seen = simulation.run_trace(trace, Link(total / trace.seconds, 0.02), ["file", "views"], 4)
     for moments in seen.values():
         assert [moment.seconds for moment in moments] == pytest.approx(
             [trace.seconds * part / 4 for part in (1, 2, 3, 4)], rel=0.01
@@ -58,21 +58,23 @@ def test_along_a_trace_more_bytes_come_with_time(simulation: Simulation) -> None
         assert sizes[0] < sizes[-1]
 
 
-def test_bytes_that_no_moment_has_shown_are_wasted(simulation: Simulation) -> None:
-    trace = recorded(small(rooms_walk(4))[:2], 1.0)
+def test_bytes_of_chunks_never_visible_are_wasted(simulation: Simulation) -> None:
+    trace = recorded_trace(small(rooms_walk(4))[:2], 1.0)
     total = 8.0 * float(simulation.units.end[-1])
     pictures: dict[str, int] = {}
 
-    def shown(name: str, seconds: float, picture: np.ndarray) -> None:
+    def on_picture(name: str, seconds: float, picture: np.ndarray) -> None:
         pictures[name] = pictures.get(name, 0) + 1
         assert picture.shape == (45, 60, 3)
 
-    # Everything is there shortly before the end of the trace.
+    # The download ends shortly before the trace.
     link = Link(1.01 * total / trace.seconds, 0.0)
-    seen = simulation.along(trace, link, ["whole", "antimatter", "views"], 3, shown=shown)
+    seen = simulation.run_trace(
+        trace, link, ["whole", "antimatter", "views"], 3, on_picture=on_picture
+    )
     assert pictures == {"": 3, "whole": 3, "antimatter": 3, "views": 3}
     last = {name: moments[-1] for name, moments in seen.items()}
-    # From one room nothing of the others is seen; at the last moment all of the file is there.
+    # Other rooms are invisible; at the last moment the whole file is present.
     assert last["whole"].psnr_db == 100.0
     assert last["whole"].ssim == pytest.approx(1.0)
     assert 0.2 < last["whole"].wasted_bytes / last["whole"].bytes < 1.0
@@ -82,7 +84,7 @@ def test_bytes_that_no_moment_has_shown_are_wasted(simulation: Simulation) -> No
     assert seen["views"][0].wasted_bytes < seen["antimatter"][0].bytes
 
 
-def test_a_goal_counts_from_where_it_is_kept() -> None:
+def test_goal_bytes_are_those_after_which_the_goal_is_held() -> None:
     seen = [
         Moment(seconds=float(n), bytes=10 * n, psnr_db=db, ssim=1.0, wasted_bytes=0)
         for n, db in enumerate([60.0, 40.0, 55.0, 50.0])
@@ -92,7 +94,7 @@ def test_a_goal_counts_from_where_it_is_kept() -> None:
     assert bytes_until(seen, 58.0) is None
 
 
-def test_the_first_second_does_not_count_where_others_are_behind() -> None:
+def test_moments_behind_skip_the_first_second() -> None:
     def seen(*qualities: float) -> list[Moment]:
         return [Moment(0.8 * n, 0, db, 1.0, 0) for n, db in enumerate(qualities, 1)]
 
@@ -101,31 +103,31 @@ def test_the_first_second_does_not_count_where_others_are_behind() -> None:
     assert moments_behind(others, others, 30.0) == 0
 
 
-def test_the_last_moment_has_all_that_came_until_then(simulation: Simulation) -> None:
+def test_the_last_moment_includes_the_last_arrival(simulation: Simulation) -> None:
     total = 8.0 * float(simulation.units.end[-1])
-    trace = recorded(small(rooms_walk(4)), 0.5)
+    trace = recorded_trace(small(rooms_walk(4)), 0.5)
     for seconds in np.linspace(3.0, 7.0, 5):
         link = Link(total / seconds, 0.02)
         for count in (1, 6, 7):
-            assert simulation.along(trace, link, ["file"], count)["file"][-1].psnr_db == 100.0
+            assert simulation.run_trace(trace, link, ["file"], count)["file"][-1].psnr_db == 100.0
 
 
 def test_a_fast_link_ends_the_comparison_with_the_download(simulation: Simulation) -> None:
-    trace = recorded(small(rooms_walk(4)), 0.5)
-    (last,) = simulation.along(trace, Link(1e9, 0.0), ["file"], 1)["file"]
+    trace = recorded_trace(small(rooms_walk(4)), 0.5)
+    (last,) = simulation.run_trace(trace, Link(1e9, 0.0), ["file"], 1)["file"]
     assert last.seconds < 0.01
     assert last.psnr_db == 100.0
 
 
-def test_a_visitor_knows_no_more_than_the_file_says(
+def test_visit_uses_boxes_for_files_without_a_view_table(
     simulation: Simulation, house_file: CogsFile
 ) -> None:
     assert house_file.view_table_row is None
-    trace, link = recorded(rooms_walk(4)[::20], 1.0), Link(80_000.0, 0.05)
+    trace, link = recorded_trace(rooms_walk(4)[::20], 1.0), Link(80_000.0, 0.05)
     boxes = house_file.chunks.box.astype(np.float64)
-    ratios = by_boxes(boxes, house_file.chunks.contribution.astype(np.float64))
+    ratios = ratios_from_boxes(boxes, house_file.chunks.contribution.astype(np.float64))
     splats = house_file.chunks.splats.astype(np.int64).tolist()
-    expected = visit(units_of(house_file), splats, ratios, trace, link)
+    expected = simulate_visit(units_of(house_file), splats, ratios, trace, link)
     assert simulation.arrivals("visit", simulation.client("visit"), trace, link).units == (
         expected.units
     )

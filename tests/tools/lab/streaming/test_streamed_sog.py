@@ -13,10 +13,10 @@ from cogsplat.codec.errors import FormatError
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.scenes.sog.sog_scene import write_sog
-from cogsplat.tools.lab.streaming.client import Link, fetch
+from cogsplat.tools.lab.streaming.client import Link, simulate_fetch
 from cogsplat.tools.lab.streaming.comparison import PEER, Simulation
 from cogsplat.tools.lab.streaming.streamed_sog import StreamedSogClient, streamed_sog_client
-from cogsplat.tools.lab.streaming.traces import recorded
+from cogsplat.tools.lab.streaming.traces import recorded_trace
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, synth_rooms
 
 # Leaves of a row along z, a unit each, seen from before the first one; each has three levels.
@@ -85,28 +85,28 @@ def test_units_are_the_files_with_all_their_bytes(folder: Path, client: Streamed
         for n in range(LEAVES)
     ]
     assert client.units.size_bytes.tolist() == sizes
-    assert client.units.opening_bytes == (folder / "lod-meta.json").stat().st_size
+    assert client.units.index_bytes == (folder / "lod-meta.json").stat().st_size
     assert [len(client.scene.means[rows]) for rows in client.rows] == np.repeat(COUNTS, 3).tolist()
 
 
 def test_coarsest_files_come_first_then_the_finest_of_what_is_near(
     client: StreamedSogClient,
 ) -> None:
-    trace = recorded([moved(0.0)], 1.0)
-    came = fetch(client.units, trace, Link(1e6, 0.0), client.wanted)
-    # Level 1 is asked for by nobody: with room for the finest, it is what every leaf should have.
+    trace = recorded_trace([moved(0.0)], 1.0)
+    came = simulate_fetch(client.units, trace, Link(1e6, 0.0), client.priorities)
+    # The budget allows the finest level everywhere, so level 1 is never fetched.
     assert came.units == [6, 7, 8, 0, 1, 2]
 
 
 def test_what_is_behind_counts_as_far(client: StreamedSogClient) -> None:
     # Between the second leaf and the third, nearer to the second, looking at the third or back.
-    ahead, back = client.wanted(moved(12.4 - 0.5)), client.wanted(moved(11.6, turned=True))
+    ahead, back = client.priorities(moved(12.4 - 0.5)), client.priorities(moved(11.6, turned=True))
     assert ahead[1] > ahead[2] > ahead[0]
     assert back[1] > back[0] > back[2]
 
 
 @pytest.mark.parametrize(
-    ("budget", "wanted"),
+    ("budget", "levels"),
     [
         # The coarsest level has 30 splats, each refinement of a leaf 10 more, then 20 more.
         (1, [2, 2, 2]),
@@ -117,41 +117,41 @@ def test_what_is_behind_counts_as_far(client: StreamedSogClient) -> None:
         (120, [0, 0, 0]),
     ],
 )
-def test_a_budget_is_spent_on_what_is_near(folder: Path, budget: int, wanted: list[int]) -> None:
+def test_a_budget_refines_the_nearest_leaves(folder: Path, budget: int, levels: list[int]) -> None:
     # The far end is 12 away, the near one 10: less than a level's reach apart.
     client = streamed_sog_client(folder / "lod-meta.json", budget)
-    asked = client.wanted(moved(0.0)) > 0.0
-    expected = {3 * level + n for n, level in enumerate(wanted)} | {6, 7, 8}
-    assert set(np.flatnonzero(asked).tolist()) == expected
+    requested = client.priorities(moved(0.0)) > 0.0
+    expected = {3 * level + n for n, level in enumerate(levels)} | {6, 7, 8}
+    assert set(np.flatnonzero(requested).tolist()) == expected
 
 
 def test_each_leaf_draws_one_level_at_a_time(client: StreamedSogClient) -> None:
     pose = moved(0.0)
 
     def counts(there: list[int]) -> int:
-        return len(client.drawn(there, pose))
+        return len(client.splats_of(there, pose))
 
     assert counts([]) == 0
     assert counts([6, 7]) == 20
     assert counts([6, 7, 0]) == 50
-    # Of what is coarser than wanted, the finest there is.
+    # A leaf without its target level shows the next coarser one.
     assert counts([6, 3]) == 20
     assert counts(list(range(9))) == 120
-    drawn = client.drawn([1, 8], pose)
+    splats = client.splats_of([1, 8], pose)
     expected = np.concatenate([client.scene.means[client.rows[k]] for k in (1, 8)])
-    np.testing.assert_array_equal(drawn.means, expected)
+    np.testing.assert_array_equal(splats.means, expected)
 
 
 def test_a_finer_level_stays_where_a_coarser_one_would_do(folder: Path) -> None:
     client = streamed_sog_client(folder / "lod-meta.json", 1)
-    assert len(client.drawn([0, 8], moved(0.0))) == COUNTS[0] + COUNTS[2]
+    assert len(client.splats_of([0, 8], moved(0.0))) == COUNTS[0] + COUNTS[2]
 
 
 def test_an_environment_comes_first_and_is_always_drawn(folder: Path) -> None:
     client = streamed_sog_client(folder / "with-env.json")
-    assert int(np.argmax(client.wanted(moved(0.0)))) == len(client.units) - 1
-    assert len(client.drawn([9], moved(0.0))) == 5
-    assert len(client.drawn([9, 6], moved(0.0))) == 15
+    assert int(np.argmax(client.priorities(moved(0.0)))) == len(client.units) - 1
+    assert len(client.splats_of([9], moved(0.0))) == 5
+    assert len(client.splats_of([9, 6], moved(0.0))) == 15
 
 
 def test_files_may_have_sh_of_other_degrees(folder: Path, tmp_path: Path) -> None:
@@ -187,10 +187,10 @@ def test_leaves_without_a_level_take_the_next_finer_or_are_left_out(folder: Path
     client = streamed_sog_client(folder / "holes.json", 60)
     # The second leaf has nothing at the coarsest level, where it is left out: 20 splats. Then come
     # level 1 of the second and the third, 20 and 10 more; the first one's is its finest, 30 more.
-    wanted = np.flatnonzero(client.wanted(moved(0.0)) > 0.0).tolist()
-    assert wanted == [0, 6, 8]
+    requested = np.flatnonzero(client.priorities(moved(0.0)) > 0.0).tolist()
+    assert requested == [0, 6, 8]
     everything = np.flatnonzero(
-        streamed_sog_client(folder / "holes.json").wanted(moved(0.0)) > 0.0
+        streamed_sog_client(folder / "holes.json").priorities(moved(0.0)) > 0.0
     ).tolist()
     assert everything == [0, 1, 5, 6, 8]
 
@@ -203,8 +203,8 @@ def test_a_simulation_compares_it_over_the_same_link(house_file: CogsFile, folde
     source = synth_rooms(4, 5000, sh_degree=1)
     peer = streamed_sog_client(folder / "lod-meta.json")
     simulation = Simulation(house_file, views, threads=1, source=source, peer=peer)
-    trace = recorded(views[:2], 1.0)
-    seen = simulation.along(trace, Link(1e6, 0.0), ["file", PEER], 2)
+    trace = recorded_trace(views[:2], 1.0)
+    seen = simulation.run_trace(trace, Link(1e6, 0.0), ["file", PEER], 2)
     assert seen[PEER][-1].bytes <= int(peer.units.size_bytes.sum())
     # Of the file, all that is missing is what was lost when it was encoded.
     assert 20.0 < seen["file"][-1].psnr_db < 100.0

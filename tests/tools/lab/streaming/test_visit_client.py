@@ -1,104 +1,108 @@
-"""A simulated visit: everything comes within the link, a budget is kept, and moving brings more."""
+"""Simulated visits: arrival times, memory budget, browser delays."""
 
 import numpy as np
 import pytest
 
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.tools.lab.scheduling.chunk_ratios import by_boxes
+from cogsplat.tools.lab.scheduling.chunk_ratios import ratios_from_boxes
 from cogsplat.tools.lab.streaming.client import Arrivals, Link, Units, units_of
-from cogsplat.tools.lab.streaming.traces import Trace, recorded
-from cogsplat.tools.lab.streaming.visits import Browser, visit
+from cogsplat.tools.lab.streaming.traces import Trace, recorded_trace
+from cogsplat.tools.lab.streaming.visit_client import Browser, simulate_visit
 from cogsplat.tools.lab.synthetic.rooms import rooms_walk
 
-WALK = recorded(rooms_walk(4)[::20], 1.0)
+WALK = recorded_trace(rooms_walk(4)[::20], 1.0)
 LINK = Link(80_000.0, 0.05)
-# All has come before the walk ends.
+# The download ends before the walk.
 FAST = Link(800_000.0, 0.05)
 
 
-def visited(
+def run_visit(
     file: CogsFile, trace: Trace, link: Link = LINK, budget: int = 0, browser: Browser | None = None
 ) -> tuple[Units, Arrivals]:
     units = units_of(file)
     chunks = file.chunks
-    ratios = by_boxes(chunks.box.astype(np.float64), chunks.contribution.astype(np.float64))
+    ratios = ratios_from_boxes(
+        chunks.box.astype(np.float64), chunks.contribution.astype(np.float64)
+    )
     splats = chunks.splats.astype(np.int64).tolist()
-    return units, visit(units, splats, ratios, trace, link, budget_splats=budget, browser=browser)
+    return units, simulate_visit(
+        units, splats, ratios, trace, link, budget_splats=budget, browser=browser
+    )
 
 
-def test_all_of_a_scene_comes_once_and_no_faster_than_the_link(house_file: CogsFile) -> None:
-    units, arrivals = visited(house_file, WALK)
+def test_every_unit_arrives_once_within_the_bandwidth(house_file: CogsFile) -> None:
+    units, arrivals = run_visit(house_file, WALK)
     assert sorted(arrivals.units) == list(range(len(units)))
     assert (np.diff(arrivals.seconds) >= 0.0).all()
-    sizes = units.opening_bytes + np.cumsum(units.size_bytes[arrivals.units])
+    sizes = units.index_bytes + np.cumsum(units.size_bytes[arrivals.units])
     assert (arrivals.seconds >= LINK.latency + sizes / 10_000.0 - 1e-6).all()
     # The link is hardly ever idle.
     assert arrivals.seconds[-1] < LINK.latency + 1.1 * sizes[-1] / 10_000.0
-    assert sorted(arrivals.there(1e9)) == list(range(len(units)))
+    assert sorted(arrivals.present_at(1e9)) == list(range(len(units)))
     place = {unit: at for at, unit in enumerate(arrivals.units)}
-    for unit, before in enumerate(units.after):
+    for unit, before in enumerate(units.dependencies):
         assert all(place[other] < place[unit] or unit < other for other in before)
 
 
 @pytest.mark.parametrize("share", [0.4, 0.7])
 def test_a_budget_is_kept_at_every_moment(house_file: CogsFile, share: float) -> None:
     budget = int(share * int(house_file.chunks.splats.sum()))
-    units, arrivals = visited(house_file, WALK, FAST, budget=budget)
+    units, arrivals = run_visit(house_file, WALK, FAST, budget=budget)
     splats = house_file.chunks.splats.astype(np.int64)
-    assert arrivals.leaves is not None
-    assert np.isfinite(arrivals.leaves).any()
+    assert arrivals.evicted_at is not None
+    assert np.isfinite(arrivals.evicted_at).any()
     most = 0
     for seconds in np.linspace(0.0, float(arrivals.seconds[-1]) + 1.0, 60):
-        there = np.array(arrivals.there(float(seconds)), np.int64)
+        there = np.array(arrivals.present_at(float(seconds)), np.int64)
         assert len(np.unique(there)) == len(there)
         held = units.chunk[there[units.kind[there] == SegmentKind.HEAD]]
         most = max(most, int(splats[held].sum()))
     assert 0.5 * budget < most <= budget
 
 
-def test_the_first_bytes_are_kept_and_nothing_of_them_is_fetched_again(
+def test_units_of_the_first_request_are_read_from_its_buffer(
     house_file: CogsFile,
 ) -> None:
     assert house_file.file_length < 65_536
     splats = house_file.chunks.splats.astype(np.int64)
-    units, arrivals = visited(house_file, WALK, FAST, budget=int(splats.sum()) // 2)
+    units, arrivals = run_visit(house_file, WALK, FAST, budget=int(splats.sum()) // 2)
     came = np.array(arrivals.units)
     later = arrivals.seconds > FAST.latency + house_file.file_length / 100_000.0
-    # What is chosen then is there at once, all that one decision chooses at the same moment.
+    # Units chosen after the download are present at once, several at the same time.
     assert len(np.unique(arrivals.seconds[later])) < later.sum() / 2
-    # And what there was no room for was not taken out of the first bytes before.
+    # Units that exceed the budget were not read from the buffer before.
     heads = units.kind[came] == SegmentKind.HEAD
     assert splats[np.unique(units.chunk[came[heads & ~later]])].sum() < splats.sum()
 
 
-def test_a_browser_shows_what_has_come_later(house_file: CogsFile) -> None:
-    _, at_once = visited(house_file, WALK)
+def test_browser_delays_postpone_arrivals(house_file: CogsFile) -> None:
+    _, at_once = run_visit(house_file, WALK)
     slow = Browser(start_seconds=0.5, splats_per_second=2000.0)
-    _, later = visited(house_file, WALK, browser=slow)
+    _, later = run_visit(house_file, WALK, browser=slow)
     assert later.seconds[0] > at_once.seconds[0] + 0.5
     rows = int(house_file.chunks.splats.sum())
     assert later.seconds[-1] >= 0.5 + rows / 2000.0
 
 
 @pytest.mark.parametrize("share", [0.0, 0.4])
-def test_nothing_is_drawn_before_what_it_needs(house_file: CogsFile, share: float) -> None:
+def test_units_are_usable_after_their_dependencies(house_file: CogsFile, share: float) -> None:
     budget = int(share * float(house_file.chunks.splats.sum()))
-    units, arrivals = visited(house_file, WALK, budget=budget)
+    units, arrivals = run_visit(house_file, WALK, budget=budget)
     assert arrivals.units
     for seconds in arrivals.seconds.tolist():
-        there = set(arrivals.there(seconds))
-        assert all(before in there for unit in there for before in units.after[unit])
+        there = set(arrivals.present_at(seconds))
+        assert all(before in there for unit in there for before in units.dependencies[unit])
 
 
 def test_nothing_is_decoded_before_the_worker_has_started(house_file: CogsFile) -> None:
-    _, arrivals = visited(house_file, WALK, browser=Browser(decoder_seconds=2.0))
+    _, arrivals = run_visit(house_file, WALK, browser=Browser(decoder_seconds=2.0))
     assert arrivals.seconds[0] == 2.0
 
 
-def test_what_was_thrown_away_is_not_there() -> None:
+def test_evicted_units_are_not_present() -> None:
     arrivals = Arrivals([3, 4, 3], np.array([1.0, 2.0, 5.0]), np.array([4.0, np.inf, np.inf]))
-    assert [arrivals.there(seconds) for seconds in (0.5, 1.0, 3.0, 4.5, 6.0)] == [
+    assert [arrivals.present_at(seconds) for seconds in (0.5, 1.0, 3.0, 4.5, 6.0)] == [
         [], [3], [3, 4], [4], [4, 3],
     ]  # fmt: skip
-    assert arrivals.came(4.5) == [3, 4]
+    assert arrivals.fetched_by(4.5) == [3, 4]

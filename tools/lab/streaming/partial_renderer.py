@@ -1,4 +1,4 @@
-"""What a client that has some segments of a file draws, against the whole."""
+"""Rendering of partly received files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cogsplat.codec.segments.prefix_compensation import Compensation
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.tools.lab.scheduling.chunk_ratios import counted_splats
+from cogsplat.tools.lab.scheduling.chunk_ratios import visible_splat_counts
 
 from .client import Units
 
@@ -22,19 +22,18 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 
-class ShownScene:
-    """A scene of which any of its segments may be there.
+class PartialRenderer:
+    """Renderer of a scene from any subset of its segments.
 
     Parameters
     ----------
     file : CogsFile
-        Its chunks that are complete are decoded, with refinements and without.
+        File whose complete chunks are decoded, with and without refinements.
     threads : int
-        That draw.
+        Threads for rendering and scoring; 0 for one per core.
     compensate : bool
-        Whether what is there is changed to make up for what is missing, where SPEC 8.5 says how:
-        for the first chunks of a file and, in one that is cut into cells, for chunks that each have
-        their parent.
+        Whether to apply compensation for missing chunks (SPEC 8.5): to prefixes of the file and, in
+        a file of cells, to sets of chunks that contain all their parents.
     """
 
     def __init__(self, file: CogsFile, threads: int = 0, *, compensate: bool = False) -> None:
@@ -48,7 +47,7 @@ class ShownScene:
             slice(int(end - count), int(end)) for end, count in zip(ends, counts, strict=True)
         ]
         self._parents = parents(file.chunks.cell)
-        self._is_cut = bool(file.chunks.cell.all())
+        self._has_cells = bool(file.chunks.cell.all())
         self._compensation: Compensation | None = file.compensation() if compensate else None
 
     @property
@@ -58,80 +57,81 @@ class ShownScene:
 
     @property
     def splats(self) -> Splats:
-        """The whole scene, chunk by chunk, refined."""
+        """Complete scene with refinements, in chunk order."""
         return self._fine
 
     def rows(self, chunk: int) -> slice:
-        """Return the rows of `splats` that a chunk holds."""
+        """Return the rows of a chunk in `splats`."""
         return self._runs[chunk]
 
-    def contributions_of_splats(self, camera: Camera, splats: Splats | None = None) -> F64:
-        """Return what each splat of the whole, or of others, contributes to a picture, (N,)."""
+    def splat_contributions(self, camera: Camera, splats: Splats | None = None) -> F64:
+        """Return the contribution of each splat to a view, (N,); by default of the full scene."""
         # Imported late: commands that only decode need no compiler.
         from cogsplat.codec.scoring.contribution import ScoreConfig, score
 
         config = ScoreConfig(jitter=False, threads=self._threads)
         return score(self._fine if splats is None else splats, [camera], config).contribution
 
-    def contributions(self, camera: Camera) -> F64:
-        """Return what each chunk contributes to a picture, (c,) float64."""
-        by_splat = self.contributions_of_splats(camera)
+    def chunk_contributions(self, camera: Camera) -> F64:
+        """Return the contribution of each chunk to a view, (c,) float64."""
+        by_splat = self.splat_contributions(camera)
         starts = [run.start for run in self._runs]
         return np.add.reduceat(by_splat, starts) if starts else np.zeros(0)
 
     def picture(self, camera: Camera, splats: Splats | None = None) -> F32:
-        """Return the picture of the whole, or of other splats: (H, W, 3), 0 to 1."""
+        """Render splats, by default the full scene, to an (H, W, 3) picture of values 0 to 1."""
         from cogsplat.codec.render.rasteriser import RenderConfig, render
 
-        drawn = self._fine if splats is None else splats
-        return np.clip(render(drawn, camera, RenderConfig(threads=self._threads)), 0.0, 1.0)
+        scene = self._fine if splats is None else splats
+        return np.clip(render(scene, camera, RenderConfig(threads=self._threads)), 0.0, 1.0)
 
-    def drawn(self, units: Units, there: Iterable[int], ratios: F64 | None = None) -> Splats:
-        """Return what a client draws that has some units.
+    def splats_of_units(
+        self, units: Units, present: Iterable[int], ratios: F64 | None = None
+    ) -> Splats:
+        """Return the splats that a client with some of the units draws.
 
-        Of chunks without their refinement that are coarse splats, without their tail ones of SH
-        degree 0 but in the shape of the others.
+        Chunks without refinement give coarse splats. Chunks without tail have higher SH
+        coefficients of zero.
 
         Parameters
         ----------
         units : Units
-        there : iterable of int
-            What the client has.
+        present : iterable of int
+            Units received.
         ratios : (c,) float64, optional
-            What the pose of the picture shows of each chunk; what is missing is made up for where
-            the pose shows it (docs/streaming.md, 10). Without it everywhere alike.
+            Visibility ratio of each chunk at the pose, for compensation (docs/streaming.md, 10). By
+            default all chunks count fully.
         """
         kinds: dict[int, set[int]] = {}
-        for unit in there:
+        for unit in present:
             if units.chunk[unit] >= 0:
                 kinds.setdefault(int(units.chunk[unit]), set()).add(int(units.kind[unit]))
-        held = sorted(chunk for chunk, have in kinds.items() if SegmentKind.HEAD in have)
+        chunks = sorted(chunk for chunk, have in kinds.items() if SegmentKind.HEAD in have)
         is_fine = np.zeros(len(self._fine), np.bool_)
         has_tail = np.zeros(len(self._fine), np.bool_)
         for chunk, have in kinds.items():
             is_fine[self._runs[chunk]] = SegmentKind.REFINEMENT in have
             has_tail[self._runs[chunk]] = SegmentKind.TAIL in have
+        runs = [self._runs[chunk] for chunk in chunks]
         rows = np.concatenate(
-            [np.zeros(0, np.int64), *(np.arange(run.start, run.stop) for run in self._held(held))]
+            [np.zeros(0, np.int64), *(np.arange(run.start, run.stop) for run in runs)]
         )
         out = self._fine.take(rows)
-        left = ~is_fine[rows]
+        is_coarse = ~is_fine[rows]
         for name in ("means", "scales", "quats", "opacities", "sh0"):
-            getattr(out, name)[left] = getattr(self._coarse, name)[rows[left]]
+            getattr(out, name)[is_coarse] = getattr(self._coarse, name)[rows[is_coarse]]
         out.shN[~has_tail[rows]] = 0.0
-        return self._compensated(out, held, ratios)
+        return self._compensate(out, chunks, ratios)
 
-    def _held(self, chunks: list[int]) -> list[slice]:
-        return [self._runs[chunk] for chunk in chunks]
-
-    def _compensated(self, splats: Splats, held: list[int], ratios: F64 | None) -> Splats:
-        if self._compensation is None or not held:
+    def _compensate(self, splats: Splats, chunks: list[int], ratios: F64 | None) -> Splats:
+        """Apply compensation to the splats of chunks, if the file defines it for this set."""
+        if self._compensation is None or not chunks:
             return splats
-        is_prefix = held == list(range(len(held)))
-        if not is_prefix and not (self._is_cut and has_all_parents(held, self._parents)):
+        is_prefix = chunks == list(range(len(chunks)))
+        if not is_prefix and not (self._has_cells and has_all_parents(chunks, self._parents)):
             return splats
         counts = self._compensation.chunk_splats
         if ratios is not None:
-            counts = counted_splats(counts, ratios)
-        prefixes = equivalent_prefixes(held, self._parents, counts)
-        return self._compensation.apply_per_chunk(splats, np.array(held, np.int64), prefixes)
+            counts = visible_splat_counts(counts, ratios)
+        prefixes = equivalent_prefixes(chunks, self._parents, counts)
+        return self._compensation.apply_per_chunk(splats, np.array(chunks, np.int64), prefixes)

@@ -1,4 +1,4 @@
-"""Visitors who wait until they see enough: who chooses by view fetches less along the trace."""
+"""Bytes needed to hold a PSNR along a trace."""
 
 from dataclasses import replace
 
@@ -8,8 +8,8 @@ import pytest
 from cogsplat.codec.metrics import psnr
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.tools.lab.streaming.comparison import Simulation
-from cogsplat.tools.lab.streaming.traces import Trace, recorded
-from cogsplat.tools.lab.streaming.waiting import fetched_by_waiting
+from cogsplat.tools.lab.streaming.goal_bytes import bytes_to_hold_goal
+from cogsplat.tools.lab.streaming.traces import Trace, recorded_trace
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, rooms_walk
 
 GOAL_DB = 35.0
@@ -21,17 +21,17 @@ def simulation(house_file: CogsFile) -> Simulation:
 
 
 def walk() -> Trace:
-    """Return the first steps of a walk, in pictures of an eighth of the size."""
+    """Return the first poses of a walk, with pictures of an eighth of the size."""
     cameras = [
         replace(c, width=60, height=45, fx=c.fx / 8, fy=c.fy / 8, cx=c.cx / 8, cy=c.cy / 8)
         for c in rooms_walk(4)[:12:3]
     ]
-    return recorded(cameras, 0.5)
+    return recorded_trace(cameras, 0.5)
 
 
-def test_who_chooses_by_view_waits_for_fewer_bytes(simulation: Simulation) -> None:
+def test_the_oracle_needs_fewer_bytes_than_the_order_of_the_file(simulation: Simulation) -> None:
     total = int(simulation.units.size_bytes.sum())
-    found = fetched_by_waiting(simulation, walk(), ["file", "whole", "oracle"], 4, GOAL_DB)
+    found = bytes_to_hold_goal(simulation, walk(), ["file", "whole", "oracle"], 4, GOAL_DB)
     for sizes in found.values():
         assert len(sizes) == 4
         assert sizes == sorted(sizes)
@@ -40,16 +40,16 @@ def test_who_chooses_by_view_waits_for_fewer_bytes(simulation: Simulation) -> No
     assert found["file"][-1] <= total
 
 
-def test_at_the_first_moment_no_unit_less_would_be_enough(simulation: Simulation) -> None:
-    ((size,),) = fetched_by_waiting(simulation, walk(), ["file"], 1, GOAL_DB).values()
-    camera = walk().at(0.0)
+def test_one_unit_less_misses_the_goal(simulation: Simulation) -> None:
+    ((size,),) = bytes_to_hold_goal(simulation, walk(), ["file"], 1, GOAL_DB).values()
+    camera = walk().camera_at(0.0)
     whole = simulation.picture(camera)
     client = simulation.client("file")
     sizes = np.cumsum(simulation.units.size_bytes)
     count = int(np.searchsorted(sizes, size)) + 1
     assert sizes[count - 1] == size
     quality = [
-        psnr(simulation.picture(camera, client.drawn(range(end), camera)), whole)
+        psnr(simulation.picture(camera, client.splats_of(range(end), camera)), whole)
         for end in (count - 1, count)
     ]
     assert quality[0] < GOAL_DB <= quality[1]

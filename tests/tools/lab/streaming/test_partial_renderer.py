@@ -1,4 +1,4 @@
-"""What is drawn of a part of a file, against decoding that part."""
+"""Partial rendering compared with decoding the same chunks."""
 
 from pathlib import Path
 
@@ -12,49 +12,49 @@ from cogsplat.codec.partition.nested_cells import parents
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.tools.lab.scheduling.chunk_ratios import LEAST_RATIO
+from cogsplat.tools.lab.scheduling.chunk_ratios import MIN_RATIO
 from cogsplat.tools.lab.streaming.client import units_of
-from cogsplat.tools.lab.streaming.shown import ShownScene
+from cogsplat.tools.lab.streaming.partial_renderer import PartialRenderer
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, synth_rooms
 
 CAMERA = rooms_cameras(4)[3]
 
 
 @pytest.fixture
-def shown(house_file: CogsFile) -> ShownScene:
-    return ShownScene(house_file, threads=1)
+def renderer(house_file: CogsFile) -> PartialRenderer:
+    return PartialRenderer(house_file, threads=1)
 
 
-def test_all_of_it_is_the_whole(house_file: CogsFile, shown: ShownScene) -> None:
+def test_all_units_give_the_full_picture(house_file: CogsFile, renderer: PartialRenderer) -> None:
     units = units_of(house_file)
-    whole = shown.picture(CAMERA)
-    drawn = shown.drawn(units, range(len(units)))
-    assert psnr(shown.picture(CAMERA, drawn), whole) == PSNR_CAP_DB
-    assert not len(shown.drawn(units, []))
+    whole = renderer.picture(CAMERA)
+    drawn = renderer.splats_of_units(units, range(len(units)))
+    assert psnr(renderer.picture(CAMERA, drawn), whole) == PSNR_CAP_DB
+    assert not len(renderer.splats_of_units(units, []))
 
 
 def test_heads_alone_are_drawn_coarse_and_without_tails(
-    house_file: CogsFile, shown: ShownScene
+    house_file: CogsFile, renderer: PartialRenderer
 ) -> None:
     units = units_of(house_file)
     heads = np.flatnonzero(units.kind == SegmentKind.HEAD).tolist()
-    whole = shown.picture(CAMERA)
+    whole = renderer.picture(CAMERA)
     coarse = house_file.decode(sh_degree=0, refine=False)
     expected = np.clip(render(coarse, CAMERA), 0.0, 1.0)
-    found = shown.picture(CAMERA, shown.drawn(units, heads))
+    found = renderer.picture(CAMERA, renderer.splats_of_units(units, heads))
     np.testing.assert_allclose(found, expected, atol=1e-6)
     assert psnr(found, whole) < PSNR_CAP_DB
 
 
-def test_what_is_there_makes_up_for_what_is_missing(house: Path, tmp_path: Path) -> None:
+def test_missing_chunks_are_compensated(house: Path, tmp_path: Path) -> None:
     path = tmp_path / "compensated.cogs"
     cameras = rooms_cameras(2, views=2)
     config = EncodeConfig(cells=True, chunk_splats=256, order="contribution")
     cogsplat.encode(synth_rooms(2, 3000, sh_degree=0), path, cameras=cameras, config=config)
     with cogsplat.open(path) as file:
         units = units_of(file)
-        shown = ShownScene(file, threads=1, compensate=True)
-        # The first chunk and the last with those that it adds detail to.
+        renderer = PartialRenderer(file, threads=1, compensate=True)
+        # The last chunk with all its ancestors.
         above = parents(file.chunks.cell)
         held = [file.num_chunks - 1]
         while above[held[0]] >= 0:
@@ -62,33 +62,34 @@ def test_what_is_there_makes_up_for_what_is_missing(house: Path, tmp_path: Path)
         assert held != list(range(len(held)))
         there = [u for u in range(len(units)) if units.chunk[u] in held]
         expected = file.decode(held, compensate=True)
-        found = shown.drawn(units, there)
+        found = renderer.splats_of_units(units, there)
         np.testing.assert_array_equal(found.scales, expected.scales)
         np.testing.assert_array_equal(found.opacities, expected.opacities)
         stored = file.decode(held)
         assert not np.array_equal(found.scales, stored.scales)
-        # A pose that shows nothing of what is missing: less has to be made up for.
-        ratios = np.where(np.isin(np.arange(file.num_chunks), held), 1.0, LEAST_RATIO)
-        hidden = shown.drawn(units, there, ratios)
+        # Missing chunks are invisible at this pose, so compensation is weaker.
+        ratios = np.where(np.isin(np.arange(file.num_chunks), held), 1.0, MIN_RATIO)
+        hidden = renderer.splats_of_units(units, there, ratios)
         change, whole = np.abs(hidden.scales - stored.scales), np.abs(found.scales - stored.scales)
         assert change.mean() < 0.5 * whole.mean()
-        # Chunks without their parents are drawn as they are stored.
+        # Chunks without their parents are not compensated.
         alone = [u for u in there if units.chunk[u] == held[-1]]
         np.testing.assert_array_equal(
-            shown.drawn(units, alone).scales, file.decode(held[-1:]).scales
+            renderer.splats_of_units(units, alone).scales, file.decode(held[-1:]).scales
         )
     with cogsplat.open(house) as file:
-        shown = ShownScene(file, threads=1, compensate=True)
+        renderer = PartialRenderer(file, threads=1, compensate=True)
         units = units_of(file)
         heads = np.flatnonzero(units.kind == SegmentKind.HEAD).tolist()[:1]
         coarse = file.decode([0], sh_degree=0, refine=False)
-        np.testing.assert_array_equal(shown.drawn(units, heads).scales, coarse.scales)
+        np.testing.assert_array_equal(renderer.splats_of_units(units, heads).scales, coarse.scales)
 
 
-def test_chunks_contribute_where_they_are_seen(house_file: CogsFile, shown: ShownScene) -> None:
-    found = shown.contributions(CAMERA)
+def test_chunk_contributions_cover_each_pixel_about_once(
+    house_file: CogsFile, renderer: PartialRenderer
+) -> None:
+    found = renderer.chunk_contributions(CAMERA)
     assert found.shape == (house_file.num_chunks,)
     assert found.min() >= 0.0
-    # Pixels are covered about once.
     assert 0.5 < found.sum() / (CAMERA.width * CAMERA.height) < 1.01
-    assert (found < 0.01 * found.max()).any(), "a view does not show all rooms"
+    assert (found < 0.01 * found.max()).any(), "a view does not see all rooms"

@@ -1,0 +1,105 @@
+"""Projection of bounding boxes: screen coverage, depth, frustum test (docs/streaming.md, 3, 6)."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .poses import Pose
+
+F64 = NDArray[np.float64]
+
+# Near plane of 3DGS (`in_frustum`): splats with a smaller depth are not drawn. Scene units.
+_NEAR: Final = 0.2
+
+
+def _camera_space(pose: Pose, x: F64, y: F64, z: F64) -> tuple[F64, F64, F64]:
+    """Transform points to camera space; each sum adds its terms from left to right."""
+    dx, dy, dz = x - pose.position[0], y - pose.position[1], z - pose.position[2]
+    right, down, forward = (row[0] * dx + row[1] * dy + row[2] * dz for row in pose.rotation)
+    return right, down, forward
+
+
+def _corners(boxes: F64, pose: Pose) -> tuple[F64, F64, F64]:
+    """Return camera-space x (right), y (down) and z (forward) of box corners, (8, c) each."""
+    x, y, z = (boxes[:, [axis, axis + 3]] for axis in range(3))
+    parts = [_camera_space(pose, x[:, i & 1], y[:, i >> 1 & 1], z[:, i >> 2]) for i in range(8)]
+    right, down, forward = (np.stack(part) for part in zip(*parts, strict=True))
+    return right, down, forward
+
+
+def screen_coverage(boxes: F64, pose: Pose) -> F64:
+    """Return the share of the picture that the bounding rectangle of each projected box covers.
+
+    Parameters
+    ----------
+    boxes : (c, 6) float64
+        Minimum then maximum corner, scene units.
+    pose : Pose
+
+    Returns
+    -------
+    (c,) float64
+        0 to 1; 0 for boxes behind the camera or outside the frustum.
+    """
+    right, down, forward = _corners(boxes, pose)
+    share: F64 = (forward.max(axis=0) > _NEAR).astype(np.float64)
+    depth = np.maximum(forward, _NEAR)
+    for across, tan in ((right, pose.tan_x), (down, pose.tan_y)):
+        tangents = across / depth
+        low = np.maximum(tangents.min(axis=0), -tan)
+        high = np.minimum(tangents.max(axis=0), tan)
+        share = share * np.maximum((high - low) / (2.0 * tan), 0.0)
+    return share
+
+
+def centre_depths(boxes: F64, pose: Pose) -> F64:
+    """Return the camera-space depth of each box centre, (c,) float64, scene units."""
+    centre = 0.5 * (boxes[:, :3] + boxes[:, 3:])
+    depth: F64 = _camera_space(pose, centre[:, 0], centre[:, 1], centre[:, 2])[2]
+    return depth
+
+
+def intersects_frustum(boxes: F64, pose: Pose) -> NDArray[np.bool_]:
+    """Apply the frustum test of SGSS (Zhu et al., MMSys 2025) to boxes, (c,) bool.
+
+    Box and view pyramid are projected onto the three coordinate planes of camera space. A box
+    passes if its polygon intersects that of the pyramid in all three planes. The pyramid ends at
+    the depth of the box's farthest corner.
+    """
+    right, down, forward = _corners(boxes, pose)
+    far = np.maximum(forward.max(axis=0), _NEAR)
+    half_width, half_height, zero = pose.tan_x * far, pose.tan_y * far, np.zeros_like(far)
+    apex = (zero, zero)
+    top_view = [apex, (half_width, far), (-half_width, far)]
+    side_view = [apex, (half_height, far), (-half_height, far)]
+    front_view = [
+        (half_width, half_height),
+        (half_width, -half_height),
+        (-half_width, -half_height),
+        (-half_width, half_height),
+    ]
+    return (
+        _intersects((right, forward), top_view)
+        & _intersects((down, forward), side_view)
+        & _intersects((right, down), front_view)
+    )
+
+
+def _intersects(box: tuple[F64, F64], polygon: list[tuple[F64, F64]]) -> NDArray[np.bool_]:
+    """Test projected boxes for intersection with a convex polygon (separating axis theorem)."""
+    x, y = box
+    # The edges of a projected box have three directions: from corner 0 to corners 1, 2 and 4.
+    edges = [(x[i] - x[0], y[i] - y[0]) for i in (1, 2, 4)]
+    edges += [
+        (b[0] - a[0], b[1] - a[1]) for a, b in zip(polygon, [*polygon[1:], polygon[0]], strict=True)
+    ]
+    intersects = np.ones(x.shape[1], np.bool_)
+    for dx, dy in edges:
+        of_box = dx * y - dy * x
+        of_polygon = np.stack([dx * point[1] - dy * point[0] for point in polygon])
+        intersects &= of_box.max(axis=0) >= of_polygon.min(axis=0)
+        intersects &= of_polygon.max(axis=0) >= of_box.min(axis=0)
+    return intersects
