@@ -349,7 +349,7 @@ def test_clauses_of_a_reason_code_name_it():
 
 
 def test_dump_and_lists_come_from_the_files():
-    assert make_vectors.with_blocks(SPEC, make_vectors.spec_blocks()) == SPEC
+    assert make_vectors.replace_blocks(SPEC, make_vectors.spec_blocks()) == SPEC
     smallest = (ROOT / "tests" / "vectors" / "valid" / f"{valid.SMALLEST}.cogs").read_bytes()
     lines = section("Appendix A").split("```text\n")[1].split("```")[0].splitlines()
     shown = b"".join(bytes.fromhex(line[7:54]) for line in lines)

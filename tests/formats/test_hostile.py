@@ -26,8 +26,8 @@ from cogsplat.tools.lab.conformance.file_builder import (
     one_chunk,
     payload,
     record,
-    refitted,
-    root_bytes,
+    replace_payloads,
+    split_root,
     with_root,
 )
 
@@ -132,7 +132,7 @@ def test_flipped_bits_of_cut_files_give_nothing_new(kernels, profile):
 @quick
 @given(st.sampled_from(FILES), st.data())
 def test_damaged_roots_with_a_right_crc(kernels, data, draw):
-    root, behind = root_bytes(data)
+    root, behind = split_root(data)
     opened(with_root(draw.draw(overwritten(root)), behind))
 
 
@@ -140,7 +140,7 @@ def test_damaged_roots_with_a_right_crc(kernels, data, draw):
 @given(st.sampled_from(FILES), st.data())
 def test_roots_with_wrong_numbers(kernels, data, draw):
     """Every column and every number may say anything."""
-    root, behind = root_bytes(data)
+    root, behind = split_root(data)
     value = unpack(root, "root")
     for _ in range(draw.draw(st.integers(1, 3))):
         place = value
@@ -181,7 +181,7 @@ def test_damaged_payloads_are_refused_or_decode_as_specified(kernels, data, draw
     row = draw.draw(st.integers(0, len(index.segments) - 1))
     start = int(index.offsets[row])
     payload = data[start : start + int(index.segments.length[row])]
-    changed = refitted(data, {row: draw.draw(overwritten(payload))})
+    changed = replace_payloads(data, {row: draw.draw(overwritten(payload))})
     found = opened(changed)
     if not isinstance(found, CogsplatError):
         assert_as_reference(changed, found)
@@ -190,8 +190,8 @@ def test_damaged_payloads_are_refused_or_decode_as_specified(kernels, data, draw
 def test_a_stream_of_two_faults_has_one_code(kernels):
     """A code beyond its grid, and behind it a plane of a radix that there is not."""
     codes = [[0, 1, 4], [0, 1, 2], [0, 1, 2]]
-    means = handmade_streams.coded(Attribute.MEANS, [(-1.0, 1.0, 4)] * 3, codes)
-    head = [record(stream) for stream in handmade_streams.head(3, 1, means)]
+    means = handmade_streams.scalar(Attribute.MEANS, [(-1.0, 1.0, 4)] * 3, codes)
+    head = [record(stream) for stream in handmade_streams.random_head(3, 1, means)]
     place = next(i for i, entry in enumerate(head) if entry.fields[0] == Attribute.MEANS)
     head[place].planes[2] = (3 | 1 << 30, b"\x11\0\0")
     found = opened(build(one_chunk(payload(head), 3)))
@@ -213,7 +213,7 @@ def test_damaged_scenes_take_little_memory(kernels, profile):
         for _ in range(rng.randint(1, 3)):
             at = rng.randrange(max(min(len(payload), 200) - 4, 1))
             payload[at : at + 4] = struct.pack("<I", rng.choice(NUMBERS))
-        changed = refitted(data, {row: bytes(payload)})
+        changed = replace_payloads(data, {row: bytes(payload)})
         tracemalloc.reset_peak()
         before, _ = tracemalloc.get_traced_memory()
         opened(changed)

@@ -19,7 +19,7 @@ from cogsplat.codec.errors import CogsplatError
 from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.layout import MAGIC
 from cogsplat.formats.storage.source import BytesSource
-from cogsplat.tools.lab.conformance.file_builder import refitted, root_bytes, with_root
+from cogsplat.tools.lab.conformance.file_builder import replace_payloads, split_root, with_root
 
 NUMBERS = (0, 1, 2, 3, 127, 128, 255, 256, 65535, 65536, 1 << 18, 1 << 24, (1 << 24) + 1,
            (1 << 31) - 1, 1 << 31, (1 << 32) - 1)  # fmt: skip
@@ -126,12 +126,12 @@ def _in_cogs(data: bytes, rng: random.Random) -> bytes:
     try:
         index = read_index(BytesSource(data), partial=False)
         if not len(index.segments) or rng.random() < 0.3:
-            root, behind = root_bytes(data)
+            root, behind = split_root(data)
             return with_root(_bytes(root, rng), behind)
         row = rng.randrange(len(index.segments))
         start = int(index.offsets[row])
         payload = data[start : start + int(index.segments.length[row])]
-        return refitted(data, {row: _bytes(payload, rng)})
+        return replace_payloads(data, {row: _bytes(payload, rng)})
     # Damaged by an earlier change.
     except (CogsplatError, ValueError, LookupError, struct.error):
         return _bytes(data, rng)

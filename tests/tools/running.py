@@ -77,7 +77,7 @@ sys.path.insert(0, {root!r})
 from cogsplat.tools.lab.conformance import decoder
 for line in sys.stdin:
     request = json.loads(line)
-    answer = decoder.answer("numpy", request)
+    answer = decoder.answer_request("numpy", request)
     {fault}
     print(json.dumps(answer), flush=True)
 """

@@ -21,24 +21,24 @@ import zstandard
 
 from cogsplat.formats.cogs.layout import MAJOR, MINOR
 from cogsplat.tools.lab.conformance import (
-    boxes,
-    extras,
-    folders,
-    levels,
-    msgpack_faults,
-    order_in_payloads,
-    order_of_refusals,
+    attribute_vectors,
+    compensation_vectors,
+    file_fault_order,
+    folder_vectors,
+    invalid_boxes,
+    level_vectors,
+    msgpack_vectors,
+    payload_fault_order,
     reference_decoder,
-    view_tables,
+    refinement_vectors,
+    view_table_vectors,
     worked_example,
-    zstd_headers,
+    zstd_header_vectors,
 )
-from cogsplat.tools.lab.conformance import compensation as compensations
 from cogsplat.tools.lab.conformance import invalid_payload as payloads
 from cogsplat.tools.lab.conformance import invalid_root as roots
 from cogsplat.tools.lab.conformance import invalid_tables as tables
 from cogsplat.tools.lab.conformance import invalid_transform as transform
-from cogsplat.tools.lab.conformance import refinement as refinements
 from cogsplat.tools.lab.conformance.annotated_dump import dump
 from cogsplat.tools.lab.conformance.invalid import Invalid
 from cogsplat.tools.lab.conformance.valid import SMALLEST, Valid
@@ -55,7 +55,7 @@ ATTRIBUTES: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
 INVALID: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     roots.preambles,
     roots.packings,
-    msgpack_faults.faults,
+    msgpack_vectors.invalid,
     roots.roots,
     tables.segment_tables,
     tables.chunk_tables,
@@ -63,7 +63,7 @@ INVALID: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     tables.index_pages,
     payloads.records,
     payloads.planes,
-    zstd_headers.headers,
+    zstd_header_vectors.invalid,
     payloads.grids,
     payloads.sorted_means,
     payloads.codebooks,
@@ -72,75 +72,75 @@ INVALID: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     transform.kinds,
     transform.bases,
     transform.large_planes,
-    refinements.orders,
-    refinements.refinements,
-    extras.attributes,
-    extras.cameras,
-    compensations.compensation,
-    view_tables.view_tables,
-    levels.ends,
-    levels.levels,
-    levels.opacities,
-    boxes.boxes,
-    boxes.sizes,
-    order_of_refusals.orders,
-    order_in_payloads.orders,
-    order_in_payloads.verified,
+    refinement_vectors.invalid_order,
+    refinement_vectors.invalid,
+    attribute_vectors.invalid_attributes,
+    attribute_vectors.invalid_cameras,
+    compensation_vectors.invalid,
+    view_table_vectors.invalid,
+    level_vectors.invalid_ends,
+    level_vectors.invalid_levels,
+    level_vectors.invalid_opacities,
+    invalid_boxes.boxes,
+    invalid_boxes.decoded_sizes,
+    file_fault_order.invalid,
+    payload_fault_order.invalid,
+    payload_fault_order.invalid_unused,
 )
 
 Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 
 
-def valid() -> list[Valid]:
+def valid_vectors() -> list[Valid]:
     """Return all valid vectors, in the order of the manifest."""
     return [
         *plain_valid(),
         *transform_valid(),
         worked_example.valid(),
-        *refinements.valid(),
-        *extras.valid(),
-        *compensations.valid(),
-        *view_tables.valid(),
-        *levels.valid(),
-        *msgpack_faults.valid(),
-        *zstd_headers.valid(),
+        *refinement_vectors.valid(),
+        *attribute_vectors.valid(),
+        *compensation_vectors.valid(),
+        *view_table_vectors.valid(),
+        *level_vectors.valid(),
+        *msgpack_vectors.valid(),
+        *zstd_header_vectors.valid(),
     ]
 
 
-ASIDE: Final[tuple[Callable[[], list[Invalid]], ...]] = (
-    extras.attributes,
-    extras.cameras,
-    compensations.compensation,
-    view_tables.view_tables,
-    boxes.sizes,
+VIEWERS_MAY_IGNORE: Final[tuple[Callable[[], list[Invalid]], ...]] = (
+    attribute_vectors.invalid_attributes,
+    attribute_vectors.invalid_cameras,
+    compensation_vectors.invalid,
+    view_table_vectors.invalid,
+    invalid_boxes.decoded_sizes,
 )
 """What a viewer leaves aside (SPEC 8.6): it need not refuse these files."""
 
 
-def invalid() -> list[Invalid]:
+def invalid_vectors() -> list[Invalid]:
     """Return all must-reject vectors, in the order of the manifest."""
     return [vector for make in INVALID for vector in make()]
 
 
 def conformance_levels() -> dict[str, str]:
     """Return the lowest level of conformance that must refuse each file (SPEC 1.4)."""
-    aside = {vector.name for make in ASIDE for vector in make()}
+    aside = {vector.name for make in VIEWERS_MAY_IGNORE for vector in make()}
     return {
         vector.name: "verifier"
         if vector.stage == "verify"
         else ("reader" if vector.name in aside else "viewer")
-        for vector in invalid()
+        for vector in invalid_vectors()
     }
 
 
-def valid_folders() -> list[folders.ValidFolder]:
+def valid_folders() -> list[folder_vectors.ValidFolder]:
     """Return the folders to decode, in the order of the manifest."""
-    return folders.valid({vector.name: vector.data for vector in valid()})
+    return folder_vectors.valid({vector.name: vector.data for vector in valid_vectors()})
 
 
-def invalid_folders() -> list[folders.InvalidFolder]:
+def invalid_folders() -> list[folder_vectors.InvalidFolder]:
     """Return the folders to refuse, in the order of the manifest."""
-    return folders.invalid({vector.name: vector.data for vector in valid()})
+    return folder_vectors.invalid({vector.name: vector.data for vector in valid_vectors()})
 
 
 def _sha256(data: bytes) -> str:
@@ -154,7 +154,7 @@ def _shapes(scene: reference_decoder.Scene) -> dict[str, list[int]]:
     return {name: [count, *widths[name]] for name in ATTRIBUTES}
 
 
-def _arrays(scene: reference_decoder.Scene) -> bytes:
+def _array_bytes(scene: reference_decoder.Scene) -> bytes:
     values = [value for name in ATTRIBUTES for row in scene.rows[name] for value in row]
     return struct.pack(f"<{len(values)}f", *values)
 
@@ -169,7 +169,7 @@ _INFO: Final = ("origin", "axes", "colour_space", "kernel_px", "antialiased", "f
 
 def _valid_entry(vector: Valid) -> tuple[dict[str, Json], bytes]:
     scene = reference_decoder.decode(vector.data)
-    arrays = _arrays(scene)
+    arrays = _array_bytes(scene)
     (root_length,) = struct.unpack_from("<I", vector.data, 12)
     root = msgpack.unpackb(vector.data[64 : 64 + root_length])
     entry: dict[str, Json] = {
@@ -186,7 +186,7 @@ def _valid_entry(vector: Valid) -> tuple[dict[str, Json], bytes]:
         "shapes": {name: list(shape) for name, shape in _shapes(scene).items()},
         "prefixes": [[p.size, p.chunks, list(p.tails), list(p.refined)] for p in scene.prefixes],
     }
-    coarse = _arrays(reference_decoder.decode(vector.data, refine=False))
+    coarse = _array_bytes(reference_decoder.decode(vector.data, refine=False))
     if coarse != arrays:
         entry["coarse_sha256"] = _sha256(coarse)
     if any(scene.until):
@@ -243,7 +243,7 @@ def _invalid_entry(vector: Invalid, level: str) -> dict[str, Json]:
     }
 
 
-def _invalid_folder_entry(folder: folders.InvalidFolder) -> dict[str, Json]:
+def _invalid_folder_entry(folder: folder_vectors.InvalidFolder) -> dict[str, Json]:
     return {
         "name": folder.name,
         "note": folder.note,
@@ -268,18 +268,18 @@ def _manifest_text(manifest: Mapping[str, Json]) -> str:
     return "{\n" + ",\n".join(parts) + "\n}\n"
 
 
-def make() -> tuple[dict[str, Json], dict[str, bytes]]:
+def make_vectors() -> tuple[dict[str, Json], dict[str, bytes]]:
     """Return the manifest and every other file by its path below `VECTORS`."""
     files: dict[str, bytes] = {}
     good: list[Json] = []
-    for vector in valid():
+    for vector in valid_vectors():
         entry, arrays = _valid_entry(vector)
         good.append(entry)
         files[f"valid/{vector.name}.cogs"] = vector.data
         files[f"valid/{vector.name}.f32"] = arrays
     bad: list[Json] = []
     level_of = conformance_levels()
-    for refused in invalid():
+    for refused in invalid_vectors():
         bad.append(_invalid_entry(refused, level_of[refused.name]))
         files[f"invalid/{refused.name}.cogs"] = refused.data
     good_folders: list[Json] = []
@@ -305,7 +305,7 @@ def make() -> tuple[dict[str, Json], dict[str, bytes]]:
 
 def spec_blocks() -> dict[str, str]:
     """Return the parts of SPEC that come from the vectors, by the name in their markers."""
-    good, bad = valid(), invalid()
+    good, bad = valid_vectors(), invalid_vectors()
     smallest = next(vector for vector in good if vector.name == SMALLEST)
     listed = ["| file | clauses | what |", "|---|---|---|"]
     listed += [f"| `{v.name}` | {', '.join(v.covers)} | {v.note} |" for v in good]
@@ -330,7 +330,7 @@ def _folder_lists() -> list[str]:
     return lines
 
 
-def with_blocks(text: str, blocks: Mapping[str, str]) -> str:
+def replace_blocks(text: str, blocks: Mapping[str, str]) -> str:
     """Return SPEC with the text between each pair of markers replaced."""
     for name, block in blocks.items():
         first, last = f"<!-- vectors: {name} -->", "<!-- end of vectors -->"
@@ -344,7 +344,7 @@ def with_blocks(text: str, blocks: Mapping[str, str]) -> str:
 
 def differences() -> list[str]:
     """Return what differs between the committed vectors and those this code makes."""
-    manifest, files = make()
+    manifest, files = make_vectors()
     committed = json.loads((VECTORS / "manifest.json").read_text(encoding="utf-8"))
     same_zstd = committed["zstd"] == manifest["zstd"]
     skipped = set() if same_zstd else {"bytes", "sha256", "prefixes"}
@@ -374,18 +374,18 @@ def differences() -> list[str]:
         if same_zstd and content != files[name]:
             found.append(f"{name}: its bytes")
         elif name.startswith("valid/") and name.endswith(".cogs"):
-            arrays = _arrays(reference_decoder.decode(content))
+            arrays = _array_bytes(reference_decoder.decode(content))
             if arrays != files[name.removesuffix(".cogs") + ".f32"]:
                 found.append(f"{name}: its decoded values")
     text = SPEC.read_text(encoding="utf-8")
-    if with_blocks(text, spec_blocks()) != text:
+    if replace_blocks(text, spec_blocks()) != text:
         found.append("SPEC.md: the dump or the lists of vectors")
     return found
 
 
 def write() -> None:
     """Write all vectors, the manifest and SPEC's generated blocks; remove obsolete vectors."""
-    manifest, files = make()
+    manifest, files = make_vectors()
     for path in VECTORS.rglob("*/*"):
         if path.is_file() and path.relative_to(VECTORS).as_posix() not in files:
             path.unlink()
@@ -394,7 +394,7 @@ def write() -> None:
         (VECTORS / name).write_bytes(content)
     (VECTORS / "manifest.json").write_text(_manifest_text(manifest), encoding="utf-8")
     text = SPEC.read_text(encoding="utf-8")
-    SPEC.write_text(with_blocks(text, spec_blocks()), encoding="utf-8")
+    SPEC.write_text(replace_blocks(text, spec_blocks()), encoding="utf-8")
 
 
 def main() -> int:
@@ -406,7 +406,8 @@ def main() -> int:
         print("\n".join([*found, f"{len(found)} differences"]))
         return 1 if found else 0
     write()
-    print(f"{len(valid())} valid and {len(invalid())} must-reject files in {VECTORS}")
+    good, bad = len(valid_vectors()), len(invalid_vectors())
+    print(f"{good} valid and {bad} must-reject files in {VECTORS}")
     print(f"{len(valid_folders())} valid and {len(invalid_folders())} must-reject folders")
     return 0
 

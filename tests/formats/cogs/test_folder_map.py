@@ -13,7 +13,7 @@ from cogsplat.formats.cogs.folder_map import (
     is_manifest,
 )
 from cogsplat.formats.storage.magic import MANIFEST_MAGIC
-from cogsplat.tools.lab.conformance.folders import MANIFEST, unpacked
+from cogsplat.tools.lab.conformance.folder_vectors import MANIFEST, folder_of_file
 
 VALID = Path(__file__).resolve().parents[2] / "vectors" / "valid"
 FOLDERS = VALID.parent / "folders"
@@ -22,7 +22,7 @@ FILES = ["empty", "one-splat", "pages", "pages-only", "attributes-pages", "compe
 
 def mapped(name: str) -> tuple[bytes, dict[str, bytes], FolderMap]:
     data = (VALID / f"{name}.cogs").read_bytes()
-    objects = unpacked(data)
+    objects = folder_of_file(data)
     return data, objects, FolderMap(objects[MANIFEST], name)
 
 

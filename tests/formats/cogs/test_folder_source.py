@@ -16,13 +16,13 @@ from cogsplat.formats.cogs.findings import findings
 from cogsplat.formats.cogs.folder_source import FolderSource, manifest_path, names_folder
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import BytesSource, PrefixSource, has_range
-from cogsplat.tools.lab.conformance.folders import unpacked
+from cogsplat.tools.lab.conformance.folder_vectors import folder_of_file
 
 links = pytest.mark.skipif(os.name != "posix", reason="links need rights on Windows")
 
 
 def placed(folder: Path, data: bytes, manifest: str = "manifest.cogsm") -> Path:
-    for name, content in unpacked(data, manifest).items():
+    for name, content in folder_of_file(data, manifest).items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)

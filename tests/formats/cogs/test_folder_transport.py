@@ -12,7 +12,7 @@ from cogsplat.formats.cogs.folder_map import FolderMap, ObjectRange
 from cogsplat.formats.cogs.folder_transport import FolderTransport, address_of
 from cogsplat.formats.network.backoff import TransientError
 from cogsplat.formats.network.range_responses import RangeResponse, ResponseHead
-from cogsplat.tools.lab.conformance.folders import MANIFEST, unpacked
+from cogsplat.tools.lab.conformance.folder_vectors import MANIFEST, folder_of_file
 
 PAGED = Path(__file__).resolve().parents[2] / "vectors" / "valid" / "pages.cogs"
 OBJECT = ObjectRange("segments/a.bin", 100, 200, 1000)
@@ -65,7 +65,7 @@ def folder(samples: dict[str, bytes]) -> FolderMap:
 
 @pytest.fixture
 def samples() -> dict[str, bytes]:
-    return unpacked(PAGED.read_bytes()) | {OBJECT.name: CONTENT}
+    return folder_of_file(PAGED.read_bytes()) | {OBJECT.name: CONTENT}
 
 
 def got(transport: FolderTransport, first: int, end: int) -> bytes:

@@ -18,7 +18,7 @@ from cogsplat.formats.cogs import layout
 from cogsplat.formats.cogs.folder_writer import check_manifest_name, pack_cogs, unpack_cogs
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment, write_cogs
-from cogsplat.tools.lab.conformance.folders import MANIFEST, packed, unpacked
+from cogsplat.tools.lab.conformance.folder_vectors import MANIFEST, file_of_folder, folder_of_file
 
 VALID = sorted((Path(__file__).resolve().parents[2] / "vectors" / "valid").glob("*.cogs"))
 
@@ -37,8 +37,8 @@ def test_every_file_comes_back_byte_for_byte(path: Path, tmp_path: Path) -> None
         done = unpack_cogs(file, tmp_path / "out")
     found = contents(tmp_path / "out")
     # The oracle takes files apart on its own.
-    assert found == unpacked(path.read_bytes())
-    assert packed(found) == path.read_bytes()
+    assert found == folder_of_file(path.read_bytes())
+    assert file_of_folder(found) == path.read_bytes()
     assert done.written == len(found) - 1
     assert done.shared == 0
     assert done.written_bytes + done.manifest_bytes == sum(map(len, found.values()))
@@ -166,7 +166,7 @@ def test_manifests_begin_with_their_own_magic(scene: Path, tmp_path: Path) -> No
         done = unpack_cogs(file, tmp_path / "out")
     made = done.manifest.read_bytes()
     assert made[:8] != layout.MAGIC
-    assert made == unpacked(scene.read_bytes())[MANIFEST]
+    assert made == folder_of_file(scene.read_bytes())[MANIFEST]
     assert done.manifest_bytes == len(made)
 
 

@@ -22,7 +22,7 @@ from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.network_folder import NetworkFolder
 from cogsplat.formats.cogs.open_file import open_source
 from cogsplat.formats.network.network_options import NetworkOptions
-from cogsplat.tools.lab.conformance.folders import MANIFEST, unpacked
+from cogsplat.tools.lab.conformance.folder_vectors import MANIFEST, folder_of_file
 
 PAGED = Path(__file__).resolve().parents[2] / "vectors" / "valid" / "pages.cogs"
 QUICK = NetworkOptions(pause_seconds=0.001, retries=2)
@@ -49,7 +49,7 @@ def of_folder(objects: dict[str, bytes], answered: Fault = right) -> Fault:
 
 @pytest.mark.parametrize("answered", [right, no_ranges])
 def test_a_folder_reads_as_its_file(data: bytes, answered: Fault) -> None:
-    objects = unpacked(data)
+    objects = folder_of_file(data)
     with serving(FaultServer(b"", always=of_folder(objects, answered))) as server:
         for url in (server.url("scene/"), server.url(f"scene/{MANIFEST}")):
             source = open_source(url)
@@ -63,7 +63,7 @@ def test_a_folder_reads_as_its_file(data: bytes, answered: Fault) -> None:
 
 
 def test_one_chunk_takes_the_objects_that_it_needs(data: bytes) -> None:
-    with serving(FaultServer(b"", always=of_folder(unpacked(data)))) as server:
+    with serving(FaultServer(b"", always=of_folder(folder_of_file(data)))) as server:
         with cogsplat.open(server.url("scene/?key=1")) as file:
             file.decode([7], sh_degree=0)
             assert file.traffic is not None
@@ -79,13 +79,13 @@ def test_one_chunk_takes_the_objects_that_it_needs(data: bytes) -> None:
         fine = whole.chunk_rows(7).refinement
         wanted += 0 if fine is None else int(lengths[fine])
     # Of the objects no more than that: tails and codebooks of colours lie in them too.
-    assert traffic.received_bytes == len(unpacked(data)[MANIFEST]) + wanted
-    assert traffic.received_bytes < sum(map(len, unpacked(data).values())) / 2
+    assert traffic.received_bytes == len(folder_of_file(data)[MANIFEST]) + wanted
+    assert traffic.received_bytes < sum(map(len, folder_of_file(data).values())) / 2
 
 
 def test_large_manifests_are_read_by_ranges_or_whole() -> None:
     data = PAGED.read_bytes()
-    objects = unpacked(data)
+    objects = folder_of_file(data)
     head_end = FolderMap(objects[MANIFEST], "pages").head_end
     for answered in (right, no_ranges):
         with serving(FaultServer(b"", always=of_folder(objects, answered))) as server:
@@ -106,7 +106,7 @@ def test_large_manifests_are_read_by_ranges_or_whole() -> None:
 
 def test_each_page_is_asked_for_once_and_opening_asks_for_no_segment() -> None:
     data = PAGED.read_bytes()
-    objects = unpacked(data)
+    objects = folder_of_file(data)
     head_end = FolderMap(objects[MANIFEST], "pages").head_end
     with serving(FaultServer(b"", always=of_folder(objects))) as server:
         url = server.url(f"scene/{MANIFEST}")
@@ -127,7 +127,7 @@ def test_each_page_is_asked_for_once_and_opening_asks_for_no_segment() -> None:
 
 
 def test_an_object_that_is_missing_spoils_no_other(data: bytes) -> None:
-    objects = unpacked(data)
+    objects = folder_of_file(data)
     with cogsplat.open(data) as whole:
         rows = [whole.chunk_rows(9).head, whole.chunk_rows(10).head]
         places = [(int(whole.offsets[row]), int(whole.segments.length[row])) for row in rows]
@@ -151,7 +151,7 @@ def test_an_object_that_is_missing_spoils_no_other(data: bytes) -> None:
 
 def test_answers_that_break_off_are_asked_for_again() -> None:
     data = PAGED.read_bytes()
-    objects = unpacked(data)
+    objects = folder_of_file(data)
     fail = iter(range(1000))
 
     async def sometimes(exchange: Exchange) -> None:

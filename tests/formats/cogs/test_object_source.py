@@ -8,7 +8,7 @@ from cogsplat.formats.cogs.folder_map import FolderMap, ObjectRange
 from cogsplat.formats.cogs.folder_source import FolderSource
 from cogsplat.formats.cogs.network_folder import NetworkFolder
 from cogsplat.formats.cogs.object_source import ObjectSource
-from cogsplat.tools.lab.conformance.folders import MANIFEST, unpacked
+from cogsplat.tools.lab.conformance.folder_vectors import MANIFEST, folder_of_file
 
 VALID = Path(__file__).resolve().parents[2] / "vectors" / "valid"
 
@@ -33,7 +33,7 @@ class Objects(ObjectSource):
 @pytest.mark.parametrize("name", ["empty", "one-splat", "pages", "compensation-pages"])
 def test_all_that_lies_beside_a_manifest_is_named_and_read(name: str) -> None:
     data = (VALID / f"{name}.cogs").read_bytes()
-    objects = unpacked(data)
+    objects = folder_of_file(data)
     source = Objects(objects)
     assert source.size == len(data)
     # Behind the preamble and the root: nothing of that is in an object.

@@ -371,7 +371,7 @@ def test_progress_counts_and_cancels(data, threads):
 def test_verify_looks_at_codebooks_that_nobody_needs():
     from cogsplat.formats.cogs.layout import SegmentKind
     from cogsplat.formats.cogs.writer import Segment
-    from cogsplat.tools.lab.conformance import handmade_streams as scenes
+    from cogsplat.tools.lab.conformance import handmade_streams as handmade
     from cogsplat.tools.lab.conformance.file_builder import (
         ChunkRow,
         Draft,
@@ -381,8 +381,8 @@ def test_verify_looks_at_codebooks_that_nobody_needs():
         root_keys,
     )
 
-    book = Segment(SegmentKind.SHAPE_CODEBOOK, 0, pack_streams(scenes.shape_book(4, 1)))
-    head = Segment(SegmentKind.HEAD, 0, pack_streams(scenes.head(2, 1)))
+    book = Segment(SegmentKind.SHAPE_CODEBOOK, 0, pack_streams(handmade.shape_codebook(4, 1)))
+    head = Segment(SegmentKind.HEAD, 0, pack_streams(handmade.random_head(2, 1)))
     # Five rows are stated and four are there; no chunk uses them.
     root = root_keys(2, 0, codebooks=[{"attribute": "shape", "rows": 5}])
     data = build(Draft(root, [Group([book, head], [ChunkRow(2)])]))

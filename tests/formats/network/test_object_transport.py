@@ -12,7 +12,7 @@ from cogsplat.codec.errors import MissingExtraError, StorageError
 from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.formats.network.object_transport import ObjectTransport
 from cogsplat.formats.network.open_url import open_url
-from cogsplat.tools.lab.conformance.folders import unpacked
+from cogsplat.tools.lab.conformance.folder_vectors import folder_of_file
 
 URL = "s3://bucket/scenes/a.cogs"
 
@@ -39,7 +39,7 @@ def test_a_scene_is_read_by_ranges(data):
 
 
 def test_a_folder_is_read_object_by_object(data):
-    objects = unpacked(data)
+    objects = folder_of_file(data)
 
     async def one_object(exchange):
         exchange.server.data = objects[exchange.asked.path.removeprefix("/bucket/scenes/")]

@@ -25,7 +25,7 @@ from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.tools.delivery.slow_server import Link, running
 from cogsplat.tools.delivery.viewer_pages import linked_page, write_standalone_page
-from cogsplat.tools.lab.conformance.folders import unpacked
+from cogsplat.tools.lab.conformance.folder_vectors import folder_of_file
 from cogsplat.tools.lab.synthetic.terrace import synth_cameras
 
 if TYPE_CHECKING:
@@ -276,7 +276,7 @@ def test_a_page_without_a_server_shows_its_scene(
 def test_a_scene_in_a_folder_of_objects_is_shown(
     page: Page, small: SmallScene, *, ranges: bool
 ) -> None:
-    objects = unpacked(small.cogs.read_bytes())
+    objects = folder_of_file(small.cogs.read_bytes())
     files = linked_page("scene", "scene/") | {f"scene/{name}": x for name, x in objects.items()}
     with running(FaultyServer(files)) as server:
         server.faults.ranges = ranges

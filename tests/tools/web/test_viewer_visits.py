@@ -21,7 +21,7 @@ from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.splats import Splats
 from cogsplat.tools.delivery.slow_server import Link, Reply, running
 from cogsplat.tools.delivery.viewer_pages import linked_page
-from cogsplat.tools.lab.conformance.folders import unpacked
+from cogsplat.tools.lab.conformance.folder_vectors import folder_of_file
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, rooms_walk, synth_rooms
 
 if TYPE_CHECKING:
@@ -227,7 +227,7 @@ def test_a_server_without_ranges_gives_the_file_as_it_stands(
 def test_a_folder_can_be_walked_through(
     page: Page, house: Path, whole: Splats, walk: list[Camera]
 ) -> None:
-    files = unpacked(house.read_bytes())
+    files = folder_of_file(house.read_bytes())
     objects = {f"scene/{name}": content for name, content in files.items()}
     page_files = page_of("scene/", splat_budget=len(whole) * 2 // 3)
     with running(FaultyServer({**page_files, **objects})) as server:

@@ -21,7 +21,7 @@ from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import FileSource
 
 from . import reference_decoder
-from .folders import packed
+from .folder_vectors import file_of_folder
 from .protocol import Answer
 
 ARRAYS: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
@@ -41,13 +41,13 @@ def hello(kind: str) -> Answer:
     }
 
 
-def answer(kind: str, request: Answer) -> Answer:
+def answer_request(kind: str, request: Answer) -> Answer:
     """Return the answer to one request of the protocol."""
     if request.get("op") == "hello":
         return hello(kind)
     path, out = Path(str(request["path"])), Path(str(request["out"]))
     if kind == "reference":
-        return _reference(path, out, request)
+        return _decode_by_reference(path, out, request)
     try:
         # By the name, as the request means it; commands look at the first bytes.
         source = FolderSource(path) if path.suffix == MANIFEST_SUFFIX else FileSource(path)
@@ -62,11 +62,11 @@ def answer(kind: str, request: Answer) -> Answer:
     return {"ok": True, "splats": len(splats)}
 
 
-def _reference(path: Path, out: Path, request: Answer) -> Answer:
+def _decode_by_reference(path: Path, out: Path, request: Answer) -> Answer:
     data = path.read_bytes()
     if path.suffix == MANIFEST_SUFFIX:
         objects = {f"segments/{x.name}": x.read_bytes() for x in path.parent.glob("segments/*")}
-        data = packed({path.name: data, **objects}, path.name)
+        data = file_of_folder({path.name: data, **objects}, path.name)
     scene = reference_decoder.decode(data, refine=bool(request["refine"]))
     rows = [np.array(scene.rows[name], np.float32).astype("<f4").tobytes() for name in ARRAYS]
     out.write_bytes(b"".join(rows))
@@ -83,7 +83,7 @@ def main(arguments: list[str]) -> int:
         print("numba is not installed, expected the extra `encode`", file=sys.stderr)
         return 4
     for line in sys.stdin:
-        print(json.dumps(answer(kind, json.loads(line))), flush=True)
+        print(json.dumps(answer_request(kind, json.loads(line))), flush=True)
     return 0
 
 

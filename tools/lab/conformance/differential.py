@@ -19,7 +19,7 @@ from typing import Final
 from cogsplat.codec.errors import StorageError
 from cogsplat.codec.progress import Progress, silent
 
-from .file_mutations import Mutant, mutant
+from .file_mutations import Mutant, make_mutant
 from .protocol import Answer, DecoderProcess, Hello, decode_request
 
 # More splats take a decoder that is written to be read, not to be fast, too long.
@@ -123,22 +123,22 @@ def fuzz(
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         decoders = [stack.enter_context(DecoderProcess(c, timeout_s)) for c in commands]
-        jury = _Jury(decoders, folder)
+        panel = _Decoders(decoders, folder)
         verdicts: Counter[str] = Counter()
         disagreements = []
         slowest = 0.0
         for done, number in enumerate(range(first, first + count), start=1):
-            case = mutant(files, seed, number)
+            mutant = make_mutant(files, seed, number)
             start = time.monotonic()
             verify = bool(number % 4)
-            found = jury.verdicts(case, verify=verify)
+            found = panel.verdicts(mutant, verify=verify)
             slowest = max(slowest, time.monotonic() - start)
             verdicts[found[0].split()[0]] += 1
             if len({verdict for verdict in found if verdict}) > 1:
-                disagreements.append(Disagreement(number, case, verify, found))
+                disagreements.append(Disagreement(number, mutant, verify, found))
             progress("mutants", done, count)
         return FuzzReport(
-            decoders=jury.hellos,
+            decoders=panel.hellos,
             most_memory=tuple(decoder.most_memory() for decoder in decoders),
             mutants=count,
             verdicts=dict(verdicts.most_common()),
@@ -147,7 +147,7 @@ def fuzz(
         )
 
 
-class _Jury:
+class _Decoders:
     """Asks all decoders about a mutant, those that refuse nothing last."""
 
     def __init__(self, decoders: Sequence[DecoderProcess], folder: Path) -> None:
@@ -159,31 +159,31 @@ class _Jury:
         self._lenient = [n for n, hello in enumerate(self.hellos) if not hello.refuses]
         self._verifiers = all(self.hellos[n].level == "verifier" for n in self._strict)
 
-    def verdicts(self, case: Mutant, *, verify: bool) -> tuple[str, ...]:
+    def verdicts(self, mutant: Mutant, *, verify: bool) -> tuple[str, ...]:
         """Return what each decoder says; an empty text where it was not asked."""
-        self._path.write_bytes(case.data)
+        self._path.write_bytes(mutant.data)
         found = [""] * len(self._decoders)
         verify = verify and self._verifiers
-        answers = self._ask(self._strict, case, verify=verify)
+        answers = self._ask(self._strict, mutant, verify=verify)
         for number, verdict in answers.items():
             found[number] = verdict
-        told = set(answers.values())
+        agreed = set(answers.values())
         # A decoder for valid files is asked only about files of which everything was checked.
-        if verify and len(told) == 1 and self._is_small_and_whole(next(iter(told)), case):
-            for number, verdict in self._ask(self._lenient, case, verify=False).items():
+        if verify and len(agreed) == 1 and self._is_small_and_whole(agreed.pop(), mutant):
+            for number, verdict in self._ask(self._lenient, mutant, verify=False).items():
                 found[number] = verdict
         return tuple(found)
 
-    def _is_small_and_whole(self, verdict: str, case: Mutant) -> bool:
+    def _is_small_and_whole(self, verdict: str, mutant: Mutant) -> bool:
         word, *rest = verdict.split()
-        return word == "accepted" and not case.partial and int(rest[0]) <= _MOST_SPLATS_FOR_SLOW
+        return word == "accepted" and not mutant.partial and int(rest[0]) <= _MOST_SPLATS_FOR_SLOW
 
-    def _ask(self, numbers: Sequence[int], case: Mutant, *, verify: bool) -> dict[int, str]:
+    def _ask(self, numbers: Sequence[int], mutant: Mutant, *, verify: bool) -> dict[int, str]:
         # All are asked before the first answer is waited for, so that they work at one time.
         for number in numbers:
             out = self._outs[number]
             out.unlink(missing_ok=True)
-            request = decode_request(self._path, out, partial=case.partial, verify=verify)
+            request = decode_request(self._path, out, partial=mutant.partial, verify=verify)
             self._decoders[number].send(request)
         return {
             number: self._verdict(*self._decoders[number].receive(), self._outs[number])

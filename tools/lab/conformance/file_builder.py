@@ -199,14 +199,14 @@ def preamble_field(data: bytes, offset: int, layout: str, value: int) -> bytes:
     return seal(poke(data[:PREAMBLE_BYTES], offset, layout, value)) + data[PREAMBLE_BYTES:]
 
 
-def root_bytes(data: bytes) -> tuple[bytes, bytes]:
+def split_root(data: bytes) -> tuple[bytes, bytes]:
     """Return a file's root and what stands behind it."""
     (length,) = struct.unpack_from("<I", data, 12)
     end = PREAMBLE_BYTES + length
     return data[PREAMBLE_BYTES:end], data[end:]
 
 
-def refitted(data: bytes, payloads: Mapping[int, bytes]) -> bytes:
+def replace_payloads(data: bytes, payloads: Mapping[int, bytes]) -> bytes:
     """Return a file without pages, some of its segments replaced and its root made to fit.
 
     Parameters
@@ -215,7 +215,7 @@ def refitted(data: bytes, payloads: Mapping[int, bytes]) -> bytes:
     payloads : mapping of int to bytes
         Row of the segment table to what stands there now.
     """
-    root, behind = root_bytes(data)
+    root, behind = split_root(data)
     index = unpack(root, "root")
     segments = table(index, "segments")
     lengths = struct.unpack(
@@ -272,7 +272,7 @@ PAYLOAD_HEAD: Final = 2
 """Bytes before the first record: the number of streams (SPEC 6.1)."""
 
 
-def packed_plane(raw: bytes, radix: int) -> bytes:
+def pack_symbols(raw: bytes, radix: int) -> bytes:
     """Return the bytes that hold several symbols of a plane each, without the radix (SPEC 6.9)."""
     count = next(d for d in range(8, 1, -1) if radix**d <= 256)
     groups = [raw[start : start + count] for start in range(0, len(raw), count)]

@@ -22,27 +22,27 @@ from .file_builder import (
     Index,
     column,
     preamble_field,
-    root_bytes,
+    split_root,
     table,
     with_root,
 )
-from .payload_mutations import FLOATS, NUMBERS, changed_bytes, changed_number, changed_payload
+from .payload_mutations import FLOATS, NUMBERS, mutate_bytes, mutate_number, mutate_payload
 
-_VALUES: Final[tuple[Value, ...]] = (
+_ODD_VALUES: Final[tuple[Value, ...]] = (
     None, True, False, 0, 1, -1, 2, 3, 4, 32, 33, 255, 256, 16384, 65535, 65536, 1 << 31, 1 << 32,
     (1 << 53) - 1, 1 << 53, -(1 << 53), 0.0, -0.0, 0.5, 1.0, -1.0, 1e308, 5e-324, float("inf"),
     float("nan"), "", "a", "RDF", "RUB", "LDF", "RRF", "srgb", "linear", "shape", "colour", "f4",
     "é\U0001f600", "a" * 255, "a" * 256, "\ufeffa", b"", b"\0", b"\0\0\0\0", [], [0.0] * 3,
     [[[[[[[[[0]]]]]]]]], {}, {"a": 0}, {"a!": 0},
 )  # fmt: skip
-_KEYS: Final = ("a", "b!", "!", "", "__proto__", "constructor", "splats", "pages", "quality",
+_ODD_KEYS: Final = ("a", "b!", "!", "", "__proto__", "constructor", "splats", "pages", "quality",
                 "layer", "first_view", "attributes", "kind", "name")  # fmt: skip
 _PREAMBLE_FIELDS: Final = ((8, "H"), (10, "H"), (12, "I"), (16, "Q"), (24, "I"), (28, "I"),
                            (40, "B"), (59, "B"))  # fmt: skip
 
 # Kinds of segments whose payload is a msgpack map (SPEC 5.2): cameras and compensation.
-_MAPS: Final = (128, 130)
-_ATTRIBUTES: Final = 129
+_MAP_KINDS: Final = (128, 130)
+_ATTRIBUTES_KIND: Final = 129
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class _Parts:
         return column(self.indexes[index], "segments", "kind")[row]
 
 
-def mutant(files: Sequence[tuple[str, bytes]], seed: int, number: int) -> Mutant:
+def make_mutant(files: Sequence[tuple[str, bytes]], seed: int, number: int) -> Mutant:
     """Return mutant `number` of a seeded run; it does not depend on the others.
 
     Parameters
@@ -94,13 +94,13 @@ def mutant(files: Sequence[tuple[str, bytes]], seed: int, number: int) -> Mutant
     """
     rng = random.Random(f"{seed}/{number}")
     name, data = rng.choice(files)
-    change = rng.choice(_WAYS)
+    change = rng.choice(_CHANGES)
     if change == "cut":
         at = rng.randrange(rng.choice((PREAMBLE_BYTES + 8, len(data), len(data))) + 1)
         return Mutant(name, change, data[:at], partial=rng.random() < 0.8)
     if change == "bytes":
         for _ in range(rng.randint(1, 4)):
-            data = changed_bytes(data, rng)
+            data = mutate_bytes(data, rng)
         return Mutant(name, change, data, partial=rng.random() < 0.2)
     if change == "preamble":
         offset, layout = rng.choice(_PREAMBLE_FIELDS)
@@ -111,32 +111,32 @@ def mutant(files: Sequence[tuple[str, bytes]], seed: int, number: int) -> Mutant
         value = rng.choice((near, *NUMBERS, (1 << 53) - 1, 1 << 53, 1 << 63)) % limit
         return Mutant(name, change, preamble_field(data, offset, layout, value), rng.random() < 0.3)
     _, other = rng.choice(files)
-    change, data = _rebuilt(change, _apart(data), _apart(other), rng)
+    change, data = _mutate(change, _parse(data), _parse(other), rng)
     if rng.random() < 0.05:
         return Mutant(name, f"{change}, cut", data[: rng.randrange(len(data) + 1)], partial=True)
     return Mutant(name, change, data, partial=rng.random() < 0.1)
 
 
-_WAYS: Final = ("bytes", "bytes", "cut", "cut", "preamble") + ("payload",) * 9 + (
+_CHANGES: Final = ("bytes", "bytes", "cut", "cut", "preamble") + ("payload",) * 9 + (
     "index bytes", "value", "value", "value", "column", "column", "column", "segments", "segments",
 )  # fmt: skip
 
 
-def _apart(data: bytes) -> _Parts:
-    root, behind = root_bytes(data)
+def _parse(data: bytes) -> _Parts:
+    root, behind = split_root(data)
     indexes = [unpack(root, "root")]
     payloads: list[list[bytes]] = []
     pages = indexes[0].get("pages", [])
-    at = _take(indexes[0], behind, 0, payloads)
+    at = _read_payloads(indexes[0], behind, 0, payloads)
     for entry in pages if isinstance(pages, list) else ():
         length = entry["length"] if isinstance(entry, dict) else 0
         end = at + (length if isinstance(length, int) else 0)
         indexes.append(unpack(behind[at:end], "page"))
-        at = _take(indexes[-1], behind, end, payloads)
+        at = _read_payloads(indexes[-1], behind, end, payloads)
     return _Parts(indexes, payloads)
 
 
-def _take(index: Index, data: bytes, at: int, payloads: list[list[bytes]]) -> int:
+def _read_payloads(index: Index, data: bytes, at: int, payloads: list[list[bytes]]) -> int:
     group = []
     for (length,) in struct.iter_unpack("<I", column(index, "segments", "length")):
         group.append(data[at : at + length])
@@ -145,43 +145,43 @@ def _take(index: Index, data: bytes, at: int, payloads: list[list[bytes]]) -> in
     return at
 
 
-def _rebuilt(change: str, parts: _Parts, other: _Parts, rng: random.Random) -> tuple[str, bytes]:
+def _mutate(change: str, parts: _Parts, other: _Parts, rng: random.Random) -> tuple[str, bytes]:
     """Change one thing of a file and make the rest fit."""
     if change == "payload" and parts.places:
-        change = _change_payload(parts, other, rng)
-        return change, _together(parts)
+        change = _mutate_payload(parts, other, rng)
+        return change, _assemble(parts)
     if change == "segments" and parts.places:
-        change = _change_segments(parts, other, rng)
-        return change, _together(parts)
+        change = _mutate_segments(parts, other, rng)
+        return change, _assemble(parts)
     if change == "column":
         index = rng.choice(parts.indexes)
-        _change_column(table(index, rng.choice(("segments", "segments", "chunks"))), rng)
+        _mutate_column(table(index, rng.choice(("segments", "segments", "chunks"))), rng)
     elif change == "value":
-        _change_value(rng.choice((parts.indexes[0], parts.indexes[0], *parts.indexes)), rng)
+        _mutate_map(rng.choice((parts.indexes[0], parts.indexes[0], *parts.indexes)), rng)
     else:
-        return "index bytes", _together(parts, broken=(rng.randrange(len(parts.indexes)), rng))
-    return change, _together(parts, fit_tables=False)
+        return "index bytes", _assemble(parts, broken=(rng.randrange(len(parts.indexes)), rng))
+    return change, _assemble(parts, fit_tables=False)
 
 
-def _change_payload(parts: _Parts, other: _Parts, rng: random.Random) -> str:
+def _mutate_payload(parts: _Parts, other: _Parts, rng: random.Random) -> str:
     place = rng.choice(parts.places)
     index, row = place
     payload = parts.payloads[index][row]
     kind = parts.kind(place)
-    if kind in _MAPS and rng.random() < 0.9:
+    if kind in _MAP_KINDS and rng.random() < 0.9:
         values = unpack(payload, "payload", most_values=131_072)
-        rng.choice((_change_value, _change_column))(values, rng)
+        rng.choice((_mutate_map, _mutate_column))(values, rng)
         parts.payloads[index][row] = pack(values)
         return "map of a payload"
-    if kind == _ATTRIBUTES or kind in _MAPS:
-        change = rng.choice((changed_bytes, changed_number))
+    if kind == _ATTRIBUTES_KIND or kind in _MAP_KINDS:
+        change = rng.choice((mutate_bytes, mutate_number))
         parts.payloads[index][row] = change(payload, rng) or b"\0"
         return "bytes of a payload"
     borrowed = b"\0\0"
     if other.places:
         i, j = rng.choice(other.places)
         borrowed = other.payloads[i][j]
-    what, changed = changed_payload(payload, borrowed, rng)
+    what, changed = mutate_payload(payload, borrowed, rng)
     parts.payloads[index][row] = changed or b"\0"
     return what
 
@@ -189,7 +189,7 @@ def _change_payload(parts: _Parts, other: _Parts, rng: random.Random) -> str:
 _WIDTHS: Final = {"kind": 1, "owner": 4, "length": 4, "crc": 4, "hash": 16, "needs": 4}
 
 
-def _change_segments(parts: _Parts, other: _Parts, rng: random.Random) -> str:
+def _mutate_segments(parts: _Parts, other: _Parts, rng: random.Random) -> str:
     a, b = rng.choice(parts.places), rng.choice(parts.places)
     index, row = a
     group = parts.payloads[index]
@@ -232,7 +232,7 @@ def _rows(index: Index) -> list[tuple[bytes, ...]]:
     return list(zip(*columns, strict=True))
 
 
-def _change_column(columns: Index, rng: random.Random) -> None:
+def _mutate_column(columns: Index, rng: random.Random) -> None:
     """Change a number of a column, or its length, or take it from another column."""
     names = [name for name, value in columns.items() if isinstance(value, bytes)]
     if not names:
@@ -244,10 +244,10 @@ def _change_column(columns: Index, rng: random.Random) -> None:
         value = columns[rng.choice(names)]
         columns[name] = value
     else:
-        columns[name] = rng.choice((changed_number, changed_number, changed_bytes))(data, rng)
+        columns[name] = rng.choice((mutate_number, mutate_number, mutate_bytes))(data, rng)
 
 
-def _change_value(value: Index, rng: random.Random) -> None:
+def _mutate_map(value: Index, rng: random.Random) -> None:
     """Change, add or take away one value anywhere in a map."""
     place: Index | list[Value] = value
     while True:
@@ -262,27 +262,27 @@ def _change_value(value: Index, rng: random.Random) -> None:
             case 0:
                 place.pop(key, None)
             case 1:
-                place[rng.choice(_KEYS)] = rng.choice(_VALUES)
+                place[rng.choice(_ODD_KEYS)] = rng.choice(_ODD_VALUES)
             case _:
-                place[key] = _changed(place.get(key), rng)
+                place[key] = _mutate_value(place.get(key), rng)
         return
     at = rng.randrange(len(place) + 1)
     match rng.randrange(5):
         case 0:
             del place[at : at + 1]
         case 1:
-            place.insert(at, rng.choice(_VALUES))
+            place.insert(at, rng.choice(_ODD_VALUES))
         case 2:
             place[at:at] = place[at : at + 1] * rng.choice((1, 2, 40))
         case _ if at < len(place):
-            place[at] = _changed(place[at], rng)
+            place[at] = _mutate_value(place[at], rng)
         case _:
             place.append(None)
 
 
-def _changed(value: Value, rng: random.Random) -> Value:
+def _mutate_value(value: Value, rng: random.Random) -> Value:
     if isinstance(value, bytes) and rng.random() < 0.7:
-        return changed_number(value, rng)
+        return mutate_number(value, rng)
     if isinstance(value, float) and rng.random() < 0.6:
         return rng.choice((*FLOATS, -value, value * 2, 1e308, 5e-324))
     if isinstance(value, int) and rng.random() < 0.6:
@@ -290,10 +290,10 @@ def _changed(value: Value, rng: random.Random) -> Value:
         return near if not isinstance(value, bool) else rng.choice((0, 1, not value))
     if isinstance(value, str) and value and rng.random() < 0.4:
         return value.swapcase() if rng.random() < 0.5 else value + value
-    return rng.choice(_VALUES)
+    return rng.choice(_ODD_VALUES)
 
 
-def _together(
+def _assemble(
     parts: _Parts, *, fit_tables: bool = True, broken: tuple[int, random.Random] | None = None
 ) -> bytes:
     """Return the file of its parts, every length and CRC made to fit.
@@ -311,11 +311,11 @@ def _together(
     root = parts.indexes[0]
     for number, (index, group) in enumerate(zip(parts.indexes, parts.payloads, strict=True)):
         if fit_tables:
-            _fit(table(index, "segments"), group)
+            _fit_table(table(index, "segments"), group)
         if number:
             page = pack(index)
             if broken and broken[0] == number:
-                page = changed_bytes(page, broken[1]) or b"\0"
+                page = mutate_bytes(page, broken[1]) or b"\0"
             packed.append(page)
     pages = root.get("pages")
     if isinstance(pages, list):
@@ -326,12 +326,12 @@ def _together(
                 _fit_entry(entry, page, index, group, span, counts=fit_tables)
     body = pack(root)
     if broken and broken[0] == 0:
-        body = changed_bytes(body, broken[1])
+        body = mutate_bytes(body, broken[1])
     behind = [part for pair in zip(packed, spans[1:], strict=True) for part in pair]
     return with_root(body, b"".join([spans[0], *behind]))
 
 
-def _fit(segments: Index, group: Sequence[bytes]) -> None:
+def _fit_table(segments: Index, group: Sequence[bytes]) -> None:
     words = [(len(part), zlib.crc32(part)) for part in group]
     segments["length"] = struct.pack(f"<{len(group)}I", *(length for length, _ in words))
     segments["crc"] = struct.pack(f"<{len(group)}I", *(crc for _, crc in words))

@@ -36,7 +36,7 @@ NO_EXTRA_BITS: Final = StepModel.constant(0)
 """The step model of means that are cells alone."""
 
 
-def numbers(count: int, below: int, seed: int) -> list[int]:
+def pseudo_random(count: int, below: int, seed: int) -> list[int]:
     """Return pseudo-random integers from 0 up to `below`, the same everywhere."""
     state, out = seed * 2654435761 + 1, []
     for _ in range(count):
@@ -51,7 +51,7 @@ def grid(rows: Sequence[GridRow]) -> Grid:
     return Grid(np.array(low, np.float32), np.array(high, np.float32), np.array(levels, np.uint32))
 
 
-def coded(
+def scalar(
     attribute: Attribute,
     rows: Sequence[GridRow],
     codes: Sequence[Sequence[int]],
@@ -82,7 +82,7 @@ def coded(
     return Stream(attribute, Kind.SCALAR, len(codes[0]), grid(rows).pack(), planes, flags)
 
 
-def spread(
+def random_scalar(
     attribute: Attribute,
     rows: int,
     seed: int,
@@ -94,17 +94,17 @@ def spread(
     """Return a scalar stream of pseudo-random codes, every component on a range of its own."""
     components = COMPONENTS[attribute]
     ranges = [(-span - 0.1 * i, span + 0.3 * i, levels + i) for i in range(components)]
-    codes = [numbers(rows, count, seed + 97 * i) for i, (_, _, count) in enumerate(ranges)]
-    return coded(attribute, ranges, codes, flags=ESCAPE if escape else 0)
+    codes = [pseudo_random(rows, count, seed + 97 * i) for i, (_, _, count) in enumerate(ranges)]
+    return scalar(attribute, ranges, codes, flags=ESCAPE if escape else 0)
 
 
 def constant(attribute: Attribute, rows: int, *values: float) -> Stream:
     """Return a scalar stream of one value per component, which takes no plane."""
     columns = [[0] * rows] * len(values)
-    return coded(attribute, [(value, value, 1) for value in values], columns)
+    return scalar(attribute, [(value, value, 1) for value in values], columns)
 
 
-def quats(
+def random_quats(
     rows: int,
     seed: int,
     *,
@@ -124,8 +124,8 @@ def quats(
     escape : bool
     """
     each = not isinstance(largest, int)
-    codes = [numbers(rows, count, seed + 31 * i) for i, (_, _, count) in enumerate(ranges)]
-    body = coded(Attribute.QUATS, ranges, codes)
+    codes = [pseudo_random(rows, count, seed + 31 * i) for i, (_, _, count) in enumerate(ranges)]
+    body = scalar(Attribute.QUATS, ranges, codes)
     params = struct.pack("<B3x", PER_ROW if each else largest) + body.params
     first = [np.array(largest, np.uint8)] if each else []
     flags = ESCAPE if escape else 0
@@ -157,16 +157,14 @@ def sorted_means(
     keys = np.sort(morton.interleave(codes), kind="stable")
     classes, differences = sorted_streams.pack_differences(keys)
     wide = np.array(extra_bits if extra_bits is not None else [0] * len(codes), np.uint8)
-    fields = [numbers(1, 1 << 3 * int(h), seed + 5 * i)[0] for i, h in enumerate(wide)]
+    fields = [pseudo_random(1, 1 << 3 * int(h), seed + 5 * i)[0] for i, h in enumerate(wide)]
     below = bit_fields.pack(np.array(fields, np.uint64), wide * np.uint8(3))
     params = grid(rows).pack() + model.pack()
     planes = [classes, differences, below]
     return Stream(Attribute.MEANS, Kind.SORTED, len(codes), params, planes)
 
 
-def indices(
-    attribute: Attribute, codes: Sequence[int], book: int, size: int, escape: int
-) -> Stream:
+def vq(attribute: Attribute, codes: Sequence[int], book: int, size: int, escape: int) -> Stream:
     """Return a vq stream."""
     planes = grid_planes.split_planes(np.array(codes, np.uint32), size + escape)
     return Stream(attribute, Kind.VQ, len(codes), struct.pack("<II", book, escape), planes)
@@ -180,14 +178,14 @@ def floats(attribute: Attribute, values: Sequence[Sequence[float]]) -> Stream:
     return Stream(attribute, Kind.FLOAT, len(values), b"", planes)
 
 
-def head(rows: int, seed: int, *changed: Stream) -> list[Stream]:
+def random_head(rows: int, seed: int, *changed: Stream) -> list[Stream]:
     """Return the streams of a plain chunk head, those of the same attribute replaced."""
     plain = [
-        spread(Attribute.SCALES, rows, seed + 3, span=4.0, levels=90),
-        quats(rows, seed + 4),
-        spread(Attribute.MEANS, rows, seed, span=3.0, levels=1000),
-        spread(Attribute.OPACITIES, rows, seed + 1, span=5.0, levels=30),
-        spread(Attribute.SH0, rows, seed + 2, span=1.5, levels=200),
+        random_scalar(Attribute.SCALES, rows, seed + 3, span=4.0, levels=90),
+        random_quats(rows, seed + 4),
+        random_scalar(Attribute.MEANS, rows, seed, span=3.0, levels=1000),
+        random_scalar(Attribute.OPACITIES, rows, seed + 1, span=5.0, levels=30),
+        random_scalar(Attribute.SH0, rows, seed + 2, span=1.5, levels=200),
     ]
     return _replaced(plain, changed)
 
@@ -197,19 +195,19 @@ def _replaced(plain: Sequence[Stream], changed: Sequence[Stream]) -> list[Stream
     return [found.get(stream.attribute, stream) for stream in plain]
 
 
-def place(body: Sequence[Stream], attribute: Attribute) -> int:
+def stream_index(body: Sequence[Stream], attribute: Attribute) -> int:
     """Return where in a payload the stream of an attribute is."""
     return [stream.attribute for stream in body].index(attribute)
 
 
-def still_head(rows: int, *changed: Stream) -> list[Stream]:
+def uniform_head(rows: int, *changed: Stream) -> list[Stream]:
     """Return the streams of a chunk head whose splats are all alike, some of them replaced."""
 
     def flat(attribute: Attribute) -> Stream:
         return constant(attribute, rows, *[0.5] * COMPONENTS[attribute])
 
     others = [flat(a) for a in (Attribute.MEANS, Attribute.OPACITIES, Attribute.SH0)]
-    turned = quats(rows, 1, ranges=[(0.0, 0.0, 1)] * 3)
+    turned = random_quats(rows, 1, ranges=[(0.0, 0.0, 1)] * 3)
     return _replaced([flat(Attribute.SCALES), turned, *others], changed)
 
 
@@ -220,23 +218,23 @@ def vq_head(
     return [
         *escape,
         shape,
-        spread(Attribute.SCALE_FACTOR, rows, seed + 5, span=2.0, levels=50),
-        *(still_head(rows) if still else head(rows, seed))[2:],
+        random_scalar(Attribute.SCALE_FACTOR, rows, seed + 5, span=2.0, levels=50),
+        *(uniform_head(rows) if still else random_head(rows, seed))[2:],
     ]
 
 
-def shape_book(rows: int, seed: int) -> list[Stream]:
+def shape_codebook(rows: int, seed: int) -> list[Stream]:
     """Return the streams of a shape codebook."""
     return [
-        spread(Attribute.SCALES, rows, seed, span=1.0, levels=60),
-        quats(rows, seed + 1, largest=[i % 4 for i in range(rows)]),
+        random_scalar(Attribute.SCALES, rows, seed, span=1.0, levels=60),
+        random_quats(rows, seed + 1, largest=[i % 4 for i in range(rows)]),
     ]
 
 
 def band(number: int, rows: int, seed: int, *, escape: bool = False) -> Stream:
     """Return the stream of one SH band, 1 to 3."""
     attribute = (Attribute.SH1, Attribute.SH2, Attribute.SH3)[number - 1]
-    return spread(attribute, rows, seed + number, span=0.5, levels=17, escape=escape)
+    return random_scalar(attribute, rows, seed + number, span=0.5, levels=17, escape=escape)
 
 
 def bands(degree: int, rows: int, seed: int, *, escape: bool = False) -> list[Stream]:

@@ -10,7 +10,7 @@ from cogsplat.formats.cogs.canonical_msgpack import Value
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
 
-from . import handmade_streams as scenes
+from . import handmade_streams as handmade
 from .file_builder import (
     ChunkRow,
     Draft,
@@ -53,60 +53,60 @@ class Invalid:
     partial: bool = False
 
 
-def bare() -> Draft:
+def no_splats() -> Draft:
     """Return a file of no splats at SH degree 0: a root and nothing behind it."""
     return Draft(root_keys(0, 0), [Group([], [])])
 
 
-def still() -> Draft:
+def uniform_chunk() -> Draft:
     """Return a file of one chunk of three splats, all alike, at SH degree 0."""
-    return one_chunk(pack_streams(scenes.still_head(3)), 3)
+    return one_chunk(pack_streams(handmade.uniform_head(3)), 3)
 
 
 def plain() -> Draft:
     """Return a file of one chunk of three splats at SH degree 0."""
-    return one_chunk(pack_streams(scenes.head(3, 1)), 3)
+    return one_chunk(pack_streams(handmade.random_head(3, 1)), 3)
 
 
-def glossy(degree: int = 2) -> Draft:
+def chunk_with_tail(degree: int = 2) -> Draft:
     """Return a file of one chunk of three splats with a tail."""
-    head = pack_streams(scenes.still_head(3))
-    return one_chunk(head, 3, tail=pack_streams(scenes.bands(degree, 3, 5)), sh_degree=degree)
+    head = pack_streams(handmade.uniform_head(3))
+    return one_chunk(head, 3, tail=pack_streams(handmade.bands(degree, 3, 5)), sh_degree=degree)
 
 
-def books() -> Draft:
+def chunk_with_codebooks() -> Draft:
     """Return a file of one chunk whose shapes and colours come from codebooks, SH degree 2."""
-    shape = scenes.indices(Attribute.SHAPE, [0, 4, 2], 0, 5, 0)
-    colour = scenes.indices(Attribute.SHN, [1, 0, 3], 1, 4, 0)
+    shape = handmade.vq(Attribute.SHAPE, [0, 4, 2], 0, 5, 0)
+    colour = handmade.vq(Attribute.SHN, [1, 0, 3], 1, 4, 0)
     rows = {
-        "shape": (5, [pack_streams(scenes.shape_book(5, 1))]),
-        "colour": (4, [pack_streams([scenes.band(i, 4, 2)]) for i in (1, 2)]),
+        "shape": (5, [pack_streams(handmade.shape_codebook(5, 1))]),
+        "colour": (4, [pack_streams([handmade.band(i, 4, 2)]) for i in (1, 2)]),
     }
-    head = pack_streams(scenes.vq_head(3, 1, shape, still=True))
+    head = pack_streams(handmade.vq_head(3, 1, shape, still=True))
     tail = pack_streams([colour])
     return one_chunk(head, 3, tail=tail, sh_degree=2, books=rows, needs=(0, 1))
 
 
-def chunks() -> Draft:
+def two_chunks() -> Draft:
     """Return a file of two chunks with tails, SH degree 1."""
     segments = []
     for number in range(2):
-        head = pack_streams(scenes.still_head(2))
-        tail = pack_streams(scenes.bands(1, 2, 5 + number))
+        head = pack_streams(handmade.uniform_head(2))
+        tail = pack_streams(handmade.bands(1, 2, 5 + number))
         segments.append(Segment(SegmentKind.HEAD, number, head))
         segments.append(Segment(SegmentKind.TAIL, number, tail))
     return Draft(root_keys(4, 1), [Group(segments, [ChunkRow(2)] * 2)])
 
 
-def pages() -> Draft:
+def paged_chunks() -> Draft:
     """Return a file whose second chunk is listed in an index page."""
-    whole = chunks()
+    whole = two_chunks()
     segments = whole.groups[0].segments
     parts = [Group(segments[:2], [ChunkRow(2)]), Group(segments[2:], [ChunkRow(2)])]
     return replace(whole, groups=parts)
 
 
-def edited(draft: Draft, change: Callable[[Index], object], number: int = 0) -> bytes:
+def build_edited(draft: Draft, change: Callable[[Index], object], number: int = 0) -> bytes:
     """Return the file with one index changed: 0 is the root, 1 and up pages."""
 
     def edit(index_number: int, index: Index) -> None:
@@ -116,7 +116,7 @@ def edited(draft: Draft, change: Callable[[Index], object], number: int = 0) -> 
     return build(draft, edit)
 
 
-def set_key(key: str, value: Value, *, within: str = "") -> Callable[[Index], object]:
+def key_setter(key: str, value: Value, *, within: str = "") -> Callable[[Index], object]:
     """Return a change that sets a key of the index, or of a table within it."""
 
     def change(index: Index) -> None:

@@ -15,7 +15,7 @@ from cogsplat.codec.streams.records import ESCAPE, INFINITIES, Attribute, Kind, 
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
 
-from . import handmade_streams as scenes
+from . import handmade_streams as handmade
 from .file_builder import (
     PAYLOAD_HEAD,
     Draft,
@@ -27,7 +27,7 @@ from .file_builder import (
     poke,
     record,
 )
-from .invalid import Invalid, books, with_segments
+from .invalid import Invalid, chunk_with_codebooks, with_segments
 
 _ROWS: Final = 300
 """Enough rows for zstd to shrink a plane."""
@@ -38,7 +38,7 @@ def _refused(name: str, data: bytes, code: str, clause: str, note: str) -> Inval
 
 
 def _head(*changed: Stream, rows: int = 3) -> bytes:
-    return build(one_chunk(pack_streams(scenes.head(rows, 1, *changed)), rows))
+    return build(one_chunk(pack_streams(handmade.random_head(rows, 1, *changed)), rows))
 
 
 def _raw(head: bytes, rows: int = 3) -> bytes:
@@ -46,23 +46,23 @@ def _raw(head: bytes, rows: int = 3) -> bytes:
 
 
 def _tail(entries: Sequence[Stream], degree: int = 2) -> bytes:
-    head = pack_streams(scenes.still_head(3))
+    head = pack_streams(handmade.uniform_head(3))
     return build(one_chunk(head, 3, tail=pack_streams(entries), sh_degree=degree))
 
 
 def _records(attribute: Attribute | None = None, **changes: int) -> list[Record]:
     """Return a plain head's records, fields of one of them changed."""
-    head = scenes.head(3, 1)
+    head = handmade.random_head(3, 1)
     return [record(s, **(changes if s.attribute == attribute else {})) for s in head]
 
 
 def _opacities(body: Sequence[Stream]) -> int:
-    return scenes.place(body, Attribute.OPACITIES)
+    return handmade.stream_index(body, Attribute.OPACITIES)
 
 
 def records() -> list[Invalid]:
     """Return the vectors of SPEC 6.1 and 6.2."""
-    head = scenes.head(3, 1)
+    head = handmade.random_head(3, 1)
     good = pack_streams(head)
 
     def bad(name: str, data: bytes, code: str, note: str, clause: str = "6.2") -> Invalid:
@@ -79,7 +79,7 @@ def records() -> list[Invalid]:
     more = _records()
     more[_opacities(head)].planes.append((1, b"\0"))
     infinite = _records()
-    floats = scenes.floats(Attribute.OPACITIES, [[0.0]] * 3)
+    floats = handmade.floats(Attribute.OPACITIES, [[0.0]] * 3)
     infinite[_opacities(head)] = record(floats, flags=INFINITIES)
     fewer = _records()
     del fewer[0].planes[-1]
@@ -117,8 +117,8 @@ def records() -> list[Invalid]:
 def planes() -> list[Invalid]:
     """Return the vectors of SPEC 6.3."""
     pattern = np.array([row // 30 for row in range(_ROWS)], np.uint8)
-    opacities = scenes.coded(Attribute.OPACITIES, [(-2.0, 2.0, 10)], [pattern.tolist()])
-    still = scenes.still_head(_ROWS, opacities)
+    opacities = handmade.scalar(Attribute.OPACITIES, [(-2.0, 2.0, 10)], [pattern.tolist()])
+    still = handmade.uniform_head(_ROWS, opacities)
     changed = _opacities(still)
     raw = pattern.tobytes()
     frame: bytes = zstandard.ZstdCompressor(level=19).compress(raw)
@@ -179,15 +179,15 @@ def grids() -> list[Invalid]:
 
     def grid(name: str, low: float, high: float, levels: int, code: str, note: str) -> Invalid:
         params = struct.pack("<ffI", low, high, levels)
-        good = scenes.coded(Attribute.MEANS, means, codes)
+        good = handmade.scalar(Attribute.MEANS, means, codes)
         return bad(name, replace(good, params=good.params[:24] + params), code, "6.4", note)
 
-    quats = scenes.quats(3, 1)
-    rows = scenes.quats(3, 1, largest=[0, 1, 2])
-    past = scenes.coded(Attribute.MEANS, means, [[0, 1, 4], [0] * 3, [0] * 3])
-    opacities = scenes.coded(Attribute.OPACITIES, [(0.0, 1.0, 4)], [[0, 5, 6]], flags=INFINITIES)
+    quats = handmade.random_quats(3, 1)
+    rows = handmade.random_quats(3, 1, largest=[0, 1, 2])
+    past = handmade.scalar(Attribute.MEANS, means, [[0, 1, 4], [0] * 3, [0] * 3])
+    opacities = handmade.scalar(Attribute.OPACITIES, [(0.0, 1.0, 4)], [[0, 5, 6]], flags=INFINITIES)
     infinite = replace(
-        scenes.coded(Attribute.OPACITIES, [(0.0, 1.0, 9)], [[0, 1, 2]], flags=INFINITIES),
+        handmade.scalar(Attribute.OPACITIES, [(0.0, 1.0, 9)], [[0, 1, 2]], flags=INFINITIES),
         params=struct.pack("<ffI", 0.0, 1.0, (1 << 24) - 1),
         planes=[np.zeros(3, np.uint8)] * 3,
     )
@@ -202,7 +202,8 @@ def grids() -> list[Invalid]:
             "2^24 - 1 levels and two codes more"),
         bad("code-past", past, "code-range", "6.4", "code 4 of 4 levels"),
         bad("code-past-infinity", opacities, "code-range", "6.4", "code 6 of 4 levels and two"),
-        bad("quats-wide", scenes.quats(3, 1, ranges=[(-1.5, 1.0, 4)] * 3), "grid-value", "6.6",
+        bad("quats-wide", handmade.random_quats(3, 1, ranges=[(-1.5, 1.0, 4)] * 3), "grid-value",
+            "6.6",
             "components down to -1.5"),
         bad("quats-largest-4", replace(quats, params=b"\4" + quats.params[1:]), "quat-largest",
             "6.6", "component 4 left out"),
@@ -212,15 +213,17 @@ def grids() -> list[Invalid]:
             "quat-largest", "6.6", "component 4 left out in one row"),
         bad("quats-params", replace(quats, params=quats.params[:-1]), "stream-params", "6.2",
             "39 bytes of parameters, not 40"),
-        bad("float-nan", scenes.floats(Attribute.SH0, [[0.0, math.nan, 0.0]] * 3), "float-value",
+        bad("float-nan", handmade.floats(Attribute.SH0, [[0.0, math.nan, 0.0]] * 3), "float-value",
             "6.8", "NaN in sh0"),
-        bad("float-infinite", scenes.floats(Attribute.MEANS, [[math.inf, 0.0, 0.0]] * 3),
+        bad("float-infinite", handmade.floats(Attribute.MEANS, [[math.inf, 0.0, 0.0]] * 3),
             "float-value", "6.8", "an infinite mean"),
-        bad("float-huge", scenes.floats(Attribute.SCALES, [[-1.3e30, 0.0, 0.0]] * 3), "float-value",
+        bad("float-huge", handmade.floats(Attribute.SCALES, [[-1.3e30, 0.0, 0.0]] * 3),
+            "float-value",
             "6.8", "a value below -2^100"),
-        bad("float-opacity-nan", scenes.floats(Attribute.OPACITIES, [[math.nan]] * 3),
+        bad("float-opacity-nan", handmade.floats(Attribute.OPACITIES, [[math.nan]] * 3),
             "float-value", "6.8", "an opacity of NaN"),
-        bad("float-params", replace(scenes.floats(Attribute.OPACITIES, [[0.0]] * 3), params=b"\0"),
+        bad("float-params", replace(handmade.floats(Attribute.OPACITIES, [[0.0]] * 3),
+            params=b"\0"),
             "stream-params", "6.2", "parameters where there are none"),
     ]  # fmt: skip
 
@@ -229,7 +232,7 @@ def sorted_means() -> list[Invalid]:
     """Return the vectors of SPEC 6.5."""
     ranges = [(-1.0, 1.0, 8)] * 3
     wide = [(-1.0, 1.0, 1 << 17)] * 3
-    good = scenes.sorted_means([[1, 2, 3], [4, 5, 6], [7, 7, 7]], ranges)
+    good = handmade.sorted_means([[1, 2, 3], [4, 5, 6], [7, 7, 7]], ranges)
 
     def bad(
         name: str,
@@ -240,13 +243,13 @@ def sorted_means() -> list[Invalid]:
         clause: str = "6.5",
     ) -> Invalid:
         planes = [np.array(classes, np.uint8), np.frombuffer(bits, np.uint8), good.planes[2]]
-        stream = replace(good, params=scenes.grid(wide).pack() + good.params[36:], planes=planes)
+        stream = replace(good, params=handmade.grid(wide).pack() + good.params[36:], planes=planes)
         return _refused(name, _head(stream), code, clause, note)
 
     many = replace(
-        good, params=scenes.grid([(-1.0, 1.0, (1 << 17) + 1)] * 3).pack() + good.params[36:]
+        good, params=handmade.grid([(-1.0, 1.0, (1 << 17) + 1)] * 3).pack() + good.params[36:]
     )
-    past = scenes.sorted_means([[0, 0, 0], [0, 0, 1], [0, 0, 9]], ranges)
+    past = handmade.sorted_means([[0, 0, 0], [0, 0, 1], [0, 0, 9]], ranges)
     no_model = replace(good, params=good.params[:36])
     return [
         bad("morton-class-52", "morton-class", "a difference of 52 bits", [0, 52, 0], bytes(7)),
@@ -269,7 +272,7 @@ def _books(
     head: Sequence[Stream], tail: Sequence[Stream], needs: tuple[int, ...] = (0, 1)
 ) -> bytes:
     """Return the file with codebooks of 5 shapes and 4 colours with another head and tail."""
-    draft: Draft = books()
+    draft: Draft = chunk_with_codebooks()
     segments = list(draft.groups[0].segments[:3])
     segments.append(Segment(SegmentKind.HEAD, 0, pack_streams(head), needs))
     segments.append(Segment(SegmentKind.TAIL, 0, pack_streams(tail), needs))
@@ -278,14 +281,14 @@ def _books(
 
 def codebooks() -> list[Invalid]:
     """Return the vectors of SPEC 6.7 and of streams that do not belong together (SPEC 7)."""
-    shape = scenes.indices(Attribute.SHAPE, [0, 4, 2], 0, 5, 0)
-    colour = scenes.indices(Attribute.SHN, [1, 0, 3], 1, 4, 0)
-    head = scenes.vq_head(3, 1, shape, still=True)
+    shape = handmade.vq(Attribute.SHAPE, [0, 4, 2], 0, 5, 0)
+    colour = handmade.vq(Attribute.SHN, [1, 0, 3], 1, 4, 0)
+    head = handmade.vq_head(3, 1, shape, still=True)
     own = [
-        scenes.spread(Attribute.SCALES, 1, 3, escape=True),
-        scenes.quats(1, 4, escape=True),
+        handmade.random_scalar(Attribute.SCALES, 1, 3, escape=True),
+        handmade.random_quats(1, 4, escape=True),
     ]
-    with_own = scenes.indices(Attribute.SHAPE, [0, 5, 2], 0, 5, 1)
+    with_own = handmade.vq(Attribute.SHAPE, [0, 5, 2], 0, 5, 1)
 
     def bad(
         name: str,
@@ -298,16 +301,16 @@ def codebooks() -> list[Invalid]:
         tail: Sequence[Stream] = (colour,),
         needs: tuple[int, ...] = (0, 1),
     ) -> Invalid:
-        data = _books(scenes.vq_head(3, 1, shape, *escape, still=True), tail, needs)
+        data = _books(handmade.vq_head(3, 1, shape, *escape, still=True), tail, needs)
         return _refused(name, data, code, clause, note)
 
     def index(attribute: Attribute, codes: Sequence[int], book: int, escape: int = 0) -> Stream:
-        return scenes.indices(attribute, codes, book, 5, escape)
+        return handmade.vq(attribute, codes, book, 5, escape)
 
-    scalar_shape = scenes.spread(Attribute.SHAPE, 3, 1)
+    scalar_shape = handmade.random_scalar(Attribute.SHAPE, 3, 1)
     many_escape = index(Attribute.SHAPE, [0, 1, 2], 0, 4)
     short = replace(shape, params=shape.params[:7])
-    mixed = [*head, scenes.spread(Attribute.SCALES, 3, 1)]
+    mixed = [*head, handmade.random_scalar(Attribute.SCALES, 3, 1)]
     lone = [stream for stream in head if stream.attribute != Attribute.SCALE_FACTOR]
     return [
         bad("index-past", "index-range", "6.7", "row 5 of 5",
@@ -327,12 +330,12 @@ def codebooks() -> list[Invalid]:
         bad("escape-none", "stream-missing", "7.2", "an escape row stated, none there",
             shape=with_own),
         bad("escape-two", "stream-rows", "6.2", "one escape row stated, two there", shape=with_own,
-            escape=[scenes.spread(Attribute.SCALES, 2, 3, escape=True), own[1]]),
+            escape=[handmade.random_scalar(Attribute.SCALES, 2, 3, escape=True), own[1]]),
         bad("escape-unstated", "stream-unexpected", "7.2", "escape rows not stated", escape=own),
         bad("vq-params", "stream-params", "6.2", "7 bytes of parameters, not 8", shape=short),
         bad("shape-scalar", "stream-kind", "6.2", "shapes as a scalar stream", shape=scalar_shape),
         bad("tail-mixed", "stream-unexpected", "7.3", "a codebook's colours and a band beside them",
-            tail=[colour, scenes.band(1, 3, 1)]),
+            tail=[colour, handmade.band(1, 3, 1)]),
         _refused("head-mixed", _books(mixed, [colour]), "stream-unexpected", "7.2",
                  "shapes from a codebook and scales beside them"),
         _refused("factor-missing", _books(lone, [colour]), "stream-missing", "7.2",
@@ -342,7 +345,7 @@ def codebooks() -> list[Invalid]:
 
 def heads_and_tails() -> list[Invalid]:
     """Return the vectors of SPEC 7: streams missing, in the wrong place, of the wrong kind."""
-    head = scenes.head(3, 1)
+    head = handmade.random_head(3, 1)
 
     def lacks(attribute: Attribute) -> bytes:
         return _raw(pack_streams([stream for stream in head if stream.attribute != attribute]))
@@ -351,43 +354,43 @@ def heads_and_tails() -> list[Invalid]:
         return _refused(name, _head(stream), "stream-kind", "6.2", note)
 
     flagged = [replace(head[0], flags=head[0].flags | ESCAPE), *head[1:]]
-    three = scenes.bands(2, 3, 5)
-    still = scenes.spread(Attribute.QUATS, 3, 1, span=0.2)
-    codes = scenes.indices(Attribute.OPACITIES, [0, 1, 2], 0, 5, 0)
+    three = handmade.bands(2, 3, 5)
+    still = handmade.random_scalar(Attribute.QUATS, 3, 1, span=0.2)
+    codes = handmade.vq(Attribute.OPACITIES, [0, 1, 2], 0, 5, 0)
     cells = replace(
-        scenes.sorted_means([[0, 1, 2]] * 3, [(-1.0, 1.0, 8)] * 3), attribute=Attribute.SH0
+        handmade.sorted_means([[0, 1, 2]] * 3, [(-1.0, 1.0, 8)] * 3), attribute=Attribute.SH0
     )
-    turned = replace(scenes.quats(3, 1), attribute=Attribute.SCALES)
+    turned = replace(handmade.random_quats(3, 1), attribute=Attribute.SCALES)
     return [
         *(_refused(f"no-{a.name.lower()}", lacks(a), "stream-missing", "7.2", "one missing")
           for a in (Attribute.MEANS, Attribute.OPACITIES, Attribute.SH0, Attribute.SCALES,
                     Attribute.QUATS)),
         _refused("no-streams", _raw(pack_streams([])), "stream-missing", "7.2", "an empty head"),
-        _refused("head-band", _raw(pack_streams([*head, scenes.band(1, 3, 1)])),
+        _refused("head-band", _raw(pack_streams([*head, handmade.band(1, 3, 1)])),
                  "stream-unexpected", "7.2", "an SH band in a head"),
         _refused("head-escape", _raw(pack_streams(flagged)), "stream-missing", "7.2",
                  "scales that say they are escape rows"),
-        _refused("tail-band-above", _tail([*three, scenes.band(3, 3, 5)]), "stream-unexpected",
+        _refused("tail-band-above", _tail([*three, handmade.band(3, 3, 5)]), "stream-unexpected",
                  "7.3", "a third band at SH degree 2"),
         _refused("tail-sh0", _tail([*three, head[-1]]), "stream-unexpected", "7.3",
                  "sh0 in a tail"),
-        _refused("tail-escape", _tail([scenes.band(1, 3, 5, escape=True)]),
+        _refused("tail-escape", _tail([handmade.band(1, 3, 5, escape=True)]),
                  "stream-unexpected", "7.3", "escape rows without indices"),
         kind("quats-scalar", still, "quats as a scalar stream"),
         kind("opacities-vq", codes, "opacities as indices"),
         kind("sh0-sorted", cells, "sh0 as a sorted stream"),
         kind("scales-quat", turned, "scales as a quat stream"),
-        _refused("shn-scalar", _tail([replace(scenes.band(1, 3, 1), attribute=Attribute.SHN,
+        _refused("shn-scalar", _tail([replace(handmade.band(1, 3, 1), attribute=Attribute.SHN,
                                               kind=Kind.SCALAR)]),
                  "stream-kind", "6.2", "shN as a scalar stream"),
-        _book_streams("book-no-quats", scenes.shape_book(5, 1)[:1], "stream-missing",
+        _book_streams("book-no-quats", handmade.shape_codebook(5, 1)[:1], "stream-missing",
                       "a shape codebook without quats"),
-        _book_streams("book-opacities", [*scenes.shape_book(5, 1),
-                                         scenes.spread(Attribute.OPACITIES, 5, 1)],
+        _book_streams("book-opacities", [*handmade.shape_codebook(5, 1),
+                                         handmade.random_scalar(Attribute.OPACITIES, 5, 1)],
                       "stream-unexpected", "opacities in a shape codebook"),
-        _book_streams("book-rows", scenes.shape_book(4, 1), "stream-rows",
+        _book_streams("book-rows", handmade.shape_codebook(4, 1), "stream-rows",
                       "4 rows in a codebook of 5", "6.2"),
-        _book_streams("book-band-wrong", [scenes.band(1, 4, 2)], "stream-unexpected",
+        _book_streams("book-band-wrong", [handmade.band(1, 4, 2)], "stream-unexpected",
                       "the first band in the second band's segment", segment=2),
     ]  # fmt: skip
 
@@ -401,7 +404,7 @@ def _book_streams(
     *,
     segment: int = 0,
 ) -> Invalid:
-    draft = books()
+    draft = chunk_with_codebooks()
     segments = list(draft.groups[0].segments)
     segments[segment] = replace(segments[segment], payload=pack_streams(body))
     return _refused(name, build(with_segments(draft, segments)), code, clause, note)

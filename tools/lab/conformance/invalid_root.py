@@ -7,15 +7,15 @@ import math
 from cogsplat.formats.cogs.canonical_msgpack import Value
 from cogsplat.formats.cogs.layout import MAGIC
 
-from .file_builder import Index, build, poke, preamble_field, root_bytes, with_root
-from .invalid import Invalid, bare, edited, pages, set_key, still
+from .file_builder import Index, build, poke, preamble_field, split_root, with_root
+from .invalid import Invalid, build_edited, key_setter, no_splats, paged_chunks, uniform_chunk
 
 
 def preambles() -> list[Invalid]:
     """Return the vectors of SPEC 3."""
-    good = build(bare())
-    root_end = 64 + len(root_bytes(good)[0])
-    longer = build(still())
+    good = build(no_splats())
+    root_end = 64 + len(split_root(good)[0])
+    longer = build(uniform_chunk())
     zeros = bytes(8)
 
     def field(name: str, offset: int, layout: str, value: int, code: str, note: str) -> Invalid:
@@ -69,7 +69,7 @@ def preambles() -> list[Invalid]:
 
 def packings() -> list[Invalid]:
     """Return the vectors of SPEC 4.1: roots that are not the msgpack subset."""
-    root, behind = root_bytes(build(bare()))
+    root, behind = split_root(build(no_splats()))
     keys = root[0]
 
     def added(raw: bytes) -> bytes:
@@ -132,7 +132,7 @@ def roots() -> list[Invalid]:
     """Return the vectors of SPEC 4.2 to 4.4 and 5.5: keys of the root that break a rule."""
 
     def value(name: str, key: str, content: Value, note: str, code: str = "root-value") -> Invalid:
-        return Invalid(name, edited(bare(), set_key(key, content)), code, "4.2", note)
+        return Invalid(name, build_edited(no_splats(), key_setter(key, content)), code, "4.2", note)
 
     def wrong(name: str, key: str, content: Value, note: str) -> Invalid:
         return value(name, key, content, note, "root-type")
@@ -142,14 +142,14 @@ def roots() -> list[Invalid]:
     return [
         Invalid(
             "root-no-splats",
-            edited(bare(), lambda index: _without(index, "splats")),
+            build_edited(no_splats(), lambda index: _without(index, "splats")),
             "root-missing",
             "4.2",
             "no key splats",
         ),
         Invalid(
             "root-no-chunks",
-            edited(bare(), lambda index: _without(index, "chunks")),
+            build_edited(no_splats(), lambda index: _without(index, "chunks")),
             "root-missing",
             "4.2",
             "no key chunks",
@@ -194,12 +194,12 @@ def _page() -> Value:
 def _must_understand() -> list[Invalid]:
     book: Value = {"attribute": "shape", "rows": 1, "new!": 1}
     places = {
-        "root": edited(bare(), set_key("new!", None)),
-        "segments": edited(bare(), set_key("new!", 1, within="segments")),
-        "chunks": edited(bare(), set_key("new!", 1, within="chunks")),
-        "codebook": edited(bare(), set_key("codebooks", [book])),
-        "first-view": edited(bare(), set_key("first_view", _view() | {"new!": 1})),
-        "page": edited(pages(), set_key("new!", 1), 1),
+        "root": build_edited(no_splats(), key_setter("new!", None)),
+        "segments": build_edited(no_splats(), key_setter("new!", 1, within="segments")),
+        "chunks": build_edited(no_splats(), key_setter("new!", 1, within="chunks")),
+        "codebook": build_edited(no_splats(), key_setter("codebooks", [book])),
+        "first-view": build_edited(no_splats(), key_setter("first_view", _view() | {"new!": 1})),
+        "page": build_edited(paged_chunks(), key_setter("new!", 1), 1),
     }
     return [
         Invalid(
@@ -228,7 +228,7 @@ def _view() -> Index:
 
 def _first_views() -> list[Invalid]:
     def view(name: str, change: Index, note: str, code: str = "root-value") -> Invalid:
-        data = edited(bare(), set_key("first_view", _view() | change))
+        data = build_edited(no_splats(), key_setter("first_view", _view() | change))
         return Invalid(f"view-{name}", data, code, "4.4", note)
 
     mirrored: list[Value] = [-1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
@@ -247,7 +247,7 @@ def _first_views() -> list[Invalid]:
 def _codebooks() -> list[Invalid]:
     def book(name: str, attribute: str, rows: int, code: str, note: str) -> Invalid:
         entry: list[Value] = [{"attribute": attribute, "rows": rows}]
-        data = edited(bare(), set_key("codebooks", entry))
+        data = build_edited(no_splats(), key_setter("codebooks", entry))
         return Invalid(name, data, code, "5.5", note)
 
     return [

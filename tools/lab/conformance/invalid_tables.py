@@ -10,7 +10,7 @@ from cogsplat.formats.cogs.canonical_msgpack import Value
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
 
-from . import handmade_streams as scenes
+from . import handmade_streams as handmade
 from .file_builder import (
     ChunkRow,
     Draft,
@@ -25,14 +25,14 @@ from .file_builder import (
 )
 from .invalid import (
     Invalid,
-    bare,
-    books,
-    chunks,
-    edited,
-    glossy,
-    pages,
-    set_key,
-    still,
+    build_edited,
+    chunk_with_codebooks,
+    chunk_with_tail,
+    key_setter,
+    no_splats,
+    paged_chunks,
+    two_chunks,
+    uniform_chunk,
     with_segments,
 )
 
@@ -45,11 +45,11 @@ def _poked(
     def change(index: Index) -> None:
         table(index, name)[key] = poke(column(index, name, key), offset, layout, value)
 
-    return edited(draft, change, number)
+    return build_edited(draft, change, number)
 
 
 def _without(draft: Draft, name: str, key: str) -> bytes:
-    return edited(draft, lambda index: table(index, name).pop(key))
+    return build_edited(draft, lambda index: table(index, name).pop(key))
 
 
 def segment_tables() -> list[Invalid]:
@@ -59,19 +59,22 @@ def segment_tables() -> list[Invalid]:
         return Invalid(name, data, code, clause, note)
 
     def cut(key: str, count: int) -> bytes:
-        return edited(
-            still(),
+        return build_edited(
+            uniform_chunk(),
             lambda i: table(i, "segments").update({key: column(i, "segments", key)[:-count]}),
         )
 
-    whole = build(still())
-    short = _poked(still(), "segments", "length", 0, "I", 100)
-    zero = with_segments(still(), [*still().groups[0].segments, Segment(200, 0, b"")])
+    whole = build(uniform_chunk())
+    short = _poked(uniform_chunk(), "segments", "length", 0, "I", 100)
+    zero = with_segments(
+        uniform_chunk(), [*uniform_chunk().groups[0].segments, Segment(200, 0, b"")]
+    )
     return [
-        bad("segments-no-crc", _without(still(), "segments", "crc"), "root-missing", "no CRCs"),
+        bad("segments-no-crc", _without(uniform_chunk(), "segments", "crc"), "root-missing",
+            "no CRCs"),
         bad(
             "segments-text",
-            edited(still(), set_key("kind", "\x01", within="segments")),
+            build_edited(uniform_chunk(), key_setter("kind", "\x01", within="segments")),
             "root-type",
             "kinds as str",
         ),
@@ -79,32 +82,34 @@ def segment_tables() -> list[Invalid]:
         bad("segments-column-odd", cut("length", 1), "root-columns", "lengths of 3 bytes"),
         bad("segments-hash-short", cut("hash", 1), "root-columns", "a hash of 15 bytes"),
         bad("segment-empty", build(zero), "root-value", "a segment of 0 bytes"),
-        bad("segment-longer", _poked(still(), "segments", "length", 0, "I", 0xFFFFFFFF),
+        bad("segment-longer", _poked(uniform_chunk(), "segments", "length", 0, "I", 0xFFFFFFFF),
             "segments-length", "a segment of 4 GiB", "5.1"),
         bad("segment-shorter", short, "segments-length", "bytes that no segment holds", "5.1"),
         bad(
             "segment-kind-0",
-            _poked(still(), "segments", "kind", 0, "B", 0),
+            _poked(uniform_chunk(), "segments", "kind", 0, "B", 0),
             "segment-kind-unknown",
             "kind 0",
             "5.2",
         ),
         bad(
             "segment-kind-127",
-            _poked(still(), "segments", "kind", 0, "B", 127),
+            _poked(uniform_chunk(), "segments", "kind", 0, "B", 127),
             "segment-kind-unknown",
             "kind 127",
             "5.2",
         ),
-        bad("needs-none", _poked(still(), "segments", "needs", 0, "I", 1), "needs-range",
+        bad("needs-none", _poked(uniform_chunk(), "segments", "needs", 0, "I", 1), "needs-range",
             "a codebook needed where there are none"),
-        bad("needs-third", _poked(books(), "segments", "needs", 12, "I", 1 << 31), "needs-range",
+        bad("needs-third", _poked(chunk_with_codebooks(), "segments", "needs", 12, "I", 1 << 31),
+            "needs-range",
             "codebook 31 needed where there are two"),
         Invalid("segment-flip", whole[:-1] + bytes([whole[-1] ^ 1]), "segment-crc", "5.3",
                 "a bit of a head flipped", "decode"),
-        Invalid("segment-crc-wrong", _poked(still(), "segments", "crc", 0, "I", 7), "segment-crc",
+        Invalid("segment-crc-wrong", _poked(uniform_chunk(), "segments", "crc", 0, "I", 7),
+                "segment-crc",
                 "5.3", "another CRC in the table", "decode"),
-        Invalid("segment-hash-wrong", _poked(still(), "segments", "hash", 3, "B", 0),
+        Invalid("segment-hash-wrong", _poked(uniform_chunk(), "segments", "hash", 3, "B", 0),
                 "segment-hash", "5.3", "another hash in the table", "verify"),
     ]  # fmt: skip
 
@@ -113,28 +118,30 @@ def chunk_tables() -> list[Invalid]:
     """Return the vectors of SPEC 5.4."""
 
     def value(name: str, key: str, offset: int, layout: str, number: float, note: str) -> Invalid:
-        data = _poked(still(), "chunks", key, offset, layout, number)
+        data = _poked(uniform_chunk(), "chunks", key, offset, layout, number)
         return Invalid(name, data, "root-value", "5.4", note)
 
     def order(name: str, segments: list[Segment], code: str, note: str) -> Invalid:
-        return Invalid(name, build(with_segments(chunks(), segments)), code, "5.4", note)
+        return Invalid(name, build(with_segments(two_chunks(), segments)), code, "5.4", note)
 
     def total(name: str, draft: Draft, splats: int, note: str) -> Invalid:
-        data = edited(draft, set_key("splats", splats))
+        data = build_edited(draft, key_setter("splats", splats))
         return Invalid(name, data, "splat-count", "5.4", note)
 
-    head, tail, second, second_tail = chunks().groups[0].segments
-    flat = replace(glossy(1), root=root_keys(3, 0))
-    box = edited(still(), lambda i: table(i, "chunks").update(box=column(i, "chunks", "box")[:-4]))
-    layers = edited(still(), set_key("layer", bytes(8), within="chunks"))
+    head, tail, second, second_tail = two_chunks().groups[0].segments
+    flat = replace(chunk_with_tail(1), root=root_keys(3, 0))
+    box = build_edited(
+        uniform_chunk(), lambda i: table(i, "chunks").update(box=column(i, "chunks", "box")[:-4])
+    )
+    layers = build_edited(uniform_chunk(), key_setter("layer", bytes(8), within="chunks"))
 
     def quality(name: str, number: float, note: str) -> Invalid:
         column_ = struct.pack("<f", number)
-        data = edited(still(), set_key("quality", column_, within="chunks"))
+        data = build_edited(uniform_chunk(), key_setter("quality", column_, within="chunks"))
         return Invalid(name, data, "root-value", "5.4", note)
 
     return [
-        Invalid("chunks-no-box", _without(still(), "chunks", "box"), "root-missing", "5.4",
+        Invalid("chunks-no-box", _without(uniform_chunk(), "chunks", "box"), "root-missing", "5.4",
                 "no box"),
         Invalid("chunks-box-short", box, "root-columns", "5.4", "a box of five numbers"),
         Invalid("chunks-layers", layers, "root-columns", "5.4", "two layers for one chunk"),
@@ -143,7 +150,8 @@ def chunk_tables() -> list[Invalid]:
         value("chunk-box-nan", "box", 8, "f", math.nan, "NaN in a box"),
         value("chunk-box-infinite", "box", 12, "f", math.inf, "an infinite box"),
         value("chunk-box-turned", "box", 0, "f", 9.0, "minimum above maximum"),
-        Invalid("chunk-box-small", _poked(still(), "chunks", "box", 12, "f", 0.25), "chunk-box",
+        Invalid("chunk-box-small", _poked(uniform_chunk(), "chunks", "box", 12, "f", 0.25),
+                "chunk-box",
                 "5.4", "means outside the box", "verify"),
         value("contribution-negative", "contribution", 0, "d", -1.0, "a negative contribution"),
         value("contribution-nan", "contribution", 0, "d", math.nan, "NaN"),
@@ -163,21 +171,21 @@ def chunk_tables() -> list[Invalid]:
         order("tail-first", [tail, head, second, second_tail], "chunk-tails",
               "a tail before its head"),
         Invalid("tail-degree-0", build(flat), "chunk-tails", "5.4", "a tail at SH degree 0"),
-        total("splats-more", still(), 4, "chunks of 3 splats, 4 stated"),
-        total("splats-fewer", still(), 2, "chunks of 3 splats, 2 stated"),
-        total("splats-no-chunks", bare(), 5, "5 in no chunk"),
+        total("splats-more", uniform_chunk(), 4, "chunks of 3 splats, 4 stated"),
+        total("splats-fewer", uniform_chunk(), 2, "chunks of 3 splats, 2 stated"),
+        total("splats-no-chunks", no_splats(), 5, "5 in no chunk"),
     ]  # fmt: skip
 
 
 def codebook_tables() -> list[Invalid]:
     """Return the vectors of SPEC 5.5."""
-    shape, first, second, head, tail = books().groups[0].segments
+    shape, first, second, head, tail = chunk_with_codebooks().groups[0].segments
 
     def bad(name: str, segments: list[Segment], note: str) -> Invalid:
-        data = build(with_segments(books(), segments))
+        data = build(with_segments(chunk_with_codebooks(), segments))
         return Invalid(name, data, "codebook-segments", "5.5", note)
 
-    third = Segment(SegmentKind.COLOUR_BAND3, 1, pack_streams([scenes.band(3, 4, 2)]))
+    third = Segment(SegmentKind.COLOUR_BAND3, 1, pack_streams([handmade.band(3, 4, 2)]))
     return [
         bad("book-shape-missing", [first, second, head, tail], "no segment of the shape codebook"),
         bad("book-band-missing", [shape, first, head, tail], "no second band"),
@@ -199,16 +207,16 @@ def index_pages() -> list[Invalid]:
             if isinstance(found, list) and isinstance(found[0], dict):
                 found[0][key] = content
 
-        return Invalid(name, edited(pages(), change), code, clause, note)
+        return Invalid(name, build_edited(paged_chunks(), change), code, clause, note)
 
-    whole = pages()
+    whole = paged_chunks()
     first, second = whole.groups
     late = replace(
         whole,
         groups=[Group(first.segments[:1], [*first.chunks, *second.chunks]),
                 Group([first.segments[1], *second.segments], [])],
     )  # fmt: skip
-    listed = len(build(chunks()))
+    listed = len(build(two_chunks()))
     claim: Value = {
         "length": 100,
         "crc": 0,
@@ -240,7 +248,7 @@ def index_pages() -> list[Invalid]:
         ),
         Invalid(
             "segments-2-20",
-            edited(still(), set_key("pages", [claim, claim])),
+            build_edited(uniform_chunk(), key_setter("pages", [claim, claim])),
             "segment-count",
             "9.1",
             "2^20 + 1 segments",
@@ -259,6 +267,6 @@ def index_pages() -> list[Invalid]:
 def _wide() -> bytes:
     """Return a valid file of two chunks of 2^18 splats each, all alike, at SH degree 3."""
     rows, count = 1 << 18, 2
-    head = pack_streams(scenes.still_head(rows))
+    head = pack_streams(handmade.uniform_head(rows))
     segments = [Segment(SegmentKind.HEAD, chunk, head) for chunk in range(count)]
     return build(Draft(root_keys(rows * count, 3), [Group(segments, [ChunkRow(rows)] * count)]))

@@ -11,9 +11,9 @@ import zstandard
 
 from cogsplat.codec.streams.records import ESCAPE, Attribute, Kind, Stream
 
-from . import handmade_streams as scenes
+from . import handmade_streams as handmade
 from . import valid_transform as good_streams
-from .file_builder import build, one_chunk, pack_streams, packed_plane, payload, record
+from .file_builder import build, one_chunk, pack_streams, pack_symbols, payload, record
 from .invalid import Invalid
 
 
@@ -25,10 +25,10 @@ def packings() -> list[Invalid]:
     """Return the vectors of SPEC 6.9."""
     rows = 12
     codes = [row % 3 for row in range(rows)]
-    opacities = scenes.coded(Attribute.OPACITIES, [(-1.0, 1.0, 3)], [codes])
-    body = scenes.still_head(rows, opacities)
-    where = scenes.place(body, Attribute.OPACITIES)
-    good = packed_plane(bytes(codes), 3)
+    opacities = handmade.scalar(Attribute.OPACITIES, [(-1.0, 1.0, 3)], [codes])
+    body = handmade.uniform_head(rows, opacities)
+    where = handmade.stream_index(body, Attribute.OPACITIES)
+    good = pack_symbols(bytes(codes), 3)
 
     def bad(
         name: str, stored: bytes, code: str, note: str, clause: str = "6.9", flags: int = 1
@@ -50,7 +50,7 @@ def packings() -> list[Invalid]:
         bad("packed-long", b"\3" + good + b"\0", "plane-length", "four bytes, not three", "6.3"),
         bad("packed-digits", b"\3\xf3" + good[1:], "plane-digits", "byte 243 at radix 3"),
         bad("packed-behind", b"\3" + good[:2] + b"\x09", "plane-digits", "a digit behind the last"),
-        bad("packed-code", b"\4" + packed_plane(bytes([3] * rows), 4), "code-range",
+        bad("packed-code", b"\4" + pack_symbols(bytes([3] * rows), 4), "code-range",
             "digits of 3 for 3 levels", "6.4"),
         bad("packed-frame", b"\3" + frame(good)[:-1], "zstd-frame", "a frame cut short", "6.3", 3),
         bad("packed-frame-size", b"\3" + frame(bytes(codes)), "zstd-size",
@@ -70,7 +70,7 @@ def kinds() -> list[Invalid]:
     sh0 = good_streams.sh0_basis(rows, 4)
 
     def bad(name: str, changed: Sequence[Stream], code: str, clause: str, note: str) -> Invalid:
-        head = pack_streams(scenes.still_head(rows, scales, *changed))
+        head = pack_streams(handmade.uniform_head(rows, scales, *changed))
         return _refused(name, head, rows, code, clause, note)
 
     def params(stream: Stream, offset: int, value: float) -> Stream:
@@ -138,18 +138,18 @@ def _heads_only() -> list[Invalid]:
     """Return files in which escape rows or a codebook have kinds that only heads have."""
     scales = good_streams.differences(3, 1)
     rotations = good_streams.rotations(scales, 2)
-    shape = scenes.indices(Attribute.SHAPE, [5, 6, 7], 0, 5, 3)
-    plain = [scenes.spread(Attribute.SCALES, 3, 3), scenes.quats(3, 4)]
+    shape = handmade.vq(Attribute.SHAPE, [5, 6, 7], 0, 5, 3)
+    plain = [handmade.random_scalar(Attribute.SCALES, 3, 3), handmade.random_quats(3, 4)]
 
     def escape(name: str, own: Sequence[Stream], note: str) -> Invalid:
         own = [replace(stream, flags=ESCAPE) for stream in own]
-        head = pack_streams(scenes.vq_head(3, 1, shape, *own))
-        books = {"shape": (5, [pack_streams(scenes.shape_book(5, 1))])}
+        head = pack_streams(handmade.vq_head(3, 1, shape, *own))
+        books = {"shape": (5, [pack_streams(handmade.shape_codebook(5, 1))])}
         data = build(one_chunk(head, 3, books=books, needs=(0,)))
         return Invalid(name, data, "stream-kind", "6.2", note, "decode")
 
     def book(name: str, body: Sequence[Stream], note: str) -> Invalid:
-        head = pack_streams(scenes.vq_head(3, 1, replace(shape, params=struct.pack("<II", 0, 0))))
+        head = pack_streams(handmade.vq_head(3, 1, replace(shape, params=struct.pack("<II", 0, 0))))
         books = {"shape": (3, [pack_streams(body)])}
         data = build(one_chunk(head, 3, books=books, needs=(0,)))
         return Invalid(name, data, "stream-kind", "6.2", note, "decode")
@@ -167,8 +167,8 @@ def large_planes() -> list[Invalid]:
     rows, width = 36_800, 255
     ends = bytes([width]) * rows
     # Planes that do not compress: a limit on decoded bytes grows with those of the file (9.2).
-    codes = scenes.numbers(rows, 256, 1)
-    opacities = scenes.coded(Attribute.OPACITIES, [(-4.0, 4.0, 256)], [codes])
+    codes = handmade.pseudo_random(rows, 256, 1)
+    opacities = handmade.scalar(Attribute.OPACITIES, [(-4.0, 4.0, 256)], [codes])
     # The inner codes of the last group, coordinates 26 to 254, are one byte: 228 a row.
     sizes = bytearray(2 * 12)
     sizes[22] = 1
@@ -177,9 +177,9 @@ def large_planes() -> list[Invalid]:
     stream = Stream(Attribute.SHN, Kind.BASIS, rows, params, [])
     entry = record(stream)
     entry.planes = [(rows, ends), (len(stored) | 1 << 31, stored)]
-    book = scenes.constant(Attribute.SH1, width, *[0.5] * 9)
+    book = handmade.constant(Attribute.SH1, width, *[0.5] * 9)
     draft = one_chunk(
-        pack_streams(scenes.still_head(rows, opacities)),
+        pack_streams(handmade.uniform_head(rows, opacities)),
         rows,
         tail=payload([entry]),
         sh_degree=1,
@@ -194,12 +194,12 @@ def bases() -> list[Invalid]:
     """Return the vectors of SPEC 6.14."""
     codes = [[1, 0, -2], [0, 3, 0], [300, 0, 1]]
     good = good_streams.shn_basis(codes, 0, 0.1, 0.2)
-    book = scenes.band(1, 4, 2)
+    book = handmade.band(1, 4, 2)
 
     def file(
         name: str, stream: Stream, code: str, note: str, clause: str = "6.14", book: Stream = book
     ) -> Invalid:
-        head = pack_streams(scenes.still_head(3))
+        head = pack_streams(handmade.uniform_head(3))
         tail = pack_streams([stream])
         books = {"colour": (4, [pack_streams([book])])}
         draft = one_chunk(head, 3, tail=tail, sh_degree=1, books=books, needs=(0,))
@@ -213,7 +213,7 @@ def bases() -> list[Invalid]:
 
     wide = good_streams.shn_basis([[1] * 5] * 3, 0, 0.1, 0.2)
     ends = replace(good, planes=[np.array([3, 4, 3], np.uint8), *good.planes[1:]])
-    high = scenes.coded(Attribute.SH1, [(0.0, 2.0**33, 2)] * 9, [[0, 1, 0, 1]] * 9)
+    high = handmade.scalar(Attribute.SH1, [(0.0, 2.0**33, 2)] * 9, [[0, 1, 0, 1]] * 9)
     return [
         field("shn-book", 0, "I", 1, "codebook-missing", "codebook 1 of one"),
         field("shn-step-0", 4, "f", 0.0, "basis-value", "a step of 0"),

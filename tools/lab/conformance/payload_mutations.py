@@ -13,7 +13,7 @@ from typing import Final, TypeVar
 import zstandard
 
 from . import file_builder
-from .file_builder import PAYLOAD_HEAD, Record, packed_plane, poke
+from .file_builder import PAYLOAD_HEAD, Record, pack_symbols, poke
 
 NUMBERS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 15, 16, 17, 31, 32, 64, 65, 127, 128, 255, 256, 257,
                   4095, 4096, 65535, 65536, 65537, 1 << 17, (1 << 17) + 1, 1 << 18, (1 << 18) + 1,
@@ -36,7 +36,7 @@ _STORED_MASK: Final = _PACKED - 1
 _LARGEST_PLANE: Final = 1 << 18
 
 
-def changed_bytes(data: bytes, rng: random.Random) -> bytes:
+def mutate_bytes(data: bytes, rng: random.Random) -> bytes:
     """Return bytes with one of them flipped or replaced, or some cut, doubled or put in."""
     out = bytearray(data)
     at = rng.randrange(len(out) + 1)
@@ -57,7 +57,7 @@ def changed_bytes(data: bytes, rng: random.Random) -> bytes:
     return bytes(out)
 
 
-def changed_number(data: bytes, rng: random.Random) -> bytes:
+def mutate_number(data: bytes, rng: random.Random) -> bytes:
     """Return bytes with an aligned or any number written over, at and beside a limit."""
     size, layout = rng.choice(((4, "f"), (4, "I"), (4, "I"), (2, "H"), (1, "B")))
     if len(data) < size:
@@ -74,7 +74,7 @@ def changed_number(data: bytes, rng: random.Random) -> bytes:
     return poke(data, at, layout, rng.choice(NUMBERS) % limit)
 
 
-def records_of(payload: bytes) -> list[Record]:
+def parse_records(payload: bytes) -> list[Record]:
     """Return the records of a valid payload, planes with them.
 
     Raises
@@ -101,7 +101,7 @@ def records_of(payload: bytes) -> list[Record]:
     return records
 
 
-def changed_payload(payload: bytes, other: bytes, rng: random.Random) -> tuple[str, bytes]:
+def mutate_payload(payload: bytes, other: bytes, rng: random.Random) -> tuple[str, bytes]:
     """Return what was done, and the payload of a head, tail, refinement or codebook changed.
 
     Parameters
@@ -112,13 +112,13 @@ def changed_payload(payload: bytes, other: bytes, rng: random.Random) -> tuple[s
     rng : Random
     """
     try:
-        records = records_of(payload)
-        others = records_of(other)
+        records = parse_records(payload)
+        others = parse_records(other)
     except (struct.error, ValueError):
-        return "payload bytes", changed_bytes(payload, rng)
+        return "payload bytes", mutate_bytes(payload, rng)
     if not records or rng.random() < 0.1:
-        return "payload bytes", changed_bytes(payload, rng)
-    what = rng.choice(_WAYS)
+        return "payload bytes", mutate_bytes(payload, rng)
+    what = rng.choice(_CHANGES)
     count = None
     record = rng.choice(records)
     if what == "plane" and not any(entry.planes for entry in records):
@@ -126,16 +126,16 @@ def changed_payload(payload: bytes, other: bytes, rng: random.Random) -> tuple[s
     if what == "plane":
         record = rng.choice([entry for entry in records if entry.planes])
         number = rng.randrange(len(record.planes))
-        record.planes[number] = _changed_plane(*record.planes[number], rng)
+        record.planes[number] = _mutate_plane(*record.planes[number], rng)
     elif what == "planes":
-        _changed_list(record.planes, rng)
+        _mutate_list(record.planes, rng)
     elif what == "params":
-        change = rng.choice((changed_number, changed_number, changed_number, changed_bytes))
+        change = rng.choice((mutate_number, mutate_number, mutate_number, mutate_bytes))
         record.params = change(record.params, rng)
     elif what == "record field":
-        _changed_field(record, rng)
+        _mutate_field(record, rng)
     elif what == "records":
-        _changed_list(records, rng)
+        _mutate_list(records, rng)
     elif what == "record of another payload" and others:
         records[rng.randrange(len(records))] = rng.choice(others)
     else:
@@ -144,12 +144,12 @@ def changed_payload(payload: bytes, other: bytes, rng: random.Random) -> tuple[s
     return what, file_builder.payload(records, count=count)
 
 
-_WAYS: Final = ("plane",) * 8 + ("params",) * 6 + ("record field",) * 4 + (
+_CHANGES: Final = ("plane",) * 8 + ("params",) * 6 + ("record field",) * 4 + (
     "planes", "planes", "records", "records", "record of another payload", "stream count",
 )  # fmt: skip
 
 
-def _changed_field(record: Record, rng: random.Random) -> None:
+def _mutate_field(record: Record, rng: random.Random) -> None:
     number = rng.choice((0, 1, 1, 2, 3, 3, 4, 4))
     if number == 4:
         rows = record.fields[4]
@@ -160,7 +160,7 @@ def _changed_field(record: Record, rng: random.Random) -> None:
         record.fields[number] = rng.choice((*range(13), 15, 21, 45, 255))
 
 
-def _changed_list(entries: list[_T], rng: random.Random) -> None:
+def _mutate_list(entries: list[_T], rng: random.Random) -> None:
     """Swap two entries, drop one, double one, or turn all around."""
     if not entries:
         return
@@ -176,17 +176,17 @@ def _changed_list(entries: list[_T], rng: random.Random) -> None:
             entries.reverse()
 
 
-def _changed_plane(word: int, stored: bytes, rng: random.Random) -> tuple[int, bytes]:
+def _mutate_plane(word: int, stored: bytes, rng: random.Random) -> tuple[int, bytes]:
     if rng.random() < 0.25:
-        return _changed_frame(word, stored, rng)
-    raw = _inflated(word, stored)
+        return _mutate_frame(word, stored, rng)
+    raw = _decompress(word, stored)
     if raw is None:
-        return _changed_frame(word, stored, rng)
-    changed = rng.choice((changed_bytes, changed_number))(raw, rng)
-    return _stored(word, stored[:1], changed, rng)
+        return _mutate_frame(word, stored, rng)
+    changed = rng.choice((mutate_bytes, mutate_number))(raw, rng)
+    return _store(word, stored[:1], changed, rng)
 
 
-def _inflated(word: int, stored: bytes) -> bytes | None:
+def _decompress(word: int, stored: bytes) -> bytes | None:
     """Return what a plane's frame holds, packed bytes as they are; None where nothing is right."""
     body = stored[1:] if word & _PACKED else stored
     if not word & _COMPRESSED:
@@ -198,7 +198,7 @@ def _inflated(word: int, stored: bytes) -> bytes | None:
     return raw
 
 
-def _stored(word: int, radix: bytes, raw: bytes, rng: random.Random) -> tuple[int, bytes]:
+def _store(word: int, radix: bytes, raw: bytes, rng: random.Random) -> tuple[int, bytes]:
     """Store a changed plane: mostly as it was, at times another way."""
     front = radix if word & _PACKED else b""
     if rng.random() < 0.1:
@@ -207,13 +207,13 @@ def _stored(word: int, radix: bytes, raw: bytes, rng: random.Random) -> tuple[in
         # Symbols become digits of the least radix that holds them all.
         least = max(raw, default=0) + 1
         if 2 <= least <= 16:
-            word, front, raw = word | _PACKED, bytes([least]), packed_plane(raw, least)
+            word, front, raw = word | _PACKED, bytes([least]), pack_symbols(raw, least)
     body = zstandard.ZstdCompressor(level=3).compress(raw) if word & _COMPRESSED else raw
     stored = front + body
     return word & ~_STORED_MASK | len(stored), stored
 
 
-def _changed_frame(word: int, stored: bytes, rng: random.Random) -> tuple[int, bytes]:
+def _mutate_frame(word: int, stored: bytes, rng: random.Random) -> tuple[int, bytes]:
     """Change the stored bytes or the word that says how they are stored."""
     match rng.randrange(5):
         case 0:
@@ -222,7 +222,7 @@ def _changed_frame(word: int, stored: bytes, rng: random.Random) -> tuple[int, b
             return word ^ (1 << rng.randrange(8)), stored
         case 2 if stored:
             # The header of a frame, the radix or the first block.
-            changed = changed_bytes(stored[:24], rng) + stored[24:]
+            changed = mutate_bytes(stored[:24], rng) + stored[24:]
         case _:
-            changed = changed_bytes(stored, rng)
+            changed = mutate_bytes(stored, rng)
     return word & ~_STORED_MASK | len(changed), changed

@@ -114,9 +114,9 @@ class DecoderProcess:
         except (OSError, subprocess.TimeoutExpired):
             # It ended with a request unread, or does not end.
             self._process.kill()
-        self._finish()
+        self._reap()
 
-    def _finish(self) -> None:
+    def _reap(self) -> None:
         self._process.wait()
         self._reader.join()
         self._output.close()
@@ -138,14 +138,14 @@ class DecoderProcess:
     def receive(self) -> tuple[Answer | None, str]:
         """Return the answer to what was sent last, or None and what went wrong instead."""
         if self._unsent:
-            return None, self._again(self._unsent)
+            return None, self._restart(self._unsent)
         try:
             line = self._lines.get(timeout=self._timeout_s)
         except queue.Empty:
-            return None, self._again(f"no answer within {self._timeout_s:g} s")
+            return None, self._restart(f"no answer within {self._timeout_s:g} s")
         if line is None:
             status = self._process.wait()
-            return None, self._again(f"the decoder ended with status {status}")
+            return None, self._restart(f"the decoder ended with status {status}")
         try:
             answer = json.loads(line)
         except json.JSONDecodeError:
@@ -163,12 +163,12 @@ class DecoderProcess:
                     self._most_memory = max(self._most_memory, 1024 * int(line.split()[1]))
         return self._most_memory
 
-    def _again(self, reason: str) -> str:
+    def _restart(self, reason: str) -> str:
         self.most_memory()
         self._process.kill()
         with suppress(OSError):  # a request that was not sent is lost with the process
             self._input.close()
-        self._finish()
+        self._reap()
         self._start()
         return reason
 

@@ -102,27 +102,27 @@ def run(
         ) from error
     with DecoderProcess(command, timeout_s) as decoder, tempfile.TemporaryDirectory() as folder:
         hello = decoder.hello()
-        judge = _Judge(decoder, hello, vectors, Path(folder), list(manifest["arrays"]))
+        checker = _Checker(decoder, hello, vectors, Path(folder), list(manifest["arrays"]))
         invalid = manifest["invalid"] if hello.refuses else []
         folders = manifest["folders"] if hello.folders else []
         bad_folders = manifest["invalid_folders"] if hello.folders and hello.refuses else []
         total = sum(map(len, (manifest["valid"], invalid, folders, bad_folders)))
         for done, entry in enumerate(manifest["valid"], start=1):
-            judge.valid(entry)
+            checker.check_valid(entry)
             progress("vectors", done, total)
         for done, entry in enumerate(invalid, start=1 + len(manifest["valid"])):
-            judge.invalid(entry)
+            checker.check_invalid(entry)
             progress("vectors", done, total)
         files = {entry["name"]: entry for entry in manifest["valid"]}
         for entry in folders:
-            judge.folder(entry, files)
+            checker.check_folder(entry, files)
         for entry in bad_folders:
-            judge.invalid_folder(entry)
+            checker.check_invalid_folder(entry)
         progress("vectors", total, total)
-    return judge.report()
+    return checker.report()
 
 
-class _Judge:
+class _Checker:
     """Compares the answers of one decoder with the manifest."""
 
     def __init__(
@@ -147,7 +147,7 @@ class _Judge:
         }
         return Report(self._hello, self._passed, self._failures, by_clause)
 
-    def _note(self, vector: str, clauses: tuple[str, ...], expected: str, found: str) -> None:
+    def _record(self, vector: str, clauses: tuple[str, ...], expected: str, found: str) -> None:
         right = not found
         self._passed += right
         for clause in clauses:
@@ -157,30 +157,30 @@ class _Judge:
         if not right:
             self._failures.append(Failure(vector, clauses, expected, found))
 
-    def valid(self, entry: Entry) -> None:
+    def check_valid(self, entry: Entry) -> None:
         """Try a file to decode: whole, without its refinements, and cut where its prefixes end."""
         name, clauses = str(entry["name"]), tuple(map(str, _list(entry["clauses"])))
         path = self._vectors / "valid" / f"{name}.cogs"
-        whole = self._split(path.with_suffix(".f32"), entry)
-        given, wrong = self._decoded(path, verify=self._hello.level == "verifier")
+        whole = self._load_arrays(path.with_suffix(".f32"), entry)
+        given, wrong = self._decode(path, verify=self._hello.level == "verifier")
         wrong = wrong or self._difference(given, whole)
-        self._note(f"valid/{name}", clauses, f"{entry['splats']} splats", wrong)
-        coarse, wrong = self._decoded(path, refine=False)
+        self._record(f"valid/{name}", clauses, f"{entry['splats']} splats", wrong)
+        coarse, wrong = self._decode(path, refine=False)
         coarse_hash = str(entry.get("coarse_sha256", entry["arrays_sha256"]))
         exact = self._hello.level != "viewer"
         if not wrong and exact and hashlib.sha256(coarse).hexdigest() != coarse_hash:
             wrong = "rows without refinements have another SHA-256"
-        self._note(f"valid/{name} without refinements", clauses, coarse_hash, wrong)
+        self._record(f"valid/{name} without refinements", clauses, coarse_hash, wrong)
         if wrong or not exact or not self._hello.partial:
             # What is expected of prefixes is made of the rows without refinements.
             return
-        heads = self._shaped(coarse, whole)
-        counts = _dict({"chunks": entry["chunk_splats"]})["chunks"]
+        heads = self._split_arrays(coarse, whole)
+        counts = _integers(entry["chunk_splats"])
         data = path.read_bytes()
         drawn = [str(digest) for digest in _list(entry.get("drawn", []))]
         for number, (size, chunks, tails, refined) in enumerate(_prefixes(entry)):
             self._cut.write_bytes(data[:size])
-            given, wrong = self._decoded(self._cut, partial=True)
+            given, wrong = self._decode(self._cut, partial=True)
             if wrong:
                 pass
             elif drawn:
@@ -189,14 +189,14 @@ class _Judge:
             else:
                 expected = _prefix_rows(whole, heads, counts[:chunks], tails, refined)
                 wrong = self._difference(given, expected)
-            self._note(
+            self._record(
                 f"valid/{name}, first {size} bytes",
                 (*clauses, "8.2"),
                 f"{sum(counts[:chunks])} splats",
                 wrong,
             )
 
-    def _decoded(
+    def _decode(
         self, path: Path, *, partial: bool = False, refine: bool = True, verify: bool = False
     ) -> tuple[bytes, str]:
         """Return the bytes of the arrays that the decoder gives, or what it did instead."""
@@ -212,12 +212,12 @@ class _Judge:
             return b"", f"no file {self._out.name} was written"
         return self._out.read_bytes(), ""
 
-    def _split(self, path: Path, entry: Entry) -> Arrays:
+    def _load_arrays(self, path: Path, entry: Entry) -> Arrays:
         shapes = _dict(entry["shapes"])
         blank = {name: np.empty(shapes[name], np.float32) for name in self._arrays}
-        return self._shaped(path.read_bytes(), blank)
+        return self._split_arrays(path.read_bytes(), blank)
 
-    def _shaped(self, data: bytes, like: Arrays) -> Arrays:
+    def _split_arrays(self, data: bytes, like: Arrays) -> Arrays:
         values, start = np.frombuffer(data, "<f4"), 0
         out: Arrays = {}
         for name in self._arrays:
@@ -231,7 +231,7 @@ class _Judge:
         size = 4 * sum(values.size for values in expected.values())
         if len(given) != size:
             return f"{len(given)} bytes of arrays, expected {size}"
-        for name, part in self._shaped(given, expected).items():
+        for name, part in self._split_arrays(given, expected).items():
             values = expected[name]
             if self._hello.level == "viewer":
                 wrong = beyond_tolerance(name, part, values, expected)
@@ -245,31 +245,31 @@ class _Judge:
                 )
         return ""
 
-    def invalid(self, entry: Entry) -> None:
+    def check_invalid(self, entry: Entry) -> None:
         """Try a file to refuse: with its code, or by a viewer with any."""
         if LEVELS.index(str(entry["level"])) > LEVELS.index(self._hello.level):
             return
-        self._refused(f"invalid/{entry['name']}", ".cogs", entry)
+        self._check_refusal(f"invalid/{entry['name']}", ".cogs", entry)
 
-    def folder(self, entry: Entry, files: Mapping[str, Entry]) -> None:
+    def check_folder(self, entry: Entry, files: Mapping[str, Entry]) -> None:
         """Try a folder to decode, by each of its manifests."""
         for manifest, stands_for in _texts(entry["manifests"]).items():
             path = self._vectors / "folders" / str(entry["name"]) / manifest
             arrays = self._vectors / "valid" / f"{stands_for}.f32"
-            given, wrong = self._decoded(path, verify=self._hello.level == "verifier")
-            whole = self._split(arrays, files[stands_for])
+            given, wrong = self._decode(path, verify=self._hello.level == "verifier")
+            whole = self._load_arrays(arrays, files[stands_for])
             wrong = wrong or self._difference(given, whole)
-            self._note(
+            self._record(
                 f"folders/{entry['name']}/{manifest}", ("3.4",), f"as {stands_for}.cogs", wrong
             )
 
-    def invalid_folder(self, entry: Entry) -> None:
+    def check_invalid_folder(self, entry: Entry) -> None:
         """Try a folder to refuse: with its code, or by a viewer with any."""
         if entry["stage"] == "verify" and self._hello.level != "verifier":
             return
-        self._refused(f"invalid-folders/{entry['name']}", "/manifest.cogsm", entry)
+        self._check_refusal(f"invalid-folders/{entry['name']}", "/manifest.cogsm", entry)
 
-    def _refused(self, vector: str, rest: str, entry: Entry) -> None:
+    def _check_refusal(self, vector: str, rest: str, entry: Entry) -> None:
         verifies = self._hello.level == "verifier"
         code = str(entry["code"])
         path = self._vectors / f"{vector}{rest}"
@@ -283,7 +283,7 @@ class _Judge:
             found = ""
         else:
             found = f"refused with {answer.get('code')!r}"
-        self._note(vector, (str(entry["clause"]),), f"refused with {code!r}", found)
+        self._record(vector, (str(entry["clause"]),), f"refused with {code!r}", found)
 
 
 def _prefixes(entry: Entry) -> list[tuple[int, int, list[int], list[int]]]:
@@ -314,6 +314,11 @@ def _prefix_rows(
 
 
 def _list(value: object) -> list[object]:
+    assert isinstance(value, list)
+    return value
+
+
+def _integers(value: object) -> list[int]:
     assert isinstance(value, list)
     return value
 

@@ -14,7 +14,7 @@ from cogsplat.formats.cogs.canonical_msgpack import Value
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
 
-from . import handmade_streams as scenes
+from . import handmade_streams as handmade
 from .file_builder import (
     ChunkRow,
     Draft,
@@ -56,9 +56,9 @@ SMALLEST: Final = "one-splat"
 
 def _chunk(rows: int, seed: int, number: int, degree: int = 0) -> list[Segment]:
     """Return head and tail of a plain chunk."""
-    out = [Segment(SegmentKind.HEAD, number, pack_streams(scenes.head(rows, seed)))]
+    out = [Segment(SegmentKind.HEAD, number, pack_streams(handmade.random_head(rows, seed)))]
     if degree:
-        tail = pack_streams(scenes.bands(degree, rows, seed + 50))
+        tail = pack_streams(handmade.bands(degree, rows, seed + 50))
         out.append(Segment(SegmentKind.TAIL, number, tail))
     return out
 
@@ -74,19 +74,19 @@ def _empty() -> Valid:
 
 def _one_splat() -> Valid:
     head = [
-        scenes.constant(Attribute.MEANS, 1, 1.0, -2.0, 0.5),
-        scenes.constant(Attribute.OPACITIES, 1, 2.0),
-        scenes.constant(Attribute.SH0, 1, 0.25, 0.5, -0.25),
-        scenes.constant(Attribute.SCALES, 1, -3.0, -2.5, -4.0),
-        scenes.quats(1, 1, ranges=[(0.5, 0.5, 1), (0.0, 0.0, 1), (-0.5, -0.5, 1)]),
+        handmade.constant(Attribute.MEANS, 1, 1.0, -2.0, 0.5),
+        handmade.constant(Attribute.OPACITIES, 1, 2.0),
+        handmade.constant(Attribute.SH0, 1, 0.25, 0.5, -0.25),
+        handmade.constant(Attribute.SCALES, 1, -3.0, -2.5, -4.0),
+        handmade.random_quats(1, 1, ranges=[(0.5, 0.5, 1), (0.0, 0.0, 1), (-0.5, -0.5, 1)]),
     ]
     data = build(one_chunk(pack_streams(head), 1))
     return Valid(SMALLEST, data, ("3.1", "6.2", "6.4", "6.6"), "one splat, every grid of one level")
 
 
 def _sh(degree: int) -> Valid:
-    head = pack_streams(scenes.head(24, degree))
-    tail = pack_streams(scenes.bands(degree, 24, 20 + degree)) if degree else None
+    head = pack_streams(handmade.random_head(24, degree))
+    tail = pack_streams(handmade.bands(degree, 24, 20 + degree)) if degree else None
     data = build(one_chunk(head, 24, tail=tail, sh_degree=degree))
     return Valid(
         f"sh{degree}", data, ("6.4", "7.2", "7.3"), f"scalar streams at SH degree {degree}"
@@ -97,9 +97,9 @@ def _plane_counts() -> Valid:
     levels = [1, 2, 256, 257, 65536, 65537, 1 << 24]
     attribute = Attribute.SH1
     ranges = [(-1.1, 1.3, levels[i % len(levels)]) for i in range(9)]
-    codes = [[0, n - 1, *scenes.numbers(6, n, i)] for i, (_, _, n) in enumerate(ranges)]
-    tail = pack_streams([scenes.coded(attribute, ranges, codes)])
-    data = build(one_chunk(pack_streams(scenes.head(8, 3)), 8, tail=tail, sh_degree=1))
+    codes = [[0, n - 1, *handmade.pseudo_random(6, n, i)] for i, (_, _, n) in enumerate(ranges)]
+    tail = pack_streams([handmade.scalar(attribute, ranges, codes)])
+    data = build(one_chunk(pack_streams(handmade.random_head(8, 3)), 8, tail=tail, sh_degree=1))
     return Valid(
         "plane-counts", data, ("6.4",), "codes of 0, 1, 2 and 3 byte planes, first and last"
     )
@@ -109,17 +109,19 @@ def _grid_ends() -> Valid:
     largest = 2.0**100
     ranges = [(-largest, largest, 1 << 24), (0.1, 0.1, 5), (1e-45, 3e-45, 3)]
     codes = [[0, 1, (1 << 24) - 1, 1 << 23], [0, 4, 2, 1], [0, 1, 2, 1]]
-    means = scenes.coded(Attribute.MEANS, ranges, codes)
+    means = handmade.scalar(Attribute.MEANS, ranges, codes)
     note = "grids of the largest range, of no range with five levels, and of denormals"
-    data = build(one_chunk(pack_streams(scenes.head(4, 3, means)), 4, reach=largest))
+    data = build(one_chunk(pack_streams(handmade.random_head(4, 3, means)), 4, reach=largest))
     return Valid("grid-ends", data, ("6.4",), note)
 
 
 def _negative_zero() -> Valid:
-    means = scenes.coded(
+    means = handmade.scalar(
         Attribute.MEANS, [(-0.0, -0.0, 1), (-0.0, 1.0, 2), (-1.0, 1.0, 3)], [[0, 0]] * 2 + [[1, 2]]
     )
-    head = scenes.head(2, 5, means, scenes.quats(2, 1, ranges=[(-0.0, -0.0, 1)] * 3))
+    head = handmade.random_head(
+        2, 5, means, handmade.random_quats(2, 1, ranges=[(-0.0, -0.0, 1)] * 3)
+    )
     data = build(one_chunk(pack_streams(head), 2))
     return Valid("negative-zero", data, ("6.4", "6.6"), "a minimum of -0 decodes as +0 everywhere")
 
@@ -128,7 +130,7 @@ def _quats() -> Valid:
     left_out: list[int | list[int]] = [0, 1, 2, 3, [row % 4 for row in range(12)]]
     segments = []
     for chunk, largest in enumerate(left_out):
-        head = scenes.head(12, chunk, scenes.quats(12, chunk, largest=largest))
+        head = handmade.random_head(12, chunk, handmade.random_quats(12, chunk, largest=largest))
         segments.append(Segment(SegmentKind.HEAD, chunk, pack_streams(head)))
     data = build(Draft(root_keys(60, 0), [Group(segments, [ChunkRow(12)] * 5)]))
     return Valid("quats", data, ("6.6",), "each component left out in turn, and row by row")
@@ -136,8 +138,8 @@ def _quats() -> Valid:
 
 def _quats_over_one() -> Valid:
     ranges = [(-1.0, 1.0, 256)] * 3
-    head = scenes.head(
-        64, 8, scenes.quats(64, 3, ranges=ranges, largest=[i % 4 for i in range(64)])
+    head = handmade.random_head(
+        64, 8, handmade.random_quats(64, 3, ranges=ranges, largest=[i % 4 for i in range(64)])
     )
     data = build(one_chunk(pack_streams(head), 64))
     return Valid("quats-over-one", data, ("6.6",), "squares that sum to more than one")
@@ -146,10 +148,10 @@ def _quats_over_one() -> Valid:
 def _infinities() -> Valid:
     chunks = []
     for number, levels in enumerate([1, 7, 254, 255, 256]):
-        codes = [levels, levels + 1, 0, levels - 1, *scenes.numbers(4, levels + 2, number)]
+        codes = [levels, levels + 1, 0, levels - 1, *handmade.pseudo_random(4, levels + 2, number)]
         ranges = [(-4.5, 4.5 if levels > 1 else -4.5, levels)]
-        stream = scenes.coded(Attribute.OPACITIES, ranges, [codes], flags=INFINITIES)
-        data = pack_streams(scenes.head(8, number, stream))
+        stream = handmade.scalar(Attribute.OPACITIES, ranges, [codes], flags=INFINITIES)
+        data = pack_streams(handmade.random_head(8, number, stream))
         chunks.append(Segment(SegmentKind.HEAD, number, data))
     data = build(Draft(root_keys(40, 0), [Group(chunks, [ChunkRow(8)] * 5)]))
     return Valid(
@@ -160,13 +162,13 @@ def _infinities() -> Valid:
 def _floats() -> Valid:
     means = [[0.1, -0.0, 1e-45], [2.0**100, -(2.0**100), 3.14159], [1.0, 2.0, 3.0]]
     head = [
-        scenes.floats(Attribute.MEANS, means),
-        scenes.floats(Attribute.OPACITIES, [[math.inf], [-math.inf], [-0.0]]),
-        scenes.floats(Attribute.SH0, means),
-        scenes.floats(Attribute.SCALES, [[-3.5, -90.0, 12.0]] * 3),
-        scenes.quats(3, 4),
+        handmade.floats(Attribute.MEANS, means),
+        handmade.floats(Attribute.OPACITIES, [[math.inf], [-math.inf], [-0.0]]),
+        handmade.floats(Attribute.SH0, means),
+        handmade.floats(Attribute.SCALES, [[-3.5, -90.0, 12.0]] * 3),
+        handmade.random_quats(3, 4),
     ]
-    tail = [scenes.floats(Attribute.SH1, [[row + 0.1 * i for i in range(9)] for row in range(3)])]
+    tail = [handmade.floats(Attribute.SH1, [[row + 0.1 * i for i in range(9)] for row in range(3)])]
     data = build(
         one_chunk(pack_streams(head), 3, tail=pack_streams(tail), sh_degree=1, reach=2.0**100)
     )
@@ -175,13 +177,13 @@ def _floats() -> Valid:
 
 def _vq() -> Valid:
     rows = 300
-    shape = scenes.indices(Attribute.SHAPE, scenes.numbers(20, rows, 5), 0, rows, 0)
-    colour = scenes.indices(Attribute.SHN, scenes.numbers(20, 20, 6), 1, 20, 0)
+    shape = handmade.vq(Attribute.SHAPE, handmade.pseudo_random(20, rows, 5), 0, rows, 0)
+    colour = handmade.vq(Attribute.SHN, handmade.pseudo_random(20, 20, 6), 1, 20, 0)
     books = {
-        "shape": (rows, [pack_streams(scenes.shape_book(rows, 1))]),
-        "colour": (20, [pack_streams([scenes.band(i, 20, 2)]) for i in (1, 2, 3)]),
+        "shape": (rows, [pack_streams(handmade.shape_codebook(rows, 1))]),
+        "colour": (20, [pack_streams([handmade.band(i, 20, 2)]) for i in (1, 2, 3)]),
     }
-    head = pack_streams(scenes.vq_head(20, 4, shape))
+    head = pack_streams(handmade.vq_head(20, 4, shape))
     draft = one_chunk(head, 20, tail=pack_streams([colour]), sh_degree=3, books=books, needs=(0, 1))
     note = "shape and colour codebooks; a head that states a codebook it does not use"
     return Valid("vq", build(draft), ("5.5", "6.7", "7.1"), note)
@@ -189,20 +191,20 @@ def _vq() -> Valid:
 
 def _vq_escape() -> Valid:
     # 250 rows and 10 escape rows, only because of which indices need a second plane.
-    index = [scenes.numbers(1, 260, i)[0] for i in range(30)]
+    index = [handmade.pseudo_random(1, 260, i)[0] for i in range(30)]
     index[:10] = range(250, 260)
-    shape = scenes.indices(Attribute.SHAPE, index, 0, 250, 10)
+    shape = handmade.vq(Attribute.SHAPE, index, 0, 250, 10)
     own = [
-        scenes.spread(Attribute.SCALES, 10, 70, levels=40, escape=True),
-        scenes.quats(10, 71, largest=2, escape=True),
+        handmade.random_scalar(Attribute.SCALES, 10, 70, levels=40, escape=True),
+        handmade.random_quats(10, 71, largest=2, escape=True),
     ]
-    colour = scenes.indices(Attribute.SHN, [4, 5, 6, *scenes.numbers(27, 7, 3)], 1, 4, 3)
-    own_bands = [scenes.band(2, 3, 80, escape=True)]
+    colour = handmade.vq(Attribute.SHN, [4, 5, 6, *handmade.pseudo_random(27, 7, 3)], 1, 4, 3)
+    own_bands = [handmade.band(2, 3, 80, escape=True)]
     books = {
-        "shape": (250, [pack_streams(scenes.shape_book(250, 1))]),
-        "colour": (4, [pack_streams([scenes.band(i, 4, 2)]) for i in (1, 2)]),
+        "shape": (250, [pack_streams(handmade.shape_codebook(250, 1))]),
+        "colour": (4, [pack_streams([handmade.band(i, 4, 2)]) for i in (1, 2)]),
     }
-    head = pack_streams(scenes.vq_head(30, 4, shape, *own))
+    head = pack_streams(handmade.vq_head(30, 4, shape, *own))
     tail = pack_streams([colour, *own_bands])
     draft = one_chunk(head, 30, tail=tail, sh_degree=2, books=books, needs=(0, 1))
     note = "escape rows behind the codebook's, one of their bands absent"
@@ -210,14 +212,14 @@ def _vq_escape() -> Valid:
 
 
 def _vq_all_escape() -> Valid:
-    shape = scenes.indices(Attribute.SHAPE, [1, 2, 3], 0, 1, 3)
+    shape = handmade.vq(Attribute.SHAPE, [1, 2, 3], 0, 1, 3)
     scales = [[-1.0, -2.0, -3.0], [0.1, 0.2, 0.3], [0.0, -0.0, 1.0]]
     own = [
-        replace(scenes.floats(Attribute.SCALES, scales), flags=ESCAPE),
-        scenes.quats(3, 71, escape=True),
+        replace(handmade.floats(Attribute.SCALES, scales), flags=ESCAPE),
+        handmade.random_quats(3, 71, escape=True),
     ]
-    books = {"shape": (1, [pack_streams(scenes.shape_book(1, 1))])}
-    head = pack_streams(scenes.vq_head(3, 4, shape, *own))
+    books = {"shape": (1, [pack_streams(handmade.shape_codebook(1, 1))])}
+    head = pack_streams(handmade.vq_head(3, 4, shape, *own))
     note = "a codebook of one row that no splat uses; escape rows stored as floats"
     return Valid(
         "vq-all-escape", build(one_chunk(head, 3, books=books, needs=(0,))), ("6.7", "6.8"), note
@@ -227,12 +229,12 @@ def _vq_all_escape() -> Valid:
 def _two_books() -> Valid:
     books: list[Value] = [{"attribute": "shape", "rows": n} for n in (5, 9)]
     segments = [
-        Segment(SegmentKind.SHAPE_CODEBOOK, i, pack_streams(scenes.shape_book(n, i)))
+        Segment(SegmentKind.SHAPE_CODEBOOK, i, pack_streams(handmade.shape_codebook(n, i)))
         for i, n in enumerate((5, 9))
     ]
     for chunk, (book, size) in enumerate([(1, 9), (0, 5)]):
-        shape = scenes.indices(Attribute.SHAPE, scenes.numbers(6, size, chunk), book, size, 0)
-        data = pack_streams(scenes.vq_head(6, chunk, shape))
+        shape = handmade.vq(Attribute.SHAPE, handmade.pseudo_random(6, size, chunk), book, size, 0)
+        data = pack_streams(handmade.vq_head(6, chunk, shape))
         segments.append(Segment(SegmentKind.HEAD, chunk, data, (book,)))
     root = root_keys(12, 0, codebooks=books)
     data = build(Draft(root, [Group(segments, [ChunkRow(6)] * 2)]))
@@ -240,16 +242,16 @@ def _two_books() -> Valid:
 
 
 def _late_book() -> Valid:
-    shape = scenes.indices(Attribute.SHAPE, [0, 1, 2, 1], 0, 3, 0)
-    colour = scenes.indices(Attribute.SHN, [1, 0, 1, 1], 1, 2, 0)
+    shape = handmade.vq(Attribute.SHAPE, [0, 1, 2, 1], 0, 3, 0)
+    colour = handmade.vq(Attribute.SHN, [1, 0, 1, 1], 1, 2, 0)
     segments = [
         *_chunk(5, 1, 0),
-        Segment(SegmentKind.HEAD, 1, pack_streams(scenes.vq_head(4, 2, shape)), (0,)),
+        Segment(SegmentKind.HEAD, 1, pack_streams(handmade.vq_head(4, 2, shape)), (0,)),
         Segment(SegmentKind.TAIL, 1, pack_streams([colour]), (1,)),
-        Segment(SegmentKind.COLOUR_BAND2, 1, pack_streams([scenes.band(2, 2, 8)])),
-        Segment(SegmentKind.SHAPE_CODEBOOK, 0, pack_streams(scenes.shape_book(3, 1))),
+        Segment(SegmentKind.COLOUR_BAND2, 1, pack_streams([handmade.band(2, 2, 8)])),
+        Segment(SegmentKind.SHAPE_CODEBOOK, 0, pack_streams(handmade.shape_codebook(3, 1))),
         *_chunk(6, 5, 2),
-        Segment(SegmentKind.COLOUR_BAND1, 1, pack_streams([scenes.band(1, 2, 8)])),
+        Segment(SegmentKind.COLOUR_BAND1, 1, pack_streams([handmade.band(1, 2, 8)])),
     ]
     books: list[Value] = [
         {"attribute": "shape", "rows": 3},
@@ -303,17 +305,17 @@ def _tails_missing() -> Valid:
 
 
 def _bands_absent() -> Valid:
-    tail = pack_streams([scenes.band(1, 9, 1), scenes.band(3, 9, 1)])
-    head = pack_streams(scenes.head(9, 1))
+    tail = pack_streams([handmade.band(1, 9, 1), handmade.band(3, 9, 1)])
+    head = pack_streams(handmade.random_head(9, 1))
     data = build(one_chunk(head, 9, tail=tail, sh_degree=3))
     return Valid("band-absent", data, ("7.3",), "a tail without its second band: zeros there")
 
 
 def _book_band_absent() -> Valid:
-    colour = scenes.indices(Attribute.SHN, [0, 1, 2, 1, 0], 0, 3, 0)
+    colour = handmade.vq(Attribute.SHN, [0, 1, 2, 1, 0], 0, 3, 0)
     empty = pack_streams([])
-    books = {"colour": (3, [empty, pack_streams([scenes.band(2, 3, 8)])])}
-    head = pack_streams(scenes.head(5, 1))
+    books = {"colour": (3, [empty, pack_streams([handmade.band(2, 3, 8)])])}
+    head = pack_streams(handmade.random_head(5, 1))
     draft = one_chunk(head, 5, tail=pack_streams([colour]), sh_degree=2, books=books, needs=(0,))
     note = "a colour codebook's band of no streams: zeros"
     return Valid("book-band-absent", build(draft), ("7.1",), note)
@@ -391,7 +393,7 @@ def _unknown_keys() -> Valid:
             pages[0]["why"] = {"a": []}
 
     books: list[Value] = [{"attribute": "shape", "rows": 2, "seed": 7}]
-    book = Segment(SegmentKind.SHAPE_CODEBOOK, 0, pack_streams(scenes.shape_book(2, 1)))
+    book = Segment(SegmentKind.SHAPE_CODEBOOK, 0, pack_streams(handmade.shape_codebook(2, 1)))
     parts = _plain([6, 7], 0)
     groups = [Group([book, *parts[0]], [ChunkRow(6)]), Group(parts[1], [ChunkRow(7)])]
     data = build(Draft(root_keys(13, 0, codebooks=books), groups), edit)
@@ -406,15 +408,15 @@ def _compressed() -> Valid:
         [row // 10 % 2 for row in range(rows)],
         [row * 7 % 251 for row in range(rows)],
     ]
-    means = scenes.coded(Attribute.MEANS, [(-1.0, 1.0, 256)] * 3, codes)
-    mixed = scenes.quats(rows, 1, ranges=[(0.0, 0.0, 1)] * 3, largest=[0, 1] * (rows // 2))
-    head = pack_streams(scenes.still_head(rows, means, mixed))
+    means = handmade.scalar(Attribute.MEANS, [(-1.0, 1.0, 256)] * 3, codes)
+    mixed = handmade.random_quats(rows, 1, ranges=[(0.0, 0.0, 1)] * 3, largest=[0, 1] * (rows // 2))
+    head = pack_streams(handmade.uniform_head(rows, means, mixed))
     note = "zstd frames: one byte over and over, runs, a period"
     return Valid("compressed", build(one_chunk(head, rows)), ("6.3",), note)
 
 
 def _stored() -> Valid:
-    draft = one_chunk(pack_streams(scenes.head(1, 1)), 1)
+    draft = one_chunk(pack_streams(handmade.random_head(1, 1)), 1)
     data = build(draft, lambda _, index: index.update(writer=""))
     return Valid("stored", data, ("6.3",), "planes of one byte, none of them compressed")
 
@@ -423,15 +425,17 @@ def _frame_of_blocks() -> Valid:
     """Write a zstd frame by hand, with a window descriptor as a streaming encoder has it."""
     rows = 64
     plane = np.array([row // 8 for row in range(rows)], np.uint8)
-    opacities = scenes.coded(Attribute.OPACITIES, [(-2.0, 2.0, 8)], [plane.tolist()])
+    opacities = handmade.scalar(Attribute.OPACITIES, [(-2.0, 2.0, 8)], [plane.tolist()])
     # RFC 8878: content size of 4 bytes, window of 1 KiB, eight RLE blocks.
     blocks = [
         ((row == 7) | 1 << 1 | (8 << 3)).to_bytes(3, "little") + bytes([row]) for row in range(8)
     ]
     frame = bytes.fromhex("28b52ffd8000") + rows.to_bytes(4, "little") + b"".join(blocks)
-    head = scenes.still_head(rows, opacities)
+    head = handmade.uniform_head(rows, opacities)
     records = [record(entry) for entry in head]
-    records[scenes.place(head, Attribute.OPACITIES)].planes = [(len(frame) | 1 << 31, frame)]
+    records[handmade.stream_index(head, Attribute.OPACITIES)].planes = [
+        (len(frame) | 1 << 31, frame)
+    ]
     note = "a hand-made zstd frame: window descriptor, four-byte content size, RLE blocks"
     return Valid("frame-blocks", build(one_chunk(payload(records), rows)), ("6.3",), note)
 

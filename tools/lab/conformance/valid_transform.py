@@ -17,7 +17,7 @@ from cogsplat.codec.streams.records import COMPONENTS, SH_BANDS, Attribute, Kind
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
 
-from . import handmade_streams as scenes
+from . import handmade_streams as handmade
 from .file_builder import (
     ChunkRow,
     Draft,
@@ -25,7 +25,7 @@ from .file_builder import (
     build,
     one_chunk,
     pack_streams,
-    packed_plane,
+    pack_symbols,
     payload,
     record,
     root_keys,
@@ -40,8 +40,10 @@ _MODEL: Final = StepModel((3.25, 1.5, 0.75, -0.25, 2.0, 0.5))
 def differences(rows: int, seed: int) -> Stream:
     """Return a differences stream of scales."""
     ranges = [(-5.0, 6.0, 40), (0.0, 4.1, 30), (-0.5, 3.3, 300)]
-    codes = [scenes.numbers(rows, count, seed + i) for i, (_, _, count) in enumerate(ranges)]
-    return replace(scenes.coded(Attribute.SCALES, ranges, codes), kind=Kind.DIFFERENCES)
+    codes = [
+        handmade.pseudo_random(rows, count, seed + i) for i, (_, _, count) in enumerate(ranges)
+    ]
+    return replace(handmade.scalar(Attribute.SCALES, ranges, codes), kind=Kind.DIFFERENCES)
 
 
 def extra_bits(scales: Stream, model: StepModel = _MODEL) -> NDArray[np.uint8]:
@@ -56,7 +58,7 @@ def rotations(scales: Stream, seed: int, twist: StepModel = _MODEL) -> Stream:
     for column, model in enumerate((_MODEL, _MODEL, twist)):
         extra = extra_bits(scales, model)
         codes = [
-            scenes.numbers(1, (1 << int(h)) + 1, seed + 7 * row + column)[0] if h else 0
+            handmade.pseudo_random(1, (1 << int(h)) + 1, seed + 7 * row + column)[0] if h else 0
             for row, h in enumerate(extra)
         ]
         codes[:2] = [0, (1 << int(extra[1])) if extra[1] else 0]
@@ -67,15 +69,15 @@ def rotations(scales: Stream, seed: int, twist: StepModel = _MODEL) -> Stream:
 
 def sorted_means(scales: Stream, seed: int, levels: int = 9) -> Stream:
     """Return a sorted stream of means with extra bits that follow from a scales stream."""
-    cells = [scenes.numbers(3, levels, seed + row) for row in range(scales.rows)]
+    cells = [handmade.pseudo_random(3, levels, seed + row) for row in range(scales.rows)]
     ranges = [(-3.0, 3.1, levels), (-2.0, 2.2, levels), (0.3, 0.9, levels)]
-    return scenes.sorted_means(cells, ranges, _MODEL, extra_bits(scales).tolist(), seed)
+    return handmade.sorted_means(cells, ranges, _MODEL, extra_bits(scales).tolist(), seed)
 
 
 def sh0_basis(rows: int, seed: int) -> Stream:
     """Return a basis stream of sh0."""
     axes = (0.6, 0.57, 0.56, -0.71, 0.05, 0.7, 0.37, -0.82, 1.0)
-    body = scenes.spread(Attribute.SH0, rows, seed, span=1.5, levels=90)
+    body = handmade.random_scalar(Attribute.SH0, rows, seed, span=1.5, levels=90)
     return replace(body, kind=Kind.BASIS, params=body.params + struct.pack("<9f", *axes))
 
 
@@ -86,7 +88,7 @@ def shn_basis(codes: Sequence[Sequence[int]], book: int, step: float, shrink: fl
 
 def _one_stream(name: str, streams: Sequence[Stream], clauses: tuple[str, ...], note: str) -> Valid:
     rows = streams[0].rows
-    head = pack_streams(scenes.still_head(rows, *streams))
+    head = pack_streams(handmade.uniform_head(rows, *streams))
     return Valid(name, build(one_chunk(head, rows)), clauses, note)
 
 
@@ -98,7 +100,7 @@ def pack_digits(body: Sequence[Stream], *, zstd: bool) -> bytes:
             raw = plane.tobytes()
             radix = max(raw, default=16) + 1
             if 2 <= radix <= 16:
-                octets = packed_plane(raw, radix)
+                octets = pack_symbols(raw, radix)
                 frame: bytes = zstandard.ZstdCompressor(level=19).compress(octets)
                 stored = bytes([radix]) + (frame if zstd else octets)
                 entry.planes[number] = (len(stored) | (3 if zstd else 1) << 30, stored)
@@ -114,10 +116,10 @@ def _packed() -> list[Valid]:
         for value in range(first, first + COMPONENTS[band]):
             radix = 2 + value % 15
             ranges.append((-0.1 * value, 0.2 * value + 0.1, radix))
-            codes.append([radix - 1, *scenes.numbers(rows - 1, radix, value)])
-        bands.append(scenes.coded(band, ranges, codes))
+            codes.append([radix - 1, *handmade.pseudo_random(rows - 1, radix, value)])
+        bands.append(handmade.scalar(band, ranges, codes))
         first += COMPONENTS[band]
-    head = pack_streams(scenes.still_head(rows))
+    head = pack_streams(handmade.uniform_head(rows))
     made = []
     for name, zstd, note in (
         ("packed", False, "planes of radix 2 to 16, several symbols to the byte"),
@@ -133,8 +135,8 @@ def _packed_ends() -> Valid:
     """Return a file whose planes end at every place within a packed byte."""
     segments, rows = [], []
     for chunk, count in enumerate(range(1, 10)):
-        opacities = scenes.coded(Attribute.OPACITIES, [(-1.0, 1.0, 2)], [[1] * count])
-        body = scenes.still_head(count, opacities)
+        opacities = handmade.scalar(Attribute.OPACITIES, [(-1.0, 1.0, 2)], [[1] * count])
+        body = handmade.uniform_head(count, opacities)
         segments.append(Segment(SegmentKind.HEAD, chunk, pack_digits(body, zstd=False)))
         rows.append(ChunkRow(count))
     draft = Draft(root_keys(45, 0), [Group(segments, rows)])
@@ -151,14 +153,15 @@ def _shn() -> list[Valid]:
         [0, 0, 0, 70000, 0],
     ]
     many = [
-        [x - 1 for x in scenes.numbers(5 * row, 3, row)] + [0] * (30 - 5 * row) for row in range(6)
+        [x - 1 for x in handmade.pseudo_random(5 * row, 3, row)] + [0] * (30 - 5 * row)
+        for row in range(6)
     ]
     many[5][29] = 1
     many[2], many[5] = many[5], many[2]
-    books = {"colour": (31, [pack_streams([scenes.band(i, 31, 2)]) for i in (1, 2)])}
+    books = {"colour": (31, [pack_streams([handmade.band(i, 31, 2)]) for i in (1, 2)])}
 
     def file(name: str, stream: Stream, note: str) -> Valid:
-        head = pack_streams(scenes.still_head(6))
+        head = pack_streams(handmade.uniform_head(6))
         tail = pack_streams([stream])
         data = build(one_chunk(head, 6, tail=tail, sh_degree=2, books=books, needs=(0,)))
         return Valid(name, data, ("6.14",), note)
@@ -174,10 +177,12 @@ def _shn() -> list[Valid]:
 
 
 def _sorted() -> Valid:
-    codes = [[scenes.numbers(1, 500, 3 * i + axis)[0] for axis in range(3)] for i in range(60)]
+    codes = [
+        [handmade.pseudo_random(1, 500, 3 * i + axis)[0] for axis in range(3)] for i in range(60)
+    ]
     codes[7] = codes[8] = codes[9]
-    means = scenes.sorted_means(codes, [(-3.0, 3.1, 500), (-2.0, 2.2, 500), (0.3, 0.9, 500)])
-    data = build(one_chunk(pack_streams(scenes.head(60, 6, means)), 60))
+    means = handmade.sorted_means(codes, [(-3.0, 3.1, 500), (-2.0, 2.2, 500), (0.3, 0.9, 500)])
+    data = build(one_chunk(pack_streams(handmade.random_head(60, 6, means)), 60))
     return Valid("sorted", data, ("6.5",), "means without extra bits, three of them equal")
 
 
@@ -185,34 +190,34 @@ def _sorted_wide() -> Valid:
     top = (1 << 17) - 1
     codes = [[0, 0, 0], [1, 0, 0], [0, 0, 1], [top, top, top], [0, 0, 1 << 16], [7, 1 << 15, 0]]
     ranges = [(-1.0, 1.0, 1 << 17)] * 3
-    means = scenes.sorted_means(codes, ranges, StepModel.constant(15), [15] * 6)
-    data = build(one_chunk(pack_streams(scenes.head(6, 6, means)), 6))
+    means = handmade.sorted_means(codes, ranges, StepModel.constant(15), [15] * 6)
+    data = build(one_chunk(pack_streams(handmade.random_head(6, 6, means)), 6))
     note = "17 bits an axis and 15 below: differences of up to 51 bits, codes above 2^24 rounded"
     return Valid("sorted-wide", data, ("6.5",), note)
 
 
 def _sorted_flat() -> Valid:
     ranges = [(-0.0, -0.0, 1), (2.5, 2.5, 1), (0.1, 0.1, 1)]
-    means = scenes.sorted_means([[0, 0, 0]] * 3, ranges)
-    data = build(one_chunk(pack_streams(scenes.head(3, 6, means)), 3))
+    means = handmade.sorted_means([[0, 0, 0]] * 3, ranges)
+    data = build(one_chunk(pack_streams(handmade.random_head(3, 6, means)), 3))
     return Valid("sorted-flat", data, ("6.5",), "equal means: planes of no bytes")
 
 
 def _sorted_shapes() -> Valid:
     """Return a file whose extra bits follow from shapes of a codebook and their scale factors."""
     rows = 12
-    shape = scenes.indices(Attribute.SHAPE, [i % 5 for i in range(rows)], 0, 5, 0)
-    factor = scenes.spread(Attribute.SCALE_FACTOR, rows, 9, span=4.0, levels=50)
+    shape = handmade.vq(Attribute.SHAPE, [i % 5 for i in range(rows)], 0, 5, 0)
+    factor = handmade.random_scalar(Attribute.SCALE_FACTOR, rows, 9, span=4.0, levels=50)
     model = StepModel((5.5, 1.5, 0.25, 0.5, -0.5, 0.25))
-    book = scenes.shape_book(5, 3)
+    book = handmade.shape_codebook(5, 3)
     base = numbers(parse(pack_streams(book))[SCALES, 0])
     added = numbers(parse(pack_streams([factor]))[SCALE_FACTOR, 0])
     scales = [[f32(s + added[row][0]) for s in base[row % 5]] for row in range(rows)]
     extra = model.extra_bits(np.array(scales, np.float32)).tolist()
-    cells = [scenes.numbers(3, 9, row) for row in range(rows)]
-    means = scenes.sorted_means(cells, [(-3.0, 3.1, 9)] * 3, model, extra)
+    cells = [handmade.pseudo_random(3, 9, row) for row in range(rows)]
+    means = handmade.sorted_means(cells, [(-3.0, 3.1, 9)] * 3, model, extra)
     head = [factor if s.attribute == factor.attribute else s
-            for s in scenes.vq_head(rows, 4, shape)]  # fmt: skip
+            for s in handmade.vq_head(rows, 4, shape)]  # fmt: skip
     head = [means if s.attribute == means.attribute else s for s in head]
     books = {"shape": (5, [pack_streams(book)])}
     data = build(one_chunk(pack_streams(head), rows, books=books, needs=(0,)))
@@ -222,9 +227,9 @@ def _sorted_shapes() -> Valid:
 
 def _sorted_underflow(scales: Stream) -> Valid:
     """Return a file of steps so small that halving them leaves float32's denormals."""
-    cells = [scenes.numbers(3, 9, 60 + row) for row in range(scales.rows)]
+    cells = [handmade.pseudo_random(3, 9, 60 + row) for row in range(scales.rows)]
     ranges = [(0.0, 1e-40, 9), (-1e-41, 1e-41, 9), (1e-45, 3e-45, 9)]
-    means = scenes.sorted_means(cells, ranges, _MODEL, extra_bits(scales).tolist(), 7)
+    means = handmade.sorted_means(cells, ranges, _MODEL, extra_bits(scales).tolist(), 7)
     note = "steps that underflow when they are halved"
     return _one_stream("sorted-underflow", [scales, means], ("6.5",), note)
 
@@ -236,12 +241,12 @@ def _all_of_it() -> Valid:
         scales,
         rotations(scales, 3),
         sorted_means(scales, 4),
-        scenes.spread(Attribute.OPACITIES, rows, 5, span=5.0, levels=30),
+        handmade.random_scalar(Attribute.OPACITIES, rows, 5, span=5.0, levels=30),
         sh0_basis(rows, 6),
     ]
-    codes = [[x - 2 for x in scenes.numbers(7, 5, row)] for row in range(rows)]
+    codes = [[x - 2 for x in handmade.pseudo_random(7, 5, row)] for row in range(rows)]
     tail = [shn_basis(codes, 0, 0.1, 0.15)]
-    books = {"colour": (9, [pack_streams([scenes.band(i, 9, 2)]) for i in (1, 2, 3)])}
+    books = {"colour": (9, [pack_streams([handmade.band(i, 9, 2)]) for i in (1, 2, 3)])}
     draft = one_chunk(
         pack_digits(head, zstd=True),
         rows,
@@ -259,7 +264,7 @@ def _all_of_it() -> Valid:
 def valid() -> list[Valid]:
     """Return the vectors, in the order of the manifest."""
     scales = differences(24, 1)
-    plain = scenes.spread(Attribute.SCALES, 24, 8, span=6.0)
+    plain = handmade.random_scalar(Attribute.SCALES, 24, 8, span=6.0)
     never, always = StepModel.constant(-9), StepModel.constant(1_000_000)
     clauses = ("6.10", "6.11")
     return [

@@ -19,7 +19,7 @@ from cogsplat.codec.splats import Splats
 
 from .lighting import TO_SCENE, Occluders
 from .materials import Surfels, collected, covered, mixed, shares
-from .shapes import Patch, noise, quad, revolve, smooth_curve, smoothstep, tube, unit
+from .patches import Patch, noise, quad, revolve, smooth_curve, smoothstep, tube, unit
 from .terrace import camera_at, splats_of
 
 F64 = NDArray[np.float64]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .materials import Colour, Edges, Surfels, covered, mixed
-from .shapes import Patch, noise, quad, revolve, smooth_curve, smoothstep
+from .patches import Patch, noise, quad, revolve, smooth_curve, smoothstep
 
 F64 = NDArray[np.float64]
 Point = tuple[float, float, float]

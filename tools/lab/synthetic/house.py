@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .materials import Colour, Edges, Surfels, collected, covered, mixed, shares
-from .shapes import Patch, any_tangents, joined, noise, quad, smoothstep, unit
+from .patches import Patch, any_tangents, joined, noise, quad, smoothstep, unit
 
 F64 = NDArray[np.float64]
 

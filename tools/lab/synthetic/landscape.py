@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .lighting import facing_sky
 from .materials import COVER, Edges, Surfels, collected, covered, mixed, shares
 from .object_models import stand
-from .shapes import Patch, annulus, any_tangents, lattice, noise, smoothstep, unit
+from .patches import Patch, annulus, any_tangents, lattice, noise, smoothstep, unit
 
 F64 = NDArray[np.float64]
 

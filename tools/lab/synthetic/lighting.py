@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.geometry import sh
 
 from .materials import Surfels
-from .shapes import dot, smoothstep, unit
+from .patches import dot, smoothstep, unit
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .shapes import Patch, dot, joined, unit
+from .patches import Patch, dot, joined, unit
 
 F64 = NDArray[np.float64]
 Colour = tuple[float, float, float]

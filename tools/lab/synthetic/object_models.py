@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .house import ROOF_RISE, WALLS, cottage
 from .lighting import Occluders
 from .materials import COVER, Colour, Edges, Surfels, collected, covered, mixed, placed, shares
-from .shapes import (
+from .patches import (
     Patch,
     annulus,
     any_tangents,

@@ -51,7 +51,7 @@ from .furniture import (
 )
 from .lighting import TO_SCENE, Occluders
 from .materials import Colour, Surfels, collected, shares
-from .shapes import dot, unit
+from .patches import dot, unit
 from .terrace import camera_at, splats_of
 
 F64 = NDArray[np.float64]

@@ -20,7 +20,7 @@ from . import landscape as land
 from . import object_models as objects
 from .lighting import BLOCK, TO_SCENE, Occluders, bake
 from .materials import Surfels, collected, shares
-from .shapes import dot, unit
+from .patches import dot, unit
 
 F64 = NDArray[np.float64]
 Maker = Callable[[int, np.random.Generator], Surfels]

@@ -9,8 +9,8 @@ from mutants import MANIFEST, VECTORS
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import BytesSource
-from cogsplat.tools.lab.conformance.file_mutations import mutant
-from cogsplat.tools.lab.conformance.payload_mutations import records_of
+from cogsplat.tools.lab.conformance.file_mutations import make_mutant
+from cogsplat.tools.lab.conformance.payload_mutations import parse_records
 
 FILES = [
     (entry["name"], (VECTORS / "valid" / f"{entry['name']}.cogs").read_bytes())
@@ -31,7 +31,7 @@ DEEP = {
 def verdicts() -> Counter[str]:
     found: Counter[str] = Counter()
     for number in range(MANY):
-        case = mutant(FILES, 3, number)
+        case = make_mutant(FILES, 3, number)
         try:
             with open_cogs(BytesSource(case.data), partial=case.partial) as file:
                 file.decode()
@@ -42,14 +42,14 @@ def verdicts() -> Counter[str]:
 
 
 def test_a_mutant_follows_from_seed_and_number_alone() -> None:
-    again = [mutant(FILES, 5, number) for number in (7, 3, 7)]
+    again = [make_mutant(FILES, 5, number) for number in (7, 3, 7)]
     assert again[0] == again[2]
     assert again[0].data != again[1].data
-    assert mutant(FILES, 6, 7).data != again[0].data
+    assert make_mutant(FILES, 6, 7).data != again[0].data
 
 
 def test_every_sort_of_change_occurs() -> None:
-    changes = {mutant(FILES, 1, number).change for number in range(MANY)}
+    changes = {make_mutant(FILES, 1, number).change for number in range(MANY)}
     for change in (
         "bytes", "cut", "preamble", "index bytes", "value", "column", "plane", "params",
         "record field", "records", "planes", "stream count", "payload bytes", "map of a payload",
@@ -70,4 +70,4 @@ def test_most_mutants_get_past_the_checksums(verdicts: Counter[str]) -> None:
 def test_records_of_what_is_no_payload_are_refused() -> None:
     for payload in (b"", struct.pack("<H", 3), struct.pack("<H", 0) + b"\0"):
         with pytest.raises((struct.error, ValueError)):
-            records_of(payload)
+            parse_records(payload)

@@ -6,9 +6,17 @@ from cogsplat.formats.cogs.canonical_msgpack import MAX_DEPTH, MAX_VALUES, Value
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
 
-from .extras import camera_columns, labelled, labels, stored
-from .file_builder import build, root_bytes, with_root
-from .invalid import Invalid, bare, edited, pages, set_key, still, with_segments
+from .attribute_vectors import camera_columns, labels, store_planes, with_attributes
+from .file_builder import build, split_root, with_root
+from .invalid import (
+    Invalid,
+    build_edited,
+    key_setter,
+    no_splats,
+    paged_chunks,
+    uniform_chunk,
+    with_segments,
+)
 from .valid import Valid
 
 _BYTE_ORDER_MARK = "\ufeff"
@@ -20,14 +28,14 @@ def valid() -> list[Valid]:
         {"name": "label", "type": "u1"},
         {"name": _BYTE_ORDER_MARK + "label", "type": "u1"},
     ]
-    marked = labelled(still(), attributes, [stored(labels(3) + labels(3))])
-    keys = set_key(_BYTE_ORDER_MARK + "writer", None)
-    values = _values(build(bare()))
-    full = edited(bare(), set_key("spare", [None] * (MAX_VALUES - values - 2)))
+    marked = with_attributes(uniform_chunk(), attributes, [store_planes(labels(3) + labels(3))])
+    keys = key_setter(_BYTE_ORDER_MARK + "writer", None)
+    values = _count_values(build(no_splats()))
+    full = build_edited(no_splats(), key_setter("spare", [None] * (MAX_VALUES - values - 2)))
     return [
         Valid(
             "byte-order-mark",
-            edited(marked, keys),
+            build_edited(marked, keys),
             ("4.1", "5.7"),
             "a key and a name that begin with U+FEFF, beside the same without it",
         ),
@@ -35,7 +43,7 @@ def valid() -> list[Valid]:
     ]
 
 
-def _values(data: bytes) -> int:
+def _count_values(data: bytes) -> int:
     """Return the values of a root as SPEC 4.1 counts them."""
 
     def count(value: object) -> int:
@@ -43,12 +51,12 @@ def _values(data: bytes) -> int:
             return 1 + sum(1 + count(inner) for inner in value.values())
         return 1 + (sum(map(count, value)) if isinstance(value, list) else 0)
 
-    return count(unpack(root_bytes(data)[0], "root"))
+    return count(unpack(split_root(data)[0], "root"))
 
 
-def faults() -> list[Invalid]:
+def invalid() -> list[Invalid]:
     """Return the must-reject vectors: too many values, and two faults of which one comes first."""
-    root, behind = root_bytes(build(bare()))
+    root, behind = split_root(build(no_splats()))
 
     def added(name: str, raw: bytes, code: str, note: str) -> Invalid:
         data = with_root(bytes([root[0] + 1]) + root[1:] + raw, behind)
@@ -58,18 +66,21 @@ def faults() -> list[Invalid]:
         """Return an entry whose value is `raw` within so many arrays of one element."""
         return b"\xa1x" + b"\x91" * depth + raw
 
-    values = _values(build(bare()))
+    values = _count_values(build(no_splats()))
     full: list[Value] = [None] * MAX_VALUES
     more: list[Value] = [None] * (MAX_VALUES - values - 1)
     nils: list[Value] = [None] * (1 << 17)
     cameras = pack(camera_columns(1) | {"spare": nils})
-    segments = [*still().groups[0].segments, Segment(SegmentKind.CAMERAS, 0, cameras)]
+    segments = [*uniform_chunk().groups[0].segments, Segment(SegmentKind.CAMERAS, 0, cameras)]
     return [
-        Invalid("values-4097", edited(bare(), set_key("spare", more)), "msgpack-count", "4.1",
+        Invalid("values-4097", build_edited(no_splats(), key_setter("spare", more)),
+                "msgpack-count", "4.1",
                 "a root of a value more than there may be"),
-        Invalid("page-values", edited(pages(), set_key("spare", full), 1), "msgpack-count", "4.1",
+        Invalid("page-values", build_edited(paged_chunks(), key_setter("spare", full), 1),
+                "msgpack-count", "4.1",
                 "a page of too many values"),
-        Invalid("cameras-values", build(with_segments(still(), segments)), "msgpack-count", "4.1",
+        Invalid("cameras-values", build(with_segments(uniform_chunk(), segments)),
+                "msgpack-count", "4.1",
                 "cameras of more than 2^17 values", "verify"),
         added("msgpack-key-ext", b"\xd4\x05\x00\x01", "type", "an extension as a key"),
         added("msgpack-key-float32", b"\xca" + bytes(4) + b"\x01", "canonical",

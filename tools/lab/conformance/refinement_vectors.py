@@ -16,7 +16,7 @@ from cogsplat.codec.streams.records import INFINITIES, Attribute, Kind, Stream
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
 
-from . import handmade_streams as scenes
+from . import handmade_streams as handmade
 from . import valid_transform as coarse
 from .file_builder import ChunkRow, Draft, Group, build, pack_streams, root_keys
 from .invalid import Invalid, with_segments
@@ -32,11 +32,11 @@ _COARSE: Final = StepModel((-2.75, 1.0, 0.75, -0.25, 1.0, 0.5))
 def digits(attribute: Attribute, head: Stream, radices: Sequence[int], seed: int) -> Stream:
     """Return digits for a stream of a head, of which the first and the last that there may be."""
     entries = list(struct.iter_unpack("<ffI", head.params[: len(radices) * ENTRY_BYTES]))
-    grid = scenes.grid(
+    grid = handmade.grid(
         [(-1.5 - i, 2.5 + i, entries[i][2] * radix) for i, radix in enumerate(radices)]
     )
     planes = [
-        np.array([0, radix - 1, *scenes.numbers(head.rows - 2, radix, seed + i)], np.uint8)
+        np.array([0, radix - 1, *handmade.pseudo_random(head.rows - 2, radix, seed + i)], np.uint8)
         for i, radix in enumerate(radices)
         if radix > 1
     ]
@@ -52,18 +52,20 @@ def refined_means(
     """
     extra = coarse.extra_bits(scales, model)
     count = scales.rows
-    picked = [[0, 0, 0], *(scenes.numbers(3, cells, seed + row) for row in range(1, count))]
+    picked = [[0, 0, 0], *(handmade.pseudo_random(3, cells, seed + row) for row in range(1, count))]
     rows = np.array(picked, np.int64)
     rows = rows[sorted_means.morton_order(rows, np.zeros_like(extra))]
-    low = np.array([scenes.numbers(3, 1 << 15, seed + 50 + row) for row in range(count)])
+    low = np.array([handmade.pseudo_random(3, 1 << 15, seed + 50 + row) for row in range(count)])
     low[0] = 0
     codes = (rows << extra.astype(np.int64)[:, None]) | (low & ((1 << extra[:, None]) - 1))
     half = refinement_bits.half_level(bits)
-    digit = np.array([scenes.numbers(3, 1 << bits, seed + 99 + row) for row in range(count)])
+    digit = np.array(
+        [handmade.pseudo_random(3, 1 << bits, seed + 99 + row) for row in range(count)]
+    )
     # No code may fall below 0.
     digit = np.where(codes == 0, digit | half, digit)
     digit[0] = half
-    grid = scenes.grid([(-1.0, 1.0, cells), (-0.5, 0.5, cells), (0.0, 3.0, cells)])
+    grid = handmade.grid([(-1.0, 1.0, cells), (-0.5, 0.5, cells), (0.0, 3.0, cells)])
     below = refinement_bits.write((codes << bits) + digit - half, bits)
     return sorted_means.write(codes, grid, extra, model), below
 
@@ -77,7 +79,7 @@ def _body(seed: int) -> tuple[list[Stream], list[Stream]]:
     """Return a head of all kinds that can be refined, and what refines it."""
     scales = coarse.differences(_ROWS, seed)
     moved, bits = refined_means(scales, 4, seed + 3)
-    clear = scenes.spread(Attribute.OPACITIES, _ROWS, seed + 4, span=5.0, levels=30)
+    clear = handmade.random_scalar(Attribute.OPACITIES, _ROWS, seed + 4, span=5.0, levels=30)
     colour = coarse.sh0_basis(_ROWS, seed + 5)
     return [scales, coarse.rotations(scales, seed + 2), moved, clear, colour], [
         digits(Attribute.SCALES, scales, (3, 1, 16), seed + 1),
@@ -90,7 +92,7 @@ def _body(seed: int) -> tuple[list[Stream], list[Stream]]:
 def valid() -> list[Valid]:
     """Return the vectors, in the order of the manifest."""
     head, below = _body(1)
-    plain = scenes.head(12, 3)
+    plain = handmade.random_head(12, 3)
     own = {stream.attribute: stream for stream in plain}
     scalar = [
         digits(Attribute.SCALES, own[Attribute.SCALES], (2, 3, 4), 5),
@@ -99,10 +101,10 @@ def valid() -> list[Valid]:
     ]
     scales = coarse.differences(_ROWS, 4)
     moved, bits = refined_means(scales, 1, 6)
-    still = scenes.still_head(_ROWS, scales, moved)
+    still = handmade.uniform_head(_ROWS, scales, moved)
     most = StepModel.constant(15)
     far, most_bits = refined_means(scales, 15, 7, model=most, cells=1 << 17)
-    wide = scenes.still_head(_ROWS, scales, far)
+    wide = handmade.uniform_head(_ROWS, scales, far)
 
     def file(
         name: str, head: Sequence[Stream], below: Sequence[Stream], clauses: tuple[str, ...],
@@ -134,12 +136,12 @@ def _late() -> Draft:
     first, last = (
         Segment(SegmentKind.REFINEMENT, chunk, pack_streams(bodies[chunk][1])) for chunk in (0, 2)
     )
-    tail = Segment(SegmentKind.TAIL, 0, pack_streams(scenes.bands(1, _ROWS, 5)))
+    tail = Segment(SegmentKind.TAIL, 0, pack_streams(handmade.bands(1, _ROWS, 5)))
     segments = [heads[0], heads[1], tail, heads[2], last, first]
     return Draft(root_keys(3 * _ROWS, 1), [Group(segments, [ChunkRow(_ROWS)] * 3)])
 
 
-def orders() -> list[Invalid]:
+def invalid_order() -> list[Invalid]:
     """Return the vectors of SPEC 5.4 about refinements."""
     head, below = _body(1)
     good = _chunk(pack_streams(head), _ROWS, pack_streams(below))
@@ -165,12 +167,12 @@ def _padded() -> Invalid:
     octets = bytearray(bits.planes[0].tobytes())
     octets[-1] |= 0x80
     bits = replace(bits, planes=[np.frombuffer(bytes(octets), np.uint8)])
-    head = pack_streams(scenes.still_head(5, scales, means))
+    head = pack_streams(handmade.uniform_head(5, scales, means))
     data = build(_chunk(head, 5, pack_streams([bits])))
     return Invalid("bits-padding", data, "bits-padding", "6.15", "a padding bit set", "decode")
 
 
-def refinements() -> list[Invalid]:
+def invalid() -> list[Invalid]:
     """Return the vectors of SPEC 6.16, 6.17 and 7.4."""
     head, below = _body(1)
     sizes, bits, clear, _ = below
@@ -199,11 +201,11 @@ def refinements() -> list[Invalid]:
     # The first row's code in the head is 0: without its bits it falls below.
     below_zero = int.from_bytes(low, "little") & ~0xFFF
     under = below_zero.to_bytes(len(low), "little")
-    infinite = scenes.coded(
+    infinite = handmade.scalar(
         Attribute.OPACITIES, [(-1.0, 1.0, 30)], [[31, *range(_ROWS - 1)]], flags=INFINITIES
     )
-    logits = scenes.floats(Attribute.OPACITIES, [[0.5]] * _ROWS)
-    factor = scenes.constant(Attribute.SCALE_FACTOR, _ROWS, 0.0)
+    logits = handmade.floats(Attribute.OPACITIES, [[0.5]] * _ROWS)
+    factor = handmade.constant(Attribute.SCALE_FACTOR, _ROWS, 0.0)
     return [
         bad("digits-radix-0", [radices(0, 1, 16)], "refinement-radix", "6.16", "a radix of 0"),
         bad("digits-radix-17", [radices(3, 1, 17)], "refinement-radix", "6.16", "a radix of 17"),
@@ -242,7 +244,7 @@ def refinements() -> list[Invalid]:
             "bits for sh0"),
         bad("bits-in-head", [], "stream-kind", "6.2", "bits in a head", replaced(bits)),
         bad("bits-of-scalar", [bits], "stream-kind", "7.4", "bits for scalar means",
-            scenes.head(_ROWS, 3)),
+            handmade.random_head(_ROWS, 3)),
         bad("refinement-quats", [replace(bits, attribute=Attribute.QUATS)], "stream-unexpected",
             "7.4", "quats in a refinement"),
         bad("refinement-factor", [factor], "stream-unexpected", "7.4",

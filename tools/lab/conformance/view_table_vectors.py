@@ -13,7 +13,7 @@ from cogsplat.formats.cogs.canonical_msgpack import Value, pack
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
 
-from . import handmade_streams as scenes
+from . import handmade_streams as handmade
 from .file_builder import ChunkRow, Draft, Group, build, pack_streams, root_keys
 from .invalid import Invalid
 from .valid import Valid
@@ -22,7 +22,7 @@ _CHUNKS = 4
 _ROWS = 3
 
 
-def _plane(differences: bytes) -> bytes:
+def _stored_plane(differences: bytes) -> bytes:
     """Return a plane as it is with its word."""
     return struct.pack("<I", len(differences)) + differences
 
@@ -38,7 +38,7 @@ def _table(views: int, codes: bytes) -> dict[str, Value]:
 
 
 # Codes 0, 1, 254 and 255 among them, and differences that wrap around.
-_THREE = _table(3, _plane(bytes([0, 1, 254, 255, 1, 255, 1, 1, 239, 250, 2, 0])))
+_THREE = _table(3, _stored_plane(bytes([0, 1, 254, 255, 1, 255, 1, 1, 239, 250, 2, 0])))
 
 
 def _draft(payloads: Sequence[bytes]) -> Draft:
@@ -47,12 +47,12 @@ def _draft(payloads: Sequence[bytes]) -> Draft:
     for chunk in range(_CHUNKS):
         if chunk == 1:
             segments += [Segment(SegmentKind.VIEW_TABLE, 0, data) for data in payloads]
-        head = pack_streams(scenes.still_head(_ROWS))
+        head = pack_streams(handmade.uniform_head(_ROWS))
         segments.append(Segment(SegmentKind.HEAD, chunk, head))
     return Draft(root_keys(_CHUNKS * _ROWS, 0), [Group(segments, [ChunkRow(_ROWS)] * _CHUNKS)])
 
 
-def _paged(draft: Draft) -> Draft:
+def _in_pages(draft: Draft) -> Draft:
     group = draft.groups[0]
     return replace(
         draft,
@@ -64,7 +64,7 @@ def _paged(draft: Draft) -> Draft:
     )
 
 
-def _compressed() -> dict[str, Value]:
+def _compressed_table() -> dict[str, Value]:
     """Return a table of 64 viewpoints that all see the same: a zstd frame, mostly of zeros."""
     differences = np.frombuffer(bytes([200, 201, 0, 240]) + bytes(63 * _CHUNKS), np.uint8)
     word, stored = pack_plane(differences)
@@ -76,14 +76,14 @@ def valid() -> list[Valid]:
     return [
         Valid("view-table", build(_draft([pack(_THREE)])), ("5.12",),
               "three viewpoints, codes that wrap around"),
-        Valid("view-table-64", build(_draft([pack(_compressed() | {"later": 1})])),
+        Valid("view-table-64", build(_draft([pack(_compressed_table() | {"later": 1})])),
               ("4.3", "5.12"), "64 viewpoints in a zstd frame, with a key of a later version"),
-        Valid("view-table-pages", build(_paged(_draft([pack(_THREE)]))), ("5.6", "5.12"),
+        Valid("view-table-pages", build(_in_pages(_draft([pack(_THREE)]))), ("5.6", "5.12"),
               "a view table that a page lists, of chunks of later pages too"),
     ]  # fmt: skip
 
 
-def view_tables() -> list[Invalid]:
+def invalid() -> list[Invalid]:
     """Return the must-reject vectors of SPEC 5.12."""
     good = pack(_THREE)
 
@@ -110,8 +110,8 @@ def view_tables() -> list[Invalid]:
         segments("view-table-twice", [0, 0], "two view tables"),
         segments("view-table-owner", [1], "a view table of owner 1"),
         body("view-table-cut", good[:-1], "msgpack-truncated", "the last byte missing", "4.1"),
-        body("view-table-none", pack(_table(0, _plane(b""))), "root-value", "no viewpoint"),
-        body("view-table-65", pack(_table(65, _plane(bytes(65 * _CHUNKS)))), "root-value",
+        body("view-table-none", pack(_table(0, _stored_plane(b""))), "root-value", "no viewpoint"),
+        body("view-table-65", pack(_table(65, _stored_plane(bytes(65 * _CHUNKS)))), "root-value",
              "65 viewpoints"),
         body("view-table-no-codes", pack(codeless), "root-missing", "no codes"),
         body("view-table-must-understand", pack(_THREE | {"walls!": 1}), "root-must-understand",
@@ -123,11 +123,11 @@ def view_tables() -> list[Invalid]:
                 position=bytes(13)),
         changed("view-table-word", "root-columns", "codes of three bytes", codes=bytes(3)),
         changed("view-table-behind", "root-columns", "a byte behind the plane",
-                codes=_plane(plane) + b"\0"),
+                codes=_stored_plane(plane) + b"\0"),
         changed("view-table-position-infinite", "root-value", "a position that is not finite",
                 position=infinite),
         changed("view-table-direction-0", "root-value", "a direction of zeros", direction=bytes(9)),
         changed("view-table-short", "plane-length", "a code missing", "6.3",
-                codes=_plane(plane[:-1])),
+                codes=_stored_plane(plane[:-1])),
         changed("view-table-frame", "zstd-frame", "a plane that is no frame", "6.3", codes=broken),
     ]  # fmt: skip

@@ -6,7 +6,7 @@ from typing import Final
 
 from cogsplat.codec.streams.records import Attribute
 
-from . import handmade_streams as scenes
+from . import handmade_streams as handmade
 from . import worked_example
 from .file_builder import build, one_chunk, payload, poke, record
 from .invalid import Invalid
@@ -40,10 +40,10 @@ _SEQUENCES_AT: Final = 112
 
 def _file(frame: bytes) -> bytes:
     """Return a file of 300 splats whose opacities are one zstd frame."""
-    opacities = scenes.coded(Attribute.OPACITIES, [(-2.0, 2.0, 8)], [[0] * _ROWS])
-    head = scenes.still_head(_ROWS, opacities)
+    opacities = handmade.scalar(Attribute.OPACITIES, [(-2.0, 2.0, 8)], [[0] * _ROWS])
+    head = handmade.uniform_head(_ROWS, opacities)
     records = [record(stream) for stream in head]
-    place = scenes.place(head, Attribute.OPACITIES)
+    place = handmade.stream_index(head, Attribute.OPACITIES)
     records[place].planes = [(len(frame) | 1 << 31, frame)]
     return build(one_chunk(payload(records), _ROWS))
 
@@ -81,7 +81,7 @@ def valid() -> list[Valid]:
     ]  # fmt: skip
 
 
-def headers() -> list[Invalid]:
+def invalid() -> list[Invalid]:
     """Return the must-reject vectors of frame headers."""
 
     def bad(name: str, frame: bytes, code: str, note: str) -> Invalid:

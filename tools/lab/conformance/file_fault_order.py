@@ -9,9 +9,18 @@ from cogsplat.formats.cogs.canonical_msgpack import pack
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
 
-from .extras import camera_columns
+from .attribute_vectors import camera_columns
 from .file_builder import Draft, Index, build, column, poke, preamble_field, root_keys, table
-from .invalid import Invalid, books, chunks, edited, pages, set_key, still, with_segments
+from .invalid import (
+    Invalid,
+    build_edited,
+    chunk_with_codebooks,
+    key_setter,
+    paged_chunks,
+    two_chunks,
+    uniform_chunk,
+    with_segments,
+)
 
 Change = Callable[[Index], object]
 
@@ -44,13 +53,13 @@ def _page_entry(key: str, value: int) -> Change:
     return change
 
 
-def orders() -> list[Invalid]:
+def invalid() -> list[Invalid]:
     """Return the vectors, in the order of the steps."""
-    head, tail, second, second_tail = chunks().groups[0].segments
-    shape, _, *drawn = books().groups[0].segments
+    head, tail, second, second_tail = two_chunks().groups[0].segments
+    shape, _, *drawn = chunk_with_codebooks().groups[0].segments
     unknown = _poke("segments", "kind", 0, "B", 99)
     short = _poke("segments", "length", 0, "I", 100)
-    more = set_key("splats", 9)
+    more = key_setter("splats", 9)
     none_needed = _poke("segments", "needs", 0, "I", 1)
     camera = Segment(SegmentKind.CAMERAS, 0, pack(camera_columns(1)))
 
@@ -60,21 +69,23 @@ def orders() -> list[Invalid]:
     def with_order(
         segments: Sequence[Segment], change: Change, draft: Draft | None = None
     ) -> bytes:
-        return edited(with_segments(draft or chunks(), segments), change)
+        return build_edited(with_segments(draft or two_chunks(), segments), change)
 
-    flat = replace(chunks(), root=root_keys(4, 0))
-    versions = preamble_field(preamble_field(build(still()), 8, "H", 1), 28, "I", 1)
+    flat = replace(two_chunks(), root=root_keys(4, 0))
+    versions = preamble_field(preamble_field(build(uniform_chunk()), 8, "H", 1), 28, "I", 1)
     flipped = poke(versions, 60, "B", versions[60] ^ 1)
     return [
         bad("crc-version", flipped, "preamble-crc", "3.1",
             "another version in a preamble of a wrong CRC"),
         bad("version-reserved", versions, "version-major", "3.2",
             "another version, and reserved bytes set"),
-        bad("kind-trailing", edited(still(), unknown) + b"\0", "segment-kind-unknown", "5.2",
+        bad("kind-trailing", build_edited(uniform_chunk(), unknown) + b"\0",
+            "segment-kind-unknown", "5.2",
             "an unknown kind, and a byte behind the end"),
-        bad("trailing-heads", build(with_segments(chunks(), [head, tail, second_tail])) + b"\0",
+        bad("trailing-heads", build(with_segments(two_chunks(), [head, tail, second_tail])) + b"\0",
             "file-trailing", "3.3", "a byte behind the end, and a chunk without a head"),
-        bad("page-end", edited(pages(), _all(_page_entry("crc", 1), short)), "page-crc", "5.6",
+        bad("page-end", build_edited(paged_chunks(), _all(_page_entry("crc", 1), short)),
+            "page-crc", "5.6",
             "a page elsewhere than its place, and so another CRC; an end that is not the file's"),
         bad("end-heads", with_order([second, second_tail, head, tail], short), "segments-length",
             "5.1", "bytes that no segment holds, and heads out of order"),
@@ -82,11 +93,13 @@ def orders() -> list[Invalid]:
             "heads out of order, and a tail at SH degree 0"),
         bad("tails-splats", with_order([tail, head, second], more), "chunk-tails", "5.4",
             "a tail before its head, and another number of splats"),
-        bad("splats-needs", edited(still(), _all(more, none_needed)), "splat-count", "5.4",
+        bad("splats-needs", build_edited(uniform_chunk(), _all(more, none_needed)), "splat-count",
+            "5.4",
             "another number of splats, and a codebook needed where there are none"),
         bad("needs-books", with_order([shape, *drawn], _poke("segments", "needs", 0, "I", 4),
-                                      books()),
+                                      chunk_with_codebooks()),
             "needs-range", "5.3", "a codebook needed that is not there, and another incomplete"),
-        bad("books-cameras", build(with_segments(books(), [shape, *drawn, camera, camera])),
+        bad("books-cameras", build(with_segments(chunk_with_codebooks(), [shape, *drawn, camera,
+            camera])),
             "codebook-segments", "5.5", "a codebook incomplete, and cameras twice"),
     ]  # fmt: skip

@@ -11,7 +11,7 @@ from cogsplat.formats.cogs.canonical_msgpack import Value, pack
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
 
-from . import handmade_streams as scenes
+from . import handmade_streams as handmade
 from .file_builder import ChunkRow, Draft, Group, build, pack_streams, root_keys
 from .invalid import Invalid
 from .valid import Valid
@@ -38,7 +38,7 @@ def _layer(
     }
 
 
-def _packed(codes: Sequence[int], bits: int) -> bytes:
+def _pack_codes(codes: Sequence[int], bits: int) -> bytes:
     number = sum(code << bits * place for place, code in enumerate(codes))
     return number.to_bytes((len(codes) * bits + 7) // 8, "little")
 
@@ -52,19 +52,19 @@ def _draft(layers: Sequence[tuple[int, bytes]]) -> Draft:
             if before == chunk:
                 segments.append(Segment(SegmentKind.COMPENSATION, owner, data))
                 owner += 1
-        head = pack_streams(scenes.still_head(_ROWS))
+        head = pack_streams(handmade.uniform_head(_ROWS))
         segments.append(Segment(SegmentKind.HEAD, chunk, head))
     rows = [ChunkRow(_ROWS)] * _CHUNKS
     return Draft(root_keys(_CHUNKS * _ROWS, 0), [Group(segments, rows)])
 
 
-_FIRST = _layer([51], [33], [64, 64], [-7, 120, 127, -128, 1, 2], _packed([2, 0, 1], 2))
+_FIRST = _layer([51], [33], [64, 64], [-7, 120, 127, -128, 1, 2], _pack_codes([2, 0, 1], 2))
 _SECOND = _layer(
     [40, -128, 127], [-5, 17, 127], [37, 11, 64, 64, 255, 255], [127, -128],
 )  # fmt: skip
 _THIRD = _layer(
     [3, 2, 1, 0], [1, 1, 2, 3], [9, 8, 7, 6, 5, 4, 64, 64],
-    [k for row in range(5) for k in (row - 3, 3 - 2 * row)], _packed([4, 0, 3], 3),
+    [k for row in range(5) for k in (row - 3, 3 - 2 * row)], _pack_codes([4, 0, 3], 3),
 )  # fmt: skip
 
 
@@ -100,25 +100,25 @@ def valid() -> list[Valid]:
 
 def _blend() -> Valid:
     """Return chunks of many sizes between two layers, and behind the last: parts that round."""
-    data = build(_sized([0] * len(_SIZES)))
+    data = build(_two_layers([0] * len(_SIZES)))
     note = "prefixes between two layers and behind the last, where every operation rounds"
     return Valid("compensation-blend", data, ("5.9", "8.5"), note)
 
 
 def _cells() -> Valid:
     """Return the same chunks cut into cells, the whole once more behind one of its halves."""
-    data = build(_sized([1, 3, 1, 3, 2, 7, 2]))
+    data = build(_two_layers([1, 3, 1, 3, 2, 7, 2]))
     note = "the same chunks cut into cells: sets of chunks that hold with each chunk its parent"
     return Valid("compensation-cells", data, ("5.4", "5.9", "8.5"), note)
 
 
-def _sized(cells: Sequence[int]) -> Draft:
+def _two_layers(cells: Sequence[int]) -> Draft:
     """Return chunks of `_SIZES` rows with two layers."""
     entries = [k for row in range(16) for k in (7 * row - 50, 113 - 15 * row)]
-    first = _layer([85], [-77], [63, 61], entries, _packed([3, 15, 8, 11, 6], 4))
+    first = _layer([85], [-77], [63, 61], entries, _pack_codes([3, 15, 8, 11, 6], 4))
     second = _layer(
         [-53, 91, -128, 127, 33], [119, -37, 71, -5, 18], [55, 249, 3, 127, 77, 201, 64, 31, 9, 5],
-        entries, _packed([1, 14, 5, 2, 9, 12, 7], 4),
+        entries, _pack_codes([1, 14, 5, 2, 9, 12, 7], 4),
     )  # fmt: skip
     segments = []
     for chunk, rows in enumerate(_SIZES):
@@ -127,10 +127,10 @@ def _sized(cells: Sequence[int]) -> Draft:
             segments.append(Segment(SegmentKind.COMPENSATION, chunk, data))
         # Near 0, so that no addition swallows the last bit of a shift.
         near = [
-            scenes.constant(Attribute.SCALES, rows, 0.0, 2.0**-9, -0.25),
-            scenes.constant(Attribute.OPACITIES, rows, 0.0),
+            handmade.constant(Attribute.SCALES, rows, 0.0, 2.0**-9, -0.25),
+            handmade.constant(Attribute.OPACITIES, rows, 0.0),
         ]
-        head = pack_streams(scenes.still_head(rows, *near))
+        head = pack_streams(handmade.uniform_head(rows, *near))
         segments.append(Segment(SegmentKind.HEAD, chunk, head))
     rows_of = [ChunkRow(rows, cell=cell) for rows, cell in zip(_SIZES, cells, strict=True)]
     return Draft(root_keys(sum(_SIZES), 0), [Group(segments, rows_of)])
@@ -139,12 +139,12 @@ def _sized(cells: Sequence[int]) -> Draft:
 def _zeros() -> Valid:
     """Return scales and opacities of -0 under a layer of zero shifts, and the whole scene."""
     minus = [
-        scenes.floats(Attribute.SCALES, [[-0.0, -1.0, -0.0]] * _ROWS),
-        scenes.floats(Attribute.OPACITIES, [[-0.0]] * _ROWS),
+        handmade.floats(Attribute.SCALES, [[-0.0, -1.0, -0.0]] * _ROWS),
+        handmade.floats(Attribute.OPACITIES, [[-0.0]] * _ROWS),
     ]
     layer = Segment(SegmentKind.COMPENSATION, 0, pack(_layer([0], [0], [0, 0])))
     heads = [
-        Segment(SegmentKind.HEAD, chunk, pack_streams(scenes.still_head(_ROWS, *minus)))
+        Segment(SegmentKind.HEAD, chunk, pack_streams(handmade.uniform_head(_ROWS, *minus)))
         for chunk in range(3)
     ]
     draft = Draft(root_keys(3 * _ROWS, 0), [Group([layer, *heads], [ChunkRow(_ROWS)] * 3)])
@@ -152,7 +152,7 @@ def _zeros() -> Valid:
     return Valid("compensation-zeros", build(draft), ("5.9", "8.5"), note)
 
 
-def compensation() -> list[Invalid]:
+def invalid() -> list[Invalid]:
     """Return the must-reject vectors of SPEC 5.9."""
 
     def order(name: str, owners: Sequence[int], note: str) -> Invalid:
@@ -196,7 +196,7 @@ def compensation() -> list[Invalid]:
         changed("compensation-codes-short", "root-columns", "no codes", codes=b""),
         changed("compensation-codes-long", "root-columns", "a byte more", codes=bytes(2)),
         changed("compensation-code-3", "root-value", "code 3 of a book of three",
-                codes=_packed([0, 3, 0], 2)),
+                codes=_pack_codes([0, 3, 0], 2)),
         changed("compensation-spare", "root-value", "a bit behind the last code",
-                codes=_packed([0, 0, 0, 1], 2)),
+                codes=_pack_codes([0, 0, 0, 1], 2)),
     ]  # fmt: skip

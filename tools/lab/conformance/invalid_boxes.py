@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 from cogsplat.formats.cogs.canonical_msgpack import Value, pack, unpack
 
-from . import handmade_streams as scenes
+from . import handmade_streams as handmade
 from . import reference_decoder, worked_example
-from .extras import labelled, stored
-from .file_builder import build, one_chunk, pack_streams, root_bytes, table, with_root
+from .attribute_vectors import store_planes, with_attributes
+from .file_builder import build, one_chunk, pack_streams, split_root, table, with_root
 from .invalid import Invalid
-from .refinement import valid as refinements
+from .refinement_vectors import valid as refinement_vectors
 
 
 def _bounds(rows: Sequence[Sequence[float]]) -> tuple[float, ...]:
@@ -20,9 +20,9 @@ def _bounds(rows: Sequence[Sequence[float]]) -> tuple[float, ...]:
     return (*(min(column) for column in columns), *(max(column) for column in columns))
 
 
-def _boxed(data: bytes, box: Sequence[float]) -> bytes:
+def _with_box(data: bytes, box: Sequence[float]) -> bytes:
     """Return a file of one chunk with another box around it."""
-    root, behind = root_bytes(data)
+    root, behind = split_root(data)
     index = unpack(root, "root")
     table(index, "chunks")["box"] = struct.pack("<6f", *box)
     return with_root(pack(index), behind)
@@ -36,14 +36,16 @@ def boxes() -> list[Invalid]:
 
         It is made of the first vector of one chunk whose other means go beyond.
         """
-        for vector in (*refinements(), worked_example.valid()):
+        for vector in (*refinement_vectors(), worked_example.valid()):
             decoded = reference_decoder.decode(vector.data, refine=refine)
             held = _bounds(decoded.rows["means"])
             others = _bounds(reference_decoder.decode(vector.data, refine=not refine).rows["means"])
             beyond = any(a < b for a, b in zip(others[:3], held[:3], strict=True))
             beyond |= any(a > b for a, b in zip(others[3:], held[3:], strict=True))
             if beyond and len(decoded.chunk_splats) == 1:
-                return Invalid(name, _boxed(vector.data, held), "chunk-box", "5.4", note, "verify")
+                return Invalid(
+                    name, _with_box(vector.data, held), "chunk-box", "5.4", note, "verify"
+                )
         raise ValueError(f"no valid vector of refined means from which to make {name}")
 
     return [
@@ -52,14 +54,14 @@ def boxes() -> list[Invalid]:
     ]
 
 
-def sizes() -> list[Invalid]:
+def decoded_sizes() -> list[Invalid]:
     """Return the vector of a file that only its attributes make too large (SPEC 9.2)."""
     rows, attributes, components = 1 << 18, 2, 16
     entries: list[Value] = [
         {"name": f"wide {i}", "type": "f8", "components": components} for i in range(attributes)
     ]
-    head = pack_streams(scenes.still_head(rows))
+    head = pack_streams(handmade.uniform_head(rows))
     columns = [bytes(rows)] * (8 * components * attributes)
-    data = build(labelled(one_chunk(head, rows), entries, [stored(columns)]))
+    data = build(with_attributes(one_chunk(head, rows), entries, [store_planes(columns)]))
     note = "attributes of 256 bytes a splat, in a file of a few kilobytes"
     return [Invalid("decoded-size-attributes", data, "decoded-size", "9.2", note, "decode")]

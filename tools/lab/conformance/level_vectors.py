@@ -11,7 +11,7 @@ from cogsplat.formats.cogs.canonical_msgpack import Value, pack
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
 
-from . import handmade_streams as scenes
+from . import handmade_streams as handmade
 from .file_builder import (
     ChunkRow,
     Draft,
@@ -24,8 +24,8 @@ from .file_builder import (
     root_keys,
     table,
 )
-from .invalid import Invalid, edited, set_key, still, with_segments
-from .refinement import digits
+from .invalid import Invalid, build_edited, key_setter, uniform_chunk, with_segments
+from .refinement_vectors import digits
 from .valid import Valid
 
 _ROWS = 7
@@ -36,7 +36,9 @@ def _level(chunks: Value, scale: Value) -> Value:
 
 
 def _head(chunk: int, *changed: Stream) -> Segment:
-    return Segment(SegmentKind.HEAD, chunk, pack_streams(scenes.head(_ROWS, 3 + chunk, *changed)))
+    return Segment(
+        SegmentKind.HEAD, chunk, pack_streams(handmade.random_head(_ROWS, 3 + chunk, *changed))
+    )
 
 
 def _opacities(chunk: int, *streams: Stream) -> Segment:
@@ -44,7 +46,7 @@ def _opacities(chunk: int, *streams: Stream) -> Segment:
 
 
 def _logits(seed: int) -> Stream:
-    return scenes.spread(Attribute.OPACITIES, _ROWS, seed, span=4.0)
+    return handmade.random_scalar(Attribute.OPACITIES, _ROWS, seed, span=4.0)
 
 
 def _differences(seed: int) -> Stream:
@@ -52,11 +54,11 @@ def _differences(seed: int) -> Stream:
 
 
 def _tail(chunk: int) -> Segment:
-    return Segment(SegmentKind.TAIL, chunk, pack_streams(scenes.bands(1, _ROWS, 5 + chunk)))
+    return Segment(SegmentKind.TAIL, chunk, pack_streams(handmade.bands(1, _ROWS, 5 + chunk)))
 
 
 def _refinement(chunk: int) -> Segment:
-    own = {stream.attribute: stream for stream in scenes.head(_ROWS, 3 + chunk)}
+    own = {stream.attribute: stream for stream in handmade.random_head(_ROWS, 3 + chunk)}
     finer = [
         digits(Attribute.SCALES, own[Attribute.SCALES], (2, 3, 4), 5 + chunk),
         digits(Attribute.OPACITIES, own[Attribute.OPACITIES], (16,), 6 + chunk),
@@ -64,7 +66,7 @@ def _refinement(chunk: int) -> Segment:
     return Segment(SegmentKind.REFINEMENT, chunk, pack_streams(finer))
 
 
-def _ending() -> Draft:
+def _ending_chunks() -> Draft:
     """Return a file of four chunks of which the first two end, one of them with the file."""
     segments = [
         _head(0), _head(1), _tail(0), _head(2), _refinement(0), _tail(2), _head(3), _refinement(3),
@@ -73,9 +75,9 @@ def _ending() -> Draft:
     return Draft(root_keys(4 * _ROWS, 1), [Group(segments, rows)])
 
 
-def _levelled() -> Draft:
+def _three_levels() -> Draft:
     """Return a file of three levels: two chunks, one more, two more; the second ends at level 1."""
-    infinite = scenes.coded(
+    infinite = handmade.scalar(
         Attribute.OPACITIES, [(-1.0, 1.0, 30)], [[31, 30, 1, 2, 3, 4, 5]], flags=INFINITIES
     )
     segments = [
@@ -92,9 +94,9 @@ def _levelled() -> Draft:
     return Draft(root_keys(5 * _ROWS, 1, levels=levels), [Group(segments, rows)])
 
 
-def _kept() -> Draft:
+def _kept_opacities() -> Draft:
     """Return a file of four levels; one chunk has opacities of one later level, others of none."""
-    floats = scenes.floats(
+    floats = handmade.floats(
         Attribute.OPACITIES, [[-0.0], [math.inf], [-math.inf], [1.0], [2.0], [2.0**100], [-3.5]]
     )
     segments = [
@@ -105,13 +107,13 @@ def _kept() -> Draft:
     return Draft(root_keys(4 * _ROWS, 0, levels=levels), [Group(segments, rows)])
 
 
-def _compensated() -> Draft:
+def _compensated_ending() -> Draft:
     """Return the file of chunks that end with a layer of compensation of its first two."""
     layer: dict[str, Value] = {
         "scales": b"\x33\x0b", "opacities": b"\x21\xf5", "strengths": bytes(4),
         "book": b"", "codes": b"",
     }  # fmt: skip
-    draft = _ending()
+    draft = _ending_chunks()
     first = Segment(SegmentKind.COMPENSATION, 0, pack(layer))
     group = draft.groups[0]
     return replace(draft, groups=[Group([first, *group.segments], group.chunks)])
@@ -119,7 +121,7 @@ def _compensated() -> Draft:
 
 def valid() -> list[Valid]:
     """Return the valid vectors of SPEC 5.10, 5.11 and 7.5."""
-    ending, levelled = _ending(), _levelled()
+    ending, levelled = _ending_chunks(), _three_levels()
     own, late = ending.groups[0], levelled.groups[0]
     ends = replace(
         ending,
@@ -140,28 +142,28 @@ def valid() -> list[Valid]:
         Valid("ends", build(ending), ("5.10", "8.2"),
               "four chunks of which two end, one of them with the file"),
         Valid("ends-pages", build(ends), ("5.6", "5.10", "8.2"), "the same listed in pages"),
-        Valid("ends-compensation", build(_compensated()), ("5.10", "8.5"),
+        Valid("ends-compensation", build(_compensated_ending()), ("5.10", "8.5"),
               "the same compensated, ended chunks counted"),
         Valid("levels", build(levelled), ("5.10", "5.11", "6.12", "7.5"),
               "three levels; opacities as they are and as differences, also to infinities"),
         Valid("levels-pages", build(levels), ("5.6", "5.11", "7.5"), "the same listed in pages"),
-        Valid("levels-kept", build(_kept()), ("5.11", "7.5"),
+        Valid("levels-kept", build(_kept_opacities()), ("5.11", "7.5"),
               "opacities of one later level that the next keeps; chunks without"),
     ]  # fmt: skip
 
 
-def ends() -> list[Invalid]:
+def invalid_ends() -> list[Invalid]:
     """Return the must-reject vectors of SPEC 5.10."""
 
     def bad(name: str, chunk: int, until: int, note: str) -> Invalid:
-        draft = _ending()
+        draft = _ending_chunks()
         group = draft.groups[0]
         rows = list(group.chunks)
         rows[chunk] = replace(rows[chunk], until=until)
         data = build(replace(draft, groups=[Group(group.segments, rows)]))
         return Invalid(name, data, "chunk-until", "5.10", note)
 
-    short = edited(still(), set_key("until", bytes(8), within="chunks"))
+    short = build_edited(uniform_chunk(), key_setter("until", bytes(8), within="chunks"))
     return [
         bad("until-before", 2, 3, "a chunk that ends with itself"),
         bad("until-1", 0, 1, "a first chunk that is never drawn"),
@@ -170,11 +172,13 @@ def ends() -> list[Invalid]:
     ]
 
 
-def levels() -> list[Invalid]:
+def invalid_levels() -> list[Invalid]:
     """Return the must-reject vectors of the root's levels (SPEC 5.11)."""
 
     def bad(name: str, value: Value, code: str, note: str, clause: str = "5.11") -> Invalid:
-        return Invalid(name, edited(_levelled(), set_key("levels", value)), code, clause, note)
+        return Invalid(
+            name, build_edited(_three_levels(), key_setter("levels", value)), code, clause, note
+        )
 
     def pair(
         name: str, first: Value, second: Value, note: str, code: str = "root-value"
@@ -182,13 +186,13 @@ def levels() -> list[Invalid]:
         return bad(name, [first, second], code, note)
 
     whole = _level(5, 1.0)
-    heads = _levelled().groups[0]
+    heads = _three_levels().groups[0]
     rest = [s for s in heads.segments if (s.kind, s.owner) != (SegmentKind.HEAD, 4)]
 
     def fewer(index: Index) -> None:
         index["levels"] = [_level(3, 1.0)]
 
-    both = with_segments(_levelled(), rest)
+    both = with_segments(_three_levels(), rest)
     sealed: Value = {"chunks": 5, "scale": 1.0, "colour!": 1}
     return [
         bad("levels-map", {}, "root-type", "levels in a map", "4.2"),
@@ -209,14 +213,14 @@ def levels() -> list[Invalid]:
              "level-chunks"),
         pair("level-more", _level(2, 2.0), _level(6, 1.0), "levels of six chunks of five",
              "level-chunks"),
-        Invalid("order-levels-heads", edited(both, fewer), "level-chunks", "5.11",
+        Invalid("order-levels-heads", build_edited(both, fewer), "level-chunks", "5.11",
                 "levels of three chunks of five, and a chunk without a head"),
     ]  # fmt: skip
 
 
-def opacities() -> list[Invalid]:
+def invalid_opacities() -> list[Invalid]:
     """Return the must-reject vectors of segments of opacities (SPEC 5.11, 7.5)."""
-    draft = _levelled()
+    draft = _three_levels()
     body = list(draft.groups[0].segments)
     logits = _opacities(0, _logits(44))
 
@@ -242,17 +246,17 @@ def opacities() -> list[Invalid]:
             until.to_bytes(4, "little") for until in (3, 3, 0, 0, 0)
         )
 
-    mixed = [_logits(44), scenes.constant(Attribute.SH0, _ROWS, 0.0, 0.0, 0.0)]
+    mixed = [_logits(44), handmade.constant(Attribute.SH0, _ROWS, 0.0, 0.0, 0.0)]
     escape = replace(_logits(44), flags=ESCAPE)
-    fewer = scenes.spread(Attribute.OPACITIES, _ROWS - 1, 44)
-    own = {stream.attribute: stream for stream in scenes.head(_ROWS, 3)}
+    fewer = handmade.random_scalar(Attribute.OPACITIES, _ROWS - 1, 44)
+    own = {stream.attribute: stream for stream in handmade.random_head(_ROWS, 3)}
     finer = digits(Attribute.OPACITIES, own[Attribute.OPACITIES], (16,), 6)
     sealed = payload([record(_differences(44), flags=INFINITIES)])
     differing = [_head(0, _differences(4)), *body[1:]]
     return [
-        Invalid("opacities-no-levels", edited(draft, levelless), "chunk-opacities", "5.11",
+        Invalid("opacities-no-levels", build_edited(draft, levelless), "chunk-opacities", "5.11",
                 "opacities of levels in a file without"),
-        Invalid("opacities-ended", edited(draft, ended), "chunk-opacities", "5.11",
+        Invalid("opacities-ended", build_edited(draft, ended), "chunk-opacities", "5.11",
                 "opacities of two later levels of a chunk that ends at level 1"),
         order("opacities-more", [*body, logits], "three later levels of chunk 0, two there are"),
         order("opacities-last", [*body, replace(logits, owner=3)],

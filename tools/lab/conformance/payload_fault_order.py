@@ -10,7 +10,7 @@ from cogsplat.codec.streams.records import Attribute, Kind, Stream
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
 
-from . import handmade_streams as scenes
+from . import handmade_streams as handmade
 from .file_builder import (
     ChunkRow,
     Draft,
@@ -23,21 +23,21 @@ from .file_builder import (
     record,
     root_keys,
 )
-from .invalid import Invalid, books, with_segments
+from .invalid import Invalid, chunk_with_codebooks, with_segments
 
 _ROWS = 3
 
 
-def orders() -> list[Invalid]:
+def invalid() -> list[Invalid]:
     """Return the vectors, in the order in which SPEC 7.6 has their first faults."""
-    head = scenes.head(_ROWS, 1)
-    at = {stream.attribute: scenes.place(head, stream.attribute) for stream in head}
+    head = handmade.random_head(_ROWS, 1)
+    at = {stream.attribute: handmade.stream_index(head, stream.attribute) for stream in head}
     sh0 = head[at[Attribute.SH0]]
     quats = head[at[Attribute.QUATS]]
-    past = scenes.coded(Attribute.SCALES, [(0.0, 1.0, 4)] * 3, [[0, 1, 4], [0] * 3, [0] * 3])
+    past = handmade.scalar(Attribute.SCALES, [(0.0, 1.0, 4)] * 3, [[0, 1, 4], [0] * 3, [0] * 3])
     grids = struct.pack("<ffIffIffI", -1, 1, 0, math.nan, 1, 4, -1, 1, 4)
     wide = struct.pack("<B3xffIffIffI", 9, -1, 2, 4, -1, 1, 4, -1, 1, 4)
-    shape = scenes.indices(Attribute.SHAPE, [0, 4, 2], 7, 5, 0)
+    shape = handmade.vq(Attribute.SHAPE, [0, 4, 2], 7, 5, 0)
 
     def bad(name: str, data: bytes, code: str, clause: str, note: str) -> Invalid:
         return Invalid(f"order-{name}", data, code, clause, note, "decode")
@@ -46,15 +46,15 @@ def orders() -> list[Invalid]:
         return build(one_chunk(payload(entries), _ROWS))
 
     def with_head(*changed: Stream) -> bytes:
-        return build(one_chunk(pack_streams(scenes.head(_ROWS, 1, *changed)), _ROWS))
+        return build(one_chunk(pack_streams(handmade.random_head(_ROWS, 1, *changed)), _ROWS))
 
     records = [record(stream) for stream in head]
     unknown = replace(records[0], fields=[records[0].fields[0], 99, *records[0].fields[2:]])
     longer = replace(records[-1], planes=[(1000, b"")])
     more = record(replace(sh0, kind=Kind.SORTED), rows=_ROWS - 1)
     odd = record(replace(sh0, kind=Kind.SORTED), components=2)
-    coarse = scenes.head(_ROWS, 1, past)
-    extra = scenes.spread(Attribute.SCALE_FACTOR, _ROWS, 3)
+    coarse = handmade.random_head(_ROWS, 1, past)
+    extra = handmade.random_scalar(Attribute.SCALE_FACTOR, _ROWS, 3)
     left = replace(quats, params=wide)
     return [
         bad("record-planes", of(unknown, *records[1:-1], longer), "stream-kind-unknown", "6.2",
@@ -79,8 +79,8 @@ def orders() -> list[Invalid]:
         bad("missing-unexpected", build(one_chunk(pack_streams(
             [extra, *(s for s in head if s.attribute != Attribute.SH0)]), _ROWS)),
             "stream-missing", "7.2", "no sh0, and a stream that no head has"),
-        bad("codebook-factor", _books_with(pack_streams(
-            [s for s in scenes.vq_head(_ROWS, 1, shape, still=True)
+        bad("codebook-factor", _with_head(pack_streams(
+            [s for s in handmade.vq_head(_ROWS, 1, shape, still=True)
              if s.attribute != Attribute.SCALE_FACTOR])), "codebook-missing", "6.7",
             "a codebook that is not there, and no scale factor"),
         bad("books-heads", _broken_book(), "code-range", "6.4",
@@ -94,8 +94,8 @@ def _of_another_kind(entry: Record) -> Record:
     return replace(entry, fields=[entry.fields[0], int(Kind.SORTED), *entry.fields[2:]])
 
 
-def _books_with(head: bytes) -> bytes:
-    draft = books()
+def _with_head(head: bytes) -> bytes:
+    draft = chunk_with_codebooks()
     segments = [
         replace(part, payload=head) if part.kind == SegmentKind.HEAD else part
         for part in draft.groups[0].segments
@@ -106,24 +106,24 @@ def _books_with(head: bytes) -> bytes:
 def _broken_book() -> bytes:
     """Return a file of two chunks, the first head empty, the second on a broken codebook."""
     ranges = [(-1.0, 1.0, 4)] * 3
-    scales = scenes.coded(Attribute.SCALES, ranges, [[0, 1], [0, 5], [2, 3]])
-    book = pack_streams([scales, scenes.quats(2, 4)])
-    shape = scenes.indices(Attribute.SHAPE, [0, 1, 1], 0, 2, 0)
+    scales = handmade.scalar(Attribute.SCALES, ranges, [[0, 1], [0, 5], [2, 3]])
+    book = pack_streams([scales, handmade.random_quats(2, 4)])
+    shape = handmade.vq(Attribute.SHAPE, [0, 1, 1], 0, 2, 0)
     segments = [
         Segment(SegmentKind.SHAPE_CODEBOOK, 0, book),
         Segment(SegmentKind.HEAD, 0, struct.pack("<H", 0)),
         Segment(
-            SegmentKind.HEAD, 1, pack_streams(scenes.vq_head(_ROWS, 1, shape, still=True)), (0,)
+            SegmentKind.HEAD, 1, pack_streams(handmade.vq_head(_ROWS, 1, shape, still=True)), (0,)
         ),
     ]
     keys = root_keys(2 * _ROWS, 0, codebooks=[{"attribute": "shape", "rows": 2}])
     return build(Draft(keys, [Group(segments, [ChunkRow(_ROWS)] * 2)]))
 
 
-def verified() -> list[Invalid]:
+def invalid_unused() -> list[Invalid]:
     """Return the vector that only a verifier refuses: a codebook that no chunk needs."""
     draft = one_chunk(
-        pack_streams(scenes.still_head(_ROWS)),
+        pack_streams(handmade.uniform_head(_ROWS)),
         _ROWS,
         books={"shape": (2, [struct.pack("<H", 0)])},
     )

@@ -11,8 +11,8 @@ from cogsplat.formats.cogs.canonical_msgpack import Value, pack
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
 
-from .file_builder import ChunkRow, Draft, Group, build, packed_plane, plane
-from .invalid import Invalid, chunks, edited, set_key, still, with_segments
+from .file_builder import ChunkRow, Draft, Group, build, pack_symbols, plane
+from .invalid import Invalid, build_edited, key_setter, two_chunks, uniform_chunk, with_segments
 from .valid import Valid
 
 _TYPES: Final = {
@@ -43,7 +43,7 @@ def _payload(planes: Sequence[tuple[int, bytes]]) -> bytes:
     return words + b"".join(stored for _, stored in planes)
 
 
-def stored(columns: Sequence[bytes]) -> bytes:
+def store_planes(columns: Sequence[bytes]) -> bytes:
     """Return the payload of planes: each as it is, or a zstd frame where that is smaller."""
     return _payload([plane(column) for column in columns])
 
@@ -53,7 +53,7 @@ def labels(rows: int) -> list[bytes]:
     return _columns("u1", [[row % 3] for row in range(rows)])
 
 
-def labelled(draft: Draft, attributes: Sequence[Value], payloads: Sequence[bytes]) -> Draft:
+def with_attributes(draft: Draft, attributes: Sequence[Value], payloads: Sequence[bytes]) -> Draft:
     """Return a file with attributes in its root and a segment of them for each chunk."""
     added = [Segment(SegmentKind.ATTRIBUTES, i, data) for i, data in enumerate(payloads)]
     whole = with_segments(draft, [*draft.groups[0].segments, *added])
@@ -78,7 +78,7 @@ def _all_types() -> Valid:
     for chunk, part in enumerate(parts):
         part += _columns("f4", [[row + 0.5, -row, chunk] for row in range(2)])
         part += _columns("i2", [[-row - 300 * chunk] for row in range(2)])
-    draft = labelled(chunks(), attributes, [stored(part) for part in parts])
+    draft = with_attributes(two_chunks(), attributes, [store_planes(part) for part in parts])
     note = "extra attributes of all types, of one value and of several"
     return Valid("attributes", build(draft), ("5.7",), note)
 
@@ -86,23 +86,23 @@ def _all_types() -> Valid:
 def _coded() -> Valid:
     rows = 3
     frame_of = [[row // 2 * 1000] for row in range(rows)]
-    packed = bytes([3]) + packed_plane(labels(rows)[0], 3)
+    packed = bytes([3]) + pack_symbols(labels(rows)[0], 3)
     planes = [(len(packed) | 1 << 30, packed), *map(plane, _columns("u4", frame_of))]
     attributes = [_entry("label", "u1"), _entry("frame", "u4")]
     note = "attributes whose planes are packed"
     return Valid(
         "attributes-packed",
-        build(labelled(still(), attributes, [_payload(planes)])),
+        build(with_attributes(uniform_chunk(), attributes, [_payload(planes)])),
         ("5.7", "6.9"),
         note,
     )
 
 
 def _some_chunks() -> Valid:
-    whole = chunks()
+    whole = two_chunks()
     segments = [
         *whole.groups[0].segments,
-        Segment(SegmentKind.ATTRIBUTES, 1, stored(labels(2))),
+        Segment(SegmentKind.ATTRIBUTES, 1, store_planes(labels(2))),
     ]
     draft = replace(
         with_segments(whole, segments), root=whole.root | {"attributes": [_entry("label", "u1")]}
@@ -111,9 +111,9 @@ def _some_chunks() -> Valid:
 
 
 def _pages() -> Valid:
-    whole = chunks()
+    whole = two_chunks()
     segments = whole.groups[0].segments
-    added = [Segment(SegmentKind.ATTRIBUTES, i, stored(labels(2))) for i in range(2)]
+    added = [Segment(SegmentKind.ATTRIBUTES, i, store_planes(labels(2))) for i in range(2)]
     draft = Draft(
         whole.root | {"attributes": [_entry("label", "u1")]},
         [
@@ -152,7 +152,7 @@ def _camera_segment(count: int, **changes: Value) -> Segment:
 
 
 def _with_cameras(*segments: Segment) -> bytes:
-    draft = still()
+    draft = uniform_chunk()
     return build(with_segments(draft, [*draft.groups[0].segments, *segments]))
 
 
@@ -173,25 +173,27 @@ def valid() -> list[Valid]:
     ]
 
 
-def attributes() -> list[Invalid]:
+def invalid_attributes() -> list[Invalid]:
     """Return the must-reject vectors of SPEC 5.7."""
-    two = stored(labels(2))
-    good = labelled(chunks(), [_entry("label", "u1")], [two, two])
+    two = store_planes(labels(2))
+    good = with_attributes(two_chunks(), [_entry("label", "u1")], [two, two])
     *drawn, first, second = good.groups[0].segments
 
     def root(name: str, value: Value, code: str, note: str, clause: str = "5.7") -> Invalid:
-        return Invalid(name, edited(still(), set_key("attributes", value)), code, clause, note)
+        return Invalid(
+            name, build_edited(uniform_chunk(), key_setter("attributes", value)), code, clause, note
+        )
 
     def order(name: str, segments: Sequence[Segment], note: str) -> Invalid:
         data = build(with_segments(good, segments))
         return Invalid(name, data, "attribute-segments", "5.7", note)
 
     def body(name: str, data: bytes, code: str, note: str, clause: str = "5.7") -> Invalid:
-        draft = labelled(still(), [_entry("label", "u1")], [data])
+        draft = with_attributes(uniform_chunk(), [_entry("label", "u1")], [data])
         return Invalid(name, build(draft), code, clause, note, "decode")
 
     label = _entry("label", "u1")
-    unlisted = with_segments(chunks(), [*drawn, first])
+    unlisted = with_segments(two_chunks(), [*drawn, first])
     three = labels(3)
     many: list[Value] = [_entry(f"{i}", "u1") for i in range(257)]
     huge = plane(bytes(100))
@@ -220,11 +222,11 @@ def attributes() -> list[Invalid]:
         Invalid("attributes-unlisted", build(unlisted), "attribute-segments", "5.7",
                 "attributes that the root does not list"),
         body("attributes-words", b"\1\0\0", "attribute-record", "less than a word"),
-        body("attributes-cut", stored(three)[:-1], "attribute-record", "a byte missing"),
-        body("attributes-trailing", stored(three) + b"\0", "attribute-record", "a byte more"),
+        body("attributes-cut", store_planes(three)[:-1], "attribute-record", "a byte missing"),
+        body("attributes-trailing", store_planes(three) + b"\0", "attribute-record", "a byte more"),
         body("attributes-4g", _payload([(0xBFFFFFFF, b"")]), "attribute-record",
              "a plane of 2^30 - 1 bytes stated"),
-        body("attributes-plane-short", stored(labels(2)), "plane-length",
+        body("attributes-plane-short", store_planes(labels(2)), "plane-length",
              "two rows of a chunk of three", "6.3"),
         body("attributes-frame-size", _payload([huge]), "zstd-size",
              "a frame of 100 bytes for three rows", "6.3"),
@@ -233,7 +235,7 @@ def attributes() -> list[Invalid]:
     ]  # fmt: skip
 
 
-def cameras() -> list[Invalid]:
+def invalid_cameras() -> list[Invalid]:
     """Return the must-reject vectors of SPEC 5.8."""
 
     def order(name: str, segments: Sequence[Segment], note: str) -> Invalid:

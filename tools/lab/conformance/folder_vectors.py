@@ -74,12 +74,12 @@ def valid(files: Mapping[str, bytes]) -> list[ValidFolder]:
     """Return the folders to decode, made of valid vectors by name."""
 
     def one(name: str, note: str) -> ValidFolder:
-        return ValidFolder(name, {MANIFEST: name}, note, unpacked(files[name]))
+        return ValidFolder(name, {MANIFEST: name}, note, folder_of_file(files[name]))
 
     versions = {"first.cogsm": "attributes", "second.cogsm": "attributes-pages"}
     both: Objects = {}
     for manifest, name in versions.items():
-        both |= unpacked(files[name], manifest)
+        both |= folder_of_file(files[name], manifest)
     return [
         one("empty", "a manifest and no objects"),
         one("one-splat", "one object"),
@@ -90,22 +90,22 @@ def valid(files: Mapping[str, bytes]) -> list[ValidFolder]:
             "one-object",
             {MANIFEST: "attributes-pages"},
             "all segments backwards in one object, with bytes of no segment around them",
-            in_one_object(files["attributes-pages"], b"between"),
+            one_object_folder(files["attributes-pages"], b"between"),
         ),
     ]
 
 
 def invalid(files: Mapping[str, bytes]) -> list[InvalidFolder]:
     """Return the folders to refuse, made of valid vectors by name; all have `MANIFEST`."""
-    small, large = unpacked(files["one-splat"]), unpacked(files["pages"])
+    small, large = folder_of_file(files["one-splat"]), folder_of_file(files["pages"])
     manifest = small[MANIFEST]
     paged = large[MANIFEST]
     (segment,) = (name for name in small if name != MANIFEST)
     content = small[segment]
     flipped = content[:-1] + bytes([content[-1] ^ 1])
-    root_end, _ = _root(manifest)
+    root_end, _ = _read_root(manifest)
     other = f"segments/{bytes(16).hex()}.bin"
-    last_page = len(paged) - _places_bytes(_root(paged)[1]["pages"][-1]["segments"])
+    last_page = len(paged) - _placement_bytes(_read_root(paged)[1]["pages"][-1]["segments"])
 
     def head(name: str, data: bytes, code: str, note: str, clause: str = "3.4") -> InvalidFolder:
         return InvalidFolder(name, small | {MANIFEST: data}, code, clause, note)
@@ -157,13 +157,13 @@ def invalid(files: Mapping[str, bytes]) -> list[InvalidFolder]:
         ),
         head(
             "folder-places-offset",
-            manifest[:root_end] + _places([(_key_of(content), len(content), 1)]),
+            manifest[:root_end] + _placement_table([(_object_key(content), len(content), 1)]),
             "places-range",
             "a segment that ends a byte behind its object",
         ),
         head(
             "folder-places-size",
-            manifest[:root_end] + _places([(_key_of(content), len(content) - 1, 0)]),
+            manifest[:root_end] + _placement_table([(_object_key(content), len(content) - 1, 0)]),
             "places-range",
             "an object that is stated a byte shorter than its segment",
         ),
@@ -214,7 +214,7 @@ def invalid(files: Mapping[str, bytes]) -> list[InvalidFolder]:
         body(
             "folder-object-hash",
             {
-                MANIFEST: manifest[:root_end] + _places([(bytes(16), len(content), 0)]),
+                MANIFEST: manifest[:root_end] + _placement_table([(bytes(16), len(content), 0)]),
                 other: content,
             },
             "object-hash",
@@ -224,9 +224,9 @@ def invalid(files: Mapping[str, bytes]) -> list[InvalidFolder]:
     ]
 
 
-def unpacked(data: bytes, manifest: str = MANIFEST) -> Objects:
+def folder_of_file(data: bytes, manifest: str = MANIFEST) -> Objects:
     """Return the folder of a file, its segments joined as SPEC 3.4 recommends."""
-    indexes = _indexes(data)
+    indexes = _read_indexes(data)
     groups: dict[tuple[object, ...], list[_Segment]] = {}
     for segment in (segment for index in indexes for segment in index.segments):
         key: tuple[object, ...] = ("alone", segment.position)
@@ -236,35 +236,35 @@ def unpacked(data: bytes, manifest: str = MANIFEST) -> Objects:
             key = ("chunk", segment.owner)
         groups.setdefault(key, []).append(segment)
     objects: Objects = {}
-    where: dict[int, _Place] = {}
+    where: dict[int, _Placement] = {}
     for group in groups.values():
         content = b"".join(data[x.position : x.position + x.length] for x in group)
         offset = 0
         for segment in group:
-            where[segment.position] = _key_of(content), len(content), offset
+            where[segment.position] = _object_key(content), len(content), offset
             offset += segment.length
-        objects[_name_of(content)] = content
-    return {manifest: _manifest(data, indexes, where), **objects}
+        objects[_object_name(content)] = content
+    return {manifest: _build_manifest(data, indexes, where), **objects}
 
 
-def in_one_object(data: bytes, around: bytes) -> Objects:
+def one_object_folder(data: bytes, around: bytes) -> Objects:
     """Return the folder of a file whose segments are all in one object.
 
     They lie in it backwards, with other bytes in front of them, behind them and between.
     """
-    indexes = _indexes(data)
+    indexes = _read_indexes(data)
     content, offsets = around, {}
     for segment in reversed([x for index in indexes for x in index.segments]):
         offsets[segment.position] = len(content)
         content += data[segment.position : segment.position + segment.length] + around
-    where = {at: (_key_of(content), len(content), offset) for at, offset in offsets.items()}
-    return {MANIFEST: _manifest(data, indexes, where), _name_of(content): content}
+    where = {at: (_object_key(content), len(content), offset) for at, offset in offsets.items()}
+    return {MANIFEST: _build_manifest(data, indexes, where), _object_name(content): content}
 
 
-def packed(objects: Mapping[str, bytes], manifest: str = MANIFEST) -> bytes:
+def file_of_folder(objects: Mapping[str, bytes], manifest: str = MANIFEST) -> bytes:
     """Return the file that a folder stands for."""
     data = objects[manifest]
-    position, root = _root(data)
+    position, root = _read_root(data)
     parts = [data[:position]]
     for page in [None, *root.get("pages", [])]:
         index = root
@@ -272,14 +272,14 @@ def packed(objects: Mapping[str, bytes], manifest: str = MANIFEST) -> bytes:
             parts.append(data[position : position + page["length"]])
             position += page["length"]
             index = msgpack.unpackb(parts[-1])
-        segments = _segments(index, 0)
+        segments = _read_segments(index, 0)
         count = len(segments)
         names = [data[position + 16 * row :][:16].hex() for row in range(count)]
         offsets = struct.unpack_from(f"<{count}I", data, position + 20 * count)
-        position += _places_bytes(count)
+        position += _placement_bytes(count)
         for name, offset, segment in zip(names, offsets, segments, strict=True):
             parts.append(objects[f"segments/{name}.bin"][offset : offset + segment.length])
-    return _with_magic(b"".join(parts), MAGIC)
+    return _replace_magic(b"".join(parts), MAGIC)
 
 
 @dataclass(frozen=True)
@@ -299,47 +299,47 @@ class _Index:
 
 
 # Key, bytes of the object, first byte in it.
-_Place = tuple[bytes, int, int]
+_Placement = tuple[bytes, int, int]
 
 
-def _indexes(data: bytes) -> list[_Index]:
+def _read_indexes(data: bytes) -> list[_Index]:
     """Return root and pages of a file, with the places of their segments in it."""
-    root_end, root = _root(data)
-    found = [_Index(data[:root_end], _segments(root, root_end))]
+    root_end, root = _read_root(data)
+    found = [_Index(data[:root_end], _read_segments(root, root_end))]
     position = root_end + sum(segment.length for segment in found[0].segments)
     for page in root.get("pages", []):
         body = data[position : position + page["length"]]
         position += page["length"]
-        found.append(_Index(body, _segments(msgpack.unpackb(body), position)))
+        found.append(_Index(body, _read_segments(msgpack.unpackb(body), position)))
         position += page["span"]
     return found
 
 
-def _manifest(data: bytes, indexes: list[_Index], where: Mapping[int, _Place]) -> bytes:
+def _build_manifest(data: bytes, indexes: list[_Index], where: Mapping[int, _Placement]) -> bytes:
     stored = b""
     for index in indexes:
         rows = [where[segment.position] for segment in index.segments]
-        stored += index.stored + _places(rows)
-    return _with_magic(stored, MANIFEST_MAGIC)
+        stored += index.stored + _placement_table(rows)
+    return _replace_magic(stored, MANIFEST_MAGIC)
 
 
-def _places(rows: Sequence[_Place]) -> bytes:
+def _placement_table(rows: Sequence[_Placement]) -> bytes:
     columns = b"".join(key for key, _, _ in rows)
     columns += struct.pack(f"<{len(rows)}I", *(size for _, size, _ in rows))
     columns += struct.pack(f"<{len(rows)}I", *(offset for _, _, offset in rows))
     return columns + struct.pack("<I", zlib.crc32(columns))
 
 
-def _places_bytes(segments: int) -> int:
+def _placement_bytes(segments: int) -> int:
     return 24 * segments + 4
 
 
-def _root(data: bytes) -> tuple[int, dict[str, list[dict[str, int]]]]:
+def _read_root(data: bytes) -> tuple[int, dict[str, list[dict[str, int]]]]:
     (length,) = struct.unpack_from("<I", data, 12)
     return PREAMBLE_BYTES + length, msgpack.unpackb(data[PREAMBLE_BYTES : PREAMBLE_BYTES + length])
 
 
-def _segments(index: Mapping[str, object], position: int) -> list[_Segment]:
+def _read_segments(index: Mapping[str, object], position: int) -> list[_Segment]:
     table = index["segments"]
     assert isinstance(table, dict)
     found = []
@@ -352,13 +352,13 @@ def _segments(index: Mapping[str, object], position: int) -> list[_Segment]:
     return found
 
 
-def _key_of(content: bytes) -> bytes:
+def _object_key(content: bytes) -> bytes:
     return hashlib.sha256(content).digest()[:16]
 
 
-def _name_of(content: bytes) -> str:
-    return f"segments/{_key_of(content).hex()}.bin"
+def _object_name(content: bytes) -> str:
+    return f"segments/{_object_key(content).hex()}.bin"
 
 
-def _with_magic(data: bytes, magic: bytes) -> bytes:
+def _replace_magic(data: bytes, magic: bytes) -> bytes:
     return seal(magic + data[len(magic) : PREAMBLE_BYTES]) + data[PREAMBLE_BYTES:]
