@@ -235,7 +235,7 @@ def _camera(node: JsonObject, frames: _Frames) -> Camera:
 
 
 def _check_model(node: JsonObject, root: JsonObject) -> None:
-    """Raise ``camera-model`` unless a frame's camera is a pinhole."""
+    """Raise ``camera-model`` if a frame has a fisheye or unknown model; allow distortion."""
     model = (node if "camera_model" in node else root).text("camera_model", _MODELS[0])
     fisheye = (node if "is_fisheye" in node else root).boolean("is_fisheye", False)
     if model not in _MODELS or fisheye:

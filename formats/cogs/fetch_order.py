@@ -51,7 +51,7 @@ def rows_of_chunk(
     extras: bool,
     level: int | None = None,
 ) -> list[int]:
-    """Return the rows of the segments needed to decode a chunk.
+    """Return the segment-table rows of the segments needed to decode a chunk.
 
     Parameters
     ----------
@@ -64,7 +64,8 @@ def rows_of_chunk(
     refine, extras : bool
         Whether to include the refinement and the extra attributes.
     level : int, optional
-        Level whose opacities to include; by default the finest.
+        Level for which the chunk is decoded, which selects its opacity segment; by default the
+        finest.
     """
     rows = [int(index.heads[chunk])]
     if refine:
@@ -112,9 +113,10 @@ def ranges_to_decode(
     refine, extras : bool
         Whether to include refinements and extra attributes.
     level : int, optional
-        Level whose opacities to include; by default the finest.
+        Level for which the chunks are decoded, which selects their opacity segments; by default
+        the finest.
     is_cached : callable
-        Function that says of a row whether its segment is cached and need not be fetched.
+        Function that tells whether the segment of a row is cached and need not be fetched.
 
     Returns
     -------

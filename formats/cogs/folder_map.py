@@ -20,7 +20,7 @@ from cogsplat.formats.storage.magic import MANIFEST_MAGIC, describe
 
 from . import canonical_msgpack, layout
 from . import root as cogs_root
-from .folder_places import Places, object_name, places_bytes, unpack_places
+from .folder_places import PlaceTable, object_name, places_bytes, unpack_places
 from .root import Root, SegmentTable
 
 MANIFEST_NAME: Final = "manifest.cogsm"
@@ -67,21 +67,21 @@ class PageRange:
 
 
 @dataclass(frozen=True)
-class IndexPlace:
-    """Position of one index, root or page, and its segments in the file.
+class IndexExtent:
+    """Byte offsets, in the file, of one index (root or page) and of the segments that it lists.
 
     Parameters
     ----------
     start : int
         Byte offset of the index; 0 for the root, which includes the preamble.
-    segments : int
-        Byte offset of its first segment, where the index ends.
+    index_end : int
+        Byte offset of the end of the index, where its first segment begins.
     end : int
         Byte offset behind its last segment.
     """
 
     start: int
-    segments: int
+    index_end: int
     end: int
 
 
@@ -90,14 +90,14 @@ def is_manifest(head: bytes) -> bool:
     return head.startswith(MANIFEST_MAGIC)
 
 
-def index_places(root_end: int, root: Root) -> list[IndexPlace]:
+def index_extents(root_end: int, root: Root) -> list[IndexExtent]:
     """Return the positions of the root and of each page in the file (SPEC 5.1, 5.6)."""
     end = root_end + int(root.segments.length.sum(dtype=np.uint64))
-    found = [IndexPlace(0, root_end, end)]
+    found = [IndexExtent(0, root_end, end)]
     for page in root.pages:
         start = end
         end = start + page.length + page.span
-        found.append(IndexPlace(start, start + page.length, end))
+        found.append(IndexExtent(start, start + page.length, end))
     return found
 
 
@@ -213,12 +213,12 @@ class FolderMap:
         if len(manifest_head) < self.head_end:
             raise self._truncated_error(len(manifest_head), self.head_end)
         found = unpack_places(manifest_head[self.root_end : self.head_end], table.length, where)
-        self._places = index_places(self.root_end, self._root)
-        self._starts = [place.start for place in self._places]
+        self._extents = index_extents(self.root_end, self._root)
+        self._starts = [extent.start for extent in self._extents]
         pages = [page.length + places_bytes(page.segments) for page in self._root.pages]
         # Byte offset of each page in the manifest, then the end of the last page.
         self._page_offsets = list(accumulate(pages, initial=self.head_end))
-        self._tables = {0: _Segments(table, found, self._places[0].segments)}
+        self._tables = {0: _Segments(table, found, self._extents[0].index_end)}
 
     @property
     def manifest_bytes(self) -> int:
@@ -249,8 +249,8 @@ class FolderMap:
         """Return the pages to add before `object_ranges` can map a range of the file."""
         return [
             self.page_range(number - 1)
-            for number, place in self._within(offset, length)
-            if number not in self._tables and place.segments < offset + length
+            for number, extent in self._within(offset, length)
+            if number not in self._tables and extent.index_end < offset + length
         ]
 
     def page_range(self, page: int) -> PageRange:
@@ -263,12 +263,12 @@ class FolderMap:
         page = bisect_right(self._page_offsets, offset) - 1
         return None if page < 0 else page
 
-    def knows(self, page: int) -> bool:
+    def has_page(self, page: int) -> bool:
         """Whether a page was added."""
         return page + 1 in self._tables
 
     def add_page(self, page: int, data: bytes) -> None:
-        """Add an index page and its table of places.
+        """Add an index page and its table of places, which gives each segment's object and offset.
 
         Parameters
         ----------
@@ -295,11 +295,14 @@ class FolderMap:
             )
         table, _ = cogs_root.parse_page(canonical_msgpack.unpack(index, where), entry, where)
         found = unpack_places(data[entry.length :], table.length, where)
-        self._tables[page + 1] = _Segments(table, found, self._places[page + 1].segments)
+        self._tables[page + 1] = _Segments(table, found, self._extents[page + 1].index_end)
 
-    def tables(self) -> list[tuple[SegmentTable, Places]]:
-        """Return segment table and places of the root and each page, after all pages were added."""
-        every = (self._tables[number] for number in range(len(self._places)))
+    def tables(self) -> list[tuple[SegmentTable, PlaceTable]]:
+        """Return each index's segment table and table of places: the root, then all pages in order.
+
+        All pages must have been added.
+        """
+        every = (self._tables[number] for number in range(len(self._extents)))
         return [(segments.table, segments.places) for segments in every]
 
     def objects(self) -> dict[str, int]:
@@ -313,7 +316,7 @@ class FolderMap:
     def object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
         """Return the ranges of manifest and objects that make up a range of the file, in order.
 
-        The first 64 bytes of the file are `preamble`, which the manifest does not contain.
+        The manifest's first 64 bytes stand for the file's: the caller replaces them by `preamble`.
 
         Parameters
         ----------
@@ -332,19 +335,19 @@ class FolderMap:
         """
         found: list[ObjectRange] = []
         end = offset + length
-        if end > self._places[-1].end:
+        if end > self._extents[-1].end:
             raise FormatError(
                 "segments-length",
-                f"{self.name}: index and segments end at byte {self._places[-1].end}, expected "
+                f"{self.name}: index and segments end at byte {self._extents[-1].end}, expected "
                 f"{self.file_length}",
                 clause="5.1",
             )
-        for number, place in self._within(offset, length):
-            first, last = max(offset, place.start), min(end, place.segments)
+        for number, extent in self._within(offset, length):
+            first, last = max(offset, extent.start), min(end, extent.index_end)
             if first < last:
-                at = first - place.start + (self._page_offsets[number - 1] if number else 0)
+                at = first - extent.start + (self._page_offsets[number - 1] if number else 0)
                 found.append(ObjectRange("", at, last - first, self.manifest_bytes))
-            first, last = max(offset, place.segments), min(end, place.end)
+            first, last = max(offset, extent.index_end), min(end, extent.end)
             if first < last:
                 found += self._tables[number].object_ranges(first, last)
         return found
@@ -359,21 +362,21 @@ class FolderMap:
             needed=expected,
         )
 
-    def _within(self, offset: int, length: int) -> list[tuple[int, IndexPlace]]:
+    def _within(self, offset: int, length: int) -> list[tuple[int, IndexExtent]]:
         """Return the indexes, with their numbers, that overlap a range including their segments."""
         first = max(0, bisect_right(self._starts, offset) - 1)
         end = offset + length
         return [
-            (number, place)
-            for number, place in enumerate(self._places[first:], start=first)
-            if place.start < end and place.end > offset
+            (number, extent)
+            for number, extent in enumerate(self._extents[first:], start=first)
+            if extent.start < end and extent.end > offset
         ]
 
 
 class _Segments:
     """Segments of one index with their positions in the file and in objects."""
 
-    def __init__(self, table: SegmentTable, found: Places, start: int) -> None:
+    def __init__(self, table: SegmentTable, found: PlaceTable, start: int) -> None:
         self.table, self.places = table, found
         self._lengths: NDArray[np.int64] = table.length.astype(np.int64)
         self._ends: NDArray[np.int64] = start + np.cumsum(self._lengths)

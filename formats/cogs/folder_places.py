@@ -73,8 +73,8 @@ def places_bytes(segments: int) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
-    """Table of places: one row per segment of an index, in the order of its segment table.
+class PlaceTable:
+    """Table of places: object and offset of each segment of an index, in segment-table order.
 
     Parameters
     ----------
@@ -93,12 +93,12 @@ class Places:
     def __len__(self) -> int:
         return len(self.sizes)
 
-    def rows(self, part: slice) -> Places:
+    def rows(self, part: slice) -> PlaceTable:
         """Return a slice of the table, without copying."""
-        return Places(self.objects[part], self.sizes[part], self.offsets[part])
+        return PlaceTable(self.objects[part], self.sizes[part], self.offsets[part])
 
 
-def pack_places(places: Places) -> bytes:
+def pack_places(places: PlaceTable) -> bytes:
     """Encode a table of places for a manifest; the inverse of `unpack_places`."""
     data = (
         places.objects.astype(np.uint8).tobytes()
@@ -108,7 +108,7 @@ def pack_places(places: Places) -> bytes:
     return data + struct.pack("<I", zlib.crc32(data))
 
 
-def unpack_places(data: bytes, lengths: NDArray[np.uint32], where: str) -> Places:
+def unpack_places(data: bytes, lengths: NDArray[np.uint32], where: str) -> PlaceTable:
     """Decode and check a table of places.
 
     Parameters
@@ -135,7 +135,7 @@ def unpack_places(data: bytes, lengths: NDArray[np.uint32], where: str) -> Place
         )
     count = len(lengths)
     columns = np.frombuffer(body, "<u4", 2 * count, HASH_BYTES * count)
-    places = Places(
+    places = PlaceTable(
         np.frombuffer(body, np.uint8, HASH_BYTES * count).reshape(count, HASH_BYTES),
         columns[:count].astype(np.uint32),
         columns[count:].astype(np.uint32),

@@ -72,7 +72,7 @@ class FolderTransport:
 
     @asynccontextmanager
     async def get(
-        self, first: int, end: int, *, fresh: bool = False
+        self, first: int, end: int, *, bypass_caches: bool = False
     ) -> AsyncIterator[RangeResponse]:
         """Request a range of one object by its address; see `Transport.get`.
 
@@ -91,7 +91,7 @@ class FolderTransport:
         # A server without range requests sends an object once; later ranges are read from memory.
         turn = nullcontext() if self._has_ranges else self._turns.setdefault(number, asyncio.Lock())
         async with turn:
-            kept = self._here(number, stop, fresh=fresh)
+            kept = self._here(number, stop, bypass_caches=bypass_caches)
             if kept is not None:
                 yield RangeResponse(stated, _of_memory(kept[start:stop]))
                 return
@@ -99,7 +99,7 @@ class FolderTransport:
             transport = self._manifest.sibling(name) if name else self._manifest
             self.requests += 1
             try:
-                async with transport.get(start, stop, fresh=fresh) as answer:
+                async with transport.get(start, stop, bypass_caches=bypass_caches) as answer:
                     size = answer.head.total
                     if size is not None:
                         self._check(number, size)
@@ -125,11 +125,11 @@ class FolderTransport:
         """Close the connections."""
         await self._manifest.close()
 
-    def _here(self, number: int, stop: int, *, fresh: bool) -> bytes | None:
+    def _here(self, number: int, stop: int, *, bypass_caches: bool) -> bytes | None:
         """Return the received bytes of an object if `stop` lies within; None otherwise."""
         if number == 0 and stop <= len(self._head):
             return self._head
-        return None if fresh else self._kept.get(number)
+        return None if bypass_caches else self._kept.get(number)
 
     async def _parts(
         self, number: int, answer: RangeResponse, start: int, stop: int

@@ -15,8 +15,8 @@ from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_
 from cogsplat.formats.storage.magic import MANIFEST_MAGIC
 
 from . import layout
-from .folder_map import MANIFEST_NAME, MANIFEST_SUFFIX, index_places, with_magic
-from .folder_places import SEGMENT_FOLDER, Places, key_of, object_name, pack_places
+from .folder_map import MANIFEST_NAME, MANIFEST_SUFFIX, index_extents, with_magic
+from .folder_places import SEGMENT_FOLDER, PlaceTable, key_of, object_name, pack_places
 from .object_groups import SegmentPlace, StoredSegments, group_segments, has_object
 from .reader import CogsFile
 from .root import HASH_BYTES
@@ -70,16 +70,16 @@ def build_manifest(file: CogsFile, found: Sequence[SegmentPlace]) -> bytes:
     first = file.read_bytes(0, layout.PREAMBLE_BYTES)
     root_end = layout.PREAMBLE_BYTES + layout.unpack_preamble(first, file.name).root_length
     parts = [with_magic(first, MANIFEST_MAGIC)]
-    table = Places(
+    table = PlaceTable(
         np.frombuffer(b"".join(place.key for place in found), np.uint8).reshape(-1, HASH_BYTES),
         np.array([place.size for place in found], np.uint32),
         np.array([place.offset for place in found], np.uint32),
     )
     counts = [len(file.root.segments), *(page.segments for page in file.root.pages)]
     row = 0
-    for place, count in zip(index_places(root_end, file.root), counts, strict=True):
-        start = max(place.start, layout.PREAMBLE_BYTES)
-        parts.append(_read_exactly(file, start, place.segments - start))
+    for extent, count in zip(index_extents(root_end, file.root), counts, strict=True):
+        start = max(extent.start, layout.PREAMBLE_BYTES)
+        parts.append(_read_exactly(file, start, extent.index_end - start))
         parts.append(pack_places(table.rows(slice(row, row + count))))
         row += count
     return b"".join(parts)

@@ -128,22 +128,22 @@ def read_index(source: Source, *, partial: bool) -> Index:
     partial : bool
         Whether to accept a source that ends before the file does.
     """
-    place = read_root(source, partial=partial)
-    positions = page_positions(place)
-    entries = list(enumerate(zip(place.root.pages, positions, strict=True)))
+    extent = read_root(source, partial=partial)
+    positions = page_positions(extent)
+    entries = list(enumerate(zip(extent.root.pages, positions, strict=True)))
     there = [number for number, (e, at) in entries if at + e.length <= source.size]
     pages: dict[int, Page] = {}
     # Errors are reported in file order (SPEC 8.1): each page's position, then its content.
-    with prefetching(source, page_ranges(place, positions, there)):
+    with prefetching(source, page_ranges(extent, positions, there)):
         for number, (entry, position) in entries:
-            if position + entry.length > place.file_length:
-                raise _end_error(source, position + entry.length, place.file_length)
+            if position + entry.length > extent.file_length:
+                raise _end_error(source, position + entry.length, extent.file_length)
             if position + entry.length > source.size:
                 break
-            pages[number] = read_page(source, place.root, number, position)
+            pages[number] = read_page(source, extent.root, number, position)
     if len(pages) == len(positions):
-        require_end(source, place, positions)
-    return join_pages(source, place, positions, pages)
+        require_end(source, extent, positions)
+    return join_pages(source, extent, positions, pages)
 
 
 def read_root(source: Source, *, partial: bool) -> RootExtent:
@@ -194,24 +194,24 @@ def read_root(source: Source, *, partial: bool) -> RootExtent:
     return RootExtent(root, root_end, preamble.file_length)
 
 
-def page_positions(place: RootExtent) -> list[int]:
+def page_positions(extent: RootExtent) -> list[int]:
     """Return the byte offset of each index page according to the root (SPEC 5.6)."""
-    position = _root_segments_end(place)
+    position = _root_segments_end(extent)
     positions = []
-    for entry in place.root.pages:
+    for entry in extent.root.pages:
         positions.append(position)
         position += entry.length + entry.span
     return positions
 
 
-def require_end(source: Source, place: RootExtent, positions: Sequence[int]) -> None:
+def require_end(source: Source, extent: RootExtent, positions: Sequence[int]) -> None:
     """Refuse a root whose pages and segments end before or behind the end of the file.
 
     Parameters
     ----------
     source : Source
         Source of the file, for messages.
-    place : RootExtent
+    extent : RootExtent
         Root of the file.
     positions : sequence of int
         Byte offsets of all pages.
@@ -221,24 +221,24 @@ def require_end(source: Source, place: RootExtent, positions: Sequence[int]) -> 
     FormatError
         ``segments-length``.
     """
-    end = _root_segments_end(place)
+    end = _root_segments_end(extent)
     if positions:
-        last = place.root.pages[-1]
+        last = extent.root.pages[-1]
         end = positions[-1] + last.length + last.span
-    if end != place.file_length:
-        raise _end_error(source, end, place.file_length)
+    if end != extent.file_length:
+        raise _end_error(source, end, extent.file_length)
 
 
-def _root_segments_end(place: RootExtent) -> int:
+def _root_segments_end(extent: RootExtent) -> int:
     """Return the byte offset behind the segments of the root."""
-    return place.root_end + int(place.root.segments.length.sum(dtype=np.uint64))
+    return extent.root_end + int(extent.root.segments.length.sum(dtype=np.uint64))
 
 
 def page_ranges(
-    place: RootExtent, positions: Sequence[int], pages: Iterable[int]
+    extent: RootExtent, positions: Sequence[int], pages: Iterable[int]
 ) -> list[tuple[int, int]]:
     """Return offset and length of index pages by their numbers, bytes."""
-    return [(positions[number], place.root.pages[number].length) for number in pages]
+    return [(positions[number], extent.root.pages[number].length) for number in pages]
 
 
 def read_page(source: Source, root: Root, number: int, position: int) -> Page:
@@ -296,7 +296,7 @@ _UNREAD_KIND: Final = 255
 
 def join_pages(
     source: Source,
-    place: RootExtent,
+    extent: RootExtent,
     positions: Sequence[int],
     pages: Mapping[int, Page],
     *,
@@ -308,7 +308,7 @@ def join_pages(
     ----------
     source : Source
         Source of the file, for messages.
-    place : RootExtent
+    extent : RootExtent
         Root of the file.
     positions : sequence of int
         Byte offsets of all pages.
@@ -318,9 +318,9 @@ def join_pages(
         Whether to insert placeholder rows for pages that were not read, so that segments and chunks
         keep their numbers. Otherwise the index ends before the first page that was not read.
     """
-    root = place.root
+    root = extent.root
     tables = [Page(root.segments, root.chunks)]
-    offsets = [_offsets(root.segments, place.root_end)]
+    offsets = [_offsets(root.segments, extent.root_end)]
     known = [np.ones(len(root.chunks), bool)]
     for number, entry in enumerate(root.pages):
         page = pages.get(number)
@@ -347,7 +347,7 @@ def join_pages(
     _check_counts(source, root, table, chunk_table, whole=whole)
     return Index(
         root=root,
-        file_length=place.file_length,
+        file_length=extent.file_length,
         segments=table,
         chunks=chunk_table,
         offsets=np.concatenate(offsets),

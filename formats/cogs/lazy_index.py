@@ -34,7 +34,7 @@ class LazyIndex:
     ----------
     source : Source
         Source of the complete file.
-    place : RootExtent
+    extent : RootExtent
         Root of the file.
 
     Raises
@@ -43,15 +43,15 @@ class LazyIndex:
         ``segments-length``: the pages end elsewhere than the file.
     """
 
-    def __init__(self, source: Source, place: RootExtent) -> None:
-        self.root = place.root
-        self.file_length = place.file_length
-        self.all_chunks = len(place.root.chunks) + sum(page.chunks for page in place.root.pages)
+    def __init__(self, source: Source, extent: RootExtent) -> None:
+        self.root = extent.root
+        self.file_length = extent.file_length
+        self.all_chunks = len(extent.root.chunks) + sum(page.chunks for page in extent.root.pages)
         self._source = source
-        self._place = place
-        self._positions = page_positions(place)
-        require_end(source, place, self._positions)
-        counts = [len(place.root.chunks), *(page.chunks for page in place.root.pages)]
+        self._extent = extent
+        self._positions = page_positions(extent)
+        require_end(source, extent, self._positions)
+        counts = [len(extent.root.chunks), *(page.chunks for page in extent.root.pages)]
         # First chunk number behind the root and behind each page.
         self._ends = np.array(list(accumulate(counts)), np.int64)
         self._pages: dict[int, Page] = {}
@@ -127,13 +127,13 @@ class LazyIndex:
         """Read missing pages among `pages` and return an index of all pages read so far."""
         new = sorted(pages - {-1} - self._pages.keys())
         if new or self._joined is None:
-            ranges = page_ranges(self._place, self._positions, new)
+            ranges = page_ranges(self._extent, self._positions, new)
             with prefetching(self._source, ranges):
                 for number in new:
                     position = self._positions[number]
                     self._pages[number] = read_page(self._source, self.root, number, position)
             self._joined = join_pages(
-                self._source, self._place, self._positions, self._pages, keep_numbers=True
+                self._source, self._extent, self._positions, self._pages, keep_numbers=True
             )
         return self._joined
 

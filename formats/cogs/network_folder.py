@@ -35,7 +35,7 @@ class NetworkFolder(ObjectSource):
         First bytes of the manifest, at least up to the end of the root's table of places.
     options : NetworkOptions, optional
         Timeouts, retries, request sizes and cache.
-    fresh : bool
+    bypass_caches : bool
         Whether to bypass HTTP caches.
     manifest_bytes : int, optional
         Length of the manifest according to the server, bytes.
@@ -69,7 +69,7 @@ class NetworkFolder(ObjectSource):
         head: bytes,
         options: NetworkOptions | None = None,
         *,
-        fresh: bool = False,
+        bypass_caches: bool = False,
         manifest_bytes: int | None = None,
     ) -> None:
         options = options or NetworkOptions()
@@ -80,7 +80,11 @@ class NetworkFolder(ObjectSource):
         self._head = head[: self._map.manifest_bytes]
         self._objects = FolderTransport(transport_of(url, options), self._map, self._head)
         self._ranges = RangeSource(
-            self._objects, self.name, options, fresh=fresh, beginning_bytes=len(self._head)
+            self._objects,
+            self.name,
+            options,
+            bypass_caches=bypass_caches,
+            beginning_bytes=len(self._head),
         )
         self.cache = self._ranges.cache
         self._lock = threading.Lock()
@@ -134,7 +138,7 @@ class NetworkFolder(ObjectSource):
         )
 
     def reread(self, offset: int, length: int) -> bytes:
-        """Request damaged bytes of segments again, around HTTP caches.
+        """Request damaged bytes of segments again, bypassing HTTP caches.
 
         Raises as `read`, and ValueError for a range with bytes of the manifest.
         """
@@ -169,7 +173,10 @@ class NetworkFolder(ObjectSource):
         self._ranges.close()
 
     def _object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
-        """Return the ranges of objects that make up a range of the file; read missing pages."""
+        """Return the ranges of objects that make up a range of the file.
+
+        Requests the index pages of the range that the map lacks.
+        """
         require_within(self, offset, length)
         with self._lock:
             pages = self._map.pages_for(offset, length)
@@ -209,7 +216,7 @@ class NetworkFolder(ObjectSource):
         if data is None:
             place = self._map.page_range(page)
             data = self._ranges.read(place.offset, place.length)
-            if not self._map.knows(page):
+            if not self._map.has_page(page):
                 self._map.add_page(page, data)
             self._pages[page] = data
             while len(self._pages) > _PAGES_KEPT:

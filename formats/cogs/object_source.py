@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from functools import cached_property
 
 from .folder_map import FolderMap, ObjectRange
-from .folder_places import Places
+from .folder_places import PlaceTable
 from .root import SegmentTable
 
 
@@ -33,8 +33,11 @@ class ObjectSource(ABC):
         """End of the root, byte offset: reads up to here need no object."""
         return self._map.root_end
 
-    def tables(self) -> list[tuple[SegmentTable, Places]]:
-        """Return the segment table and places of the root and of each page; raises as `read`."""
+    def tables(self) -> list[tuple[SegmentTable, PlaceTable]]:
+        """Return the segment table and the table of places of the root and of each page.
+
+        Raises as `read`.
+        """
         self._object_ranges(0, self.size)
         return self._map.tables()
 
@@ -55,7 +58,10 @@ class ObjectSource(ABC):
 
     @abstractmethod
     def _object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
-        """Return the ranges of objects that make up a range of the file; read missing pages."""
+        """Return the ranges of objects that make up a range of the file.
+
+        Reads the index pages of the range that the map lacks.
+        """
 
     @abstractmethod
     def _object_bytes(self, piece: ObjectRange) -> bytes:

@@ -28,7 +28,7 @@ def open_source(
     location: Readable,
     network: NetworkOptions | None = None,
     *,
-    fresh: bool = False,
+    bypass_caches: bool = False,
     whole: bool = False,
 ) -> Source:
     """Return a source for a COGS file, or for a folder as the file that it stands for.
@@ -40,7 +40,7 @@ def open_source(
         and file objects hold a file.
     network : NetworkOptions, optional
         Timeouts, retries, request sizes and cache for a URL.
-    fresh : bool
+    bypass_caches : bool
         Whether to bypass HTTP caches.
     whole : bool
         Whether the whole file will be read. A file at a URL is then requested at once, unless a
@@ -63,7 +63,7 @@ def open_source(
     5
     """
     if isinstance(location, str) and is_url(location):
-        return _open_network_source(location, network, fresh=fresh, whole=whole)
+        return _open_network_source(location, network, bypass_caches=bypass_caches, whole=whole)
     if isinstance(location, str | os.PathLike):
         path = Path(location)
         return FolderSource(path) if names_folder(path) else FileSource(path)
@@ -71,11 +71,11 @@ def open_source(
 
 
 def _open_network_source(
-    url: str, network: NetworkOptions | None, *, fresh: bool, whole: bool
+    url: str, network: NetworkOptions | None, *, bypass_caches: bool, whole: bool
 ) -> Source:
     """Return a source for a URL: of a file, or of a folder if a manifest is found there."""
     address = manifest_address(url)
-    source = open_url(address, network, fresh=fresh)
+    source = open_url(address, network, bypass_caches=bypass_caches)
     try:
         head = source.read(0, min(PREAMBLE_BYTES, source.size))
         if not is_manifest(head):
@@ -89,7 +89,7 @@ def _open_network_source(
         raise
     # NetworkFolder has its own event loop, and so its own connections.
     source.close()
-    return NetworkFolder(address, head, network, fresh=fresh, manifest_bytes=size)
+    return NetworkFolder(address, head, network, bypass_caches=bypass_caches, manifest_bytes=size)
 
 
 def manifest_address(url: str) -> str:
@@ -175,8 +175,8 @@ def with_open_scene(
         The errors of `open_scene` and of `work`.
     """
 
-    def attempt(*, fresh: bool) -> Result:
-        source = open_source(location, network, fresh=fresh, whole=whole)
+    def attempt(*, bypass_caches: bool) -> Result:
+        source = open_source(location, network, bypass_caches=bypass_caches, whole=whole)
         try:
             file = open_cogs(source, partial=partial, size_bytes=size_bytes, limits=limits)
             result = work(file)
@@ -188,9 +188,9 @@ def with_open_scene(
         return result
 
     try:
-        return attempt(fresh=False)
+        return attempt(bypass_caches=False)
     except (FormatError, StorageError) as error:
         changed = isinstance(error, FormatError) or error.code == "source-changed"
         if not (is_url(location) and changed):
             raise
-    return attempt(fresh=True)
+    return attempt(bypass_caches=True)

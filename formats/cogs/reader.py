@@ -143,8 +143,9 @@ def open_cogs(
         source, partial = PrefixSource(source, size_bytes), True
     index: Index | LazyIndex
     if isinstance(source, RemoteSource) and not partial:
-        place = read_root(source, partial=False)
-        index = LazyIndex(source, place) if place.root.pages else join_pages(source, place, [], {})
+        extent = read_root(source, partial=False)
+        pages = extent.root.pages
+        index = LazyIndex(source, extent) if pages else join_pages(source, extent, [], {})
     else:
         index = read_index(source, partial=partial)
     if not partial:

@@ -151,7 +151,7 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
 
 
 def _layers(scene: EncodedScene) -> dict[int, list[Segment]]:
-    """Return the segments of compensation layers, by the number of the chunk that follows."""
+    """Return the compensation layers' segments, by the chunk before which each is written."""
     found: dict[int, list[Segment]] = {}
     first = 0
     for number, layer in enumerate(scene.compensation.layers if scene.compensation else ()):
@@ -166,7 +166,7 @@ def _level_of(scene: EncodedScene, chunk: int) -> int:
 
 
 def _opacities(scene: EncodedScene) -> dict[int, list[Segment]]:
-    """Return the opacity segments of later levels, by the number of the chunk that follows."""
+    """Return the later levels' opacity segments, by the chunk before which each is written."""
     found: dict[int, list[Segment]] = {}
     for number, chunk in enumerate(scene.chunks):
         for level, payload in enumerate(chunk.opacities, start=_level_of(scene, number) + 1):
@@ -176,7 +176,7 @@ def _opacities(scene: EncodedScene) -> dict[int, list[Segment]]:
 
 
 def _view_table(scene: EncodedScene) -> dict[int, list[Segment]]:
-    """Return the segment of the view table, if any, by the number of the chunk that follows."""
+    """Return the view table's segment, if any, by the chunk before which it is written."""
     if scene.view_table is None:
         return {}
     parts = (number for number, chunk in enumerate(scene.chunks) if chunk.cell > WHOLE)

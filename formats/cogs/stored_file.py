@@ -103,17 +103,17 @@ class StoredFile:
 
     @property
     def segments(self) -> SegmentTable:
-        """Segments of the root and of all pages that were received."""
+        """Segments of the root and of all pages in the source; reads pages not yet read."""
         return self._index.segments
 
     @property
     def chunks(self) -> ChunkTable:
-        """Chunks of the root and of all pages that were received."""
+        """Chunks of the root and of all pages in the source; reads pages not yet read."""
         return self._index.chunks
 
     @property
     def offsets(self) -> I64:
-        """Byte offset of each segment."""
+        """Byte offset of each segment, by row of `segments`."""
         return self._index.offsets
 
     @property
@@ -166,7 +166,7 @@ class StoredFile:
         return self.num_chunks
 
     def is_present(self, row: int) -> bool:
-        """Whether all bytes of a segment, by its row, are present."""
+        """Whether all bytes of a segment, given by its row in `segments`, are present."""
         return has_range(self._source, int(self.offsets[row]), int(self.segments.length[row]))
 
     def has_tail(self, chunk: int, sh_degree: int = MAX_SH_DEGREE) -> bool:
@@ -186,12 +186,12 @@ class StoredFile:
 
     @property
     def camera_row(self) -> int | None:
-        """Row of the cameras' segment; None for none."""
+        """Row of the cameras' segment in `segments`; None if the file has no cameras."""
         return self._index.cameras if self._index.cameras >= 0 else None
 
     @property
     def view_table_row(self) -> int | None:
-        """Row of the view table's segment; None for none."""
+        """Row of the view table's segment in `segments`; None if the file has no view table."""
         return self._index.view_table if self._index.view_table >= 0 else None
 
     def select(

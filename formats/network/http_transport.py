@@ -24,7 +24,7 @@ _MOST_REDIRECTS: Final = 5
 
 # Bodies with a Content-Encoding have no byte ranges.
 _PLAIN: Final = {"Accept-Encoding": "identity"}
-_FRESH: Final = {"Cache-Control": "no-cache", "Pragma": "no-cache"}
+_BYPASS_CACHES: Final = {"Cache-Control": "no-cache", "Pragma": "no-cache"}
 
 
 class HttpTransport:
@@ -78,12 +78,12 @@ class HttpTransport:
 
     @asynccontextmanager
     async def get(
-        self, first: int, end: int, *, fresh: bool = False
+        self, first: int, end: int, *, bypass_caches: bool = False
     ) -> AsyncIterator[RangeResponse]:
         """Request a range; see `Transport.get`."""
         library = self._httpx
         try:
-            response = await self._send(first, end, fresh)
+            response = await self._send(first, end, bypass_caches)
             try:
                 headers = {key.lower(): value for key, value in response.headers.items()}
                 head = check_response_head(response.status_code, headers, first, end, self._name)
@@ -109,22 +109,22 @@ class HttpTransport:
                 f"{self._name}: the connection broke: {fault}, expected a whole response",
             ) from error
 
-    async def _send(self, first: int, end: int, fresh: bool) -> httpx.Response:
-        """Send a request; repeat it once if a signed URL or the target of a redirect expired."""
-        response = await self._follow(first, end, fresh)
+    async def _send(self, first: int, end: int, bypass_caches: bool) -> httpx.Response:
+        """Request a range; repeat the request once if a signed or redirected URL has expired."""
+        response = await self._follow(first, end, bypass_caches)
         expired = response.status_code in (401, 403)
         if expired and self._options.sign is not None:
             await response.aclose()
             self._given = self._target = self._options.sign()
-            return await self._follow(first, end, fresh)
+            return await self._follow(first, end, bypass_caches)
         if response.status_code in (401, 403, 404, 410) and self._target != self._given:
             # The target of a redirect may be a signed URL that has expired.
             await response.aclose()
             self._target = self._given
-            return await self._follow(first, end, fresh)
+            return await self._follow(first, end, bypass_caches)
         return response
 
-    async def _follow(self, first: int, end: int, fresh: bool) -> httpx.Response:
+    async def _follow(self, first: int, end: int, bypass_caches: bool) -> httpx.Response:
         """Send a request and follow redirects; later requests go straight to the last target."""
         library = self._httpx
         origin = _origin(library.URL(self._given))
@@ -132,7 +132,7 @@ class HttpTransport:
         for _ in range(_MOST_REDIRECTS + 1):
             own = self._options.headers if _origin(url) == origin else {}
             wanted = {"Range": f"bytes={first}-{end - 1}"}
-            headers = {**own, **_PLAIN, **(_FRESH if fresh else {}), **wanted}
+            headers = {**own, **_PLAIN, **(_BYPASS_CACHES if bypass_caches else {}), **wanted}
             request = self._client.build_request("GET", url, headers=headers)
             try:
                 response = await self._client.send(request, stream=True)

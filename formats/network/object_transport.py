@@ -60,9 +60,9 @@ class ObjectTransport:
 
     @asynccontextmanager
     async def get(
-        self, first: int, end: int, *, fresh: bool = False
+        self, first: int, end: int, *, bypass_caches: bool = False
     ) -> AsyncIterator[RangeResponse]:
-        """Request a range; see `Transport.get`. Stores have no caches, so `fresh` has no effect."""
+        """Request a range; see `Transport.get`. Stores have no caches to bypass."""
         exceptions = self._obstore.exceptions
         try:
             pending = self._obstore.get_async(

@@ -11,7 +11,7 @@ from .urls import HTTP_SCHEMES, redacted, scheme_of
 
 
 def open_url(
-    url: str, options: NetworkOptions | None = None, *, fresh: bool = False
+    url: str, options: NetworkOptions | None = None, *, bypass_caches: bool = False
 ) -> RangeSource:
     """Open a file on a network and request its first 64 KiB.
 
@@ -22,7 +22,7 @@ def open_url(
         ``az://``).
     options : NetworkOptions, optional
         Timeouts, retries and request sizes.
-    fresh : bool
+    bypass_caches : bool
         Whether to bypass HTTP caches.
 
     Returns
@@ -47,7 +47,9 @@ def open_url(
     True
     """
     options = options or NetworkOptions()
-    return RangeSource(transport_of(url, options), redacted(url), options, fresh=fresh)
+    return RangeSource(
+        transport_of(url, options), redacted(url), options, bypass_caches=bypass_caches
+    )
 
 
 def transport_of(url: str, options: NetworkOptions) -> SiblingTransport:

@@ -46,7 +46,7 @@ class RangeFetcher:
         Name of the file in messages.
     options : NetworkOptions
         Timeouts, retries and request sizes.
-    fresh : bool
+    bypass_caches : bool
         Whether every request bypasses HTTP caches.
     beginning_bytes : int
         Size of the first request, bytes.
@@ -73,7 +73,7 @@ class RangeFetcher:
         name: str,
         options: NetworkOptions,
         *,
-        fresh: bool,
+        bypass_caches: bool,
         beginning_bytes: int = BEGINNING_BYTES,
     ) -> None:
         self.arrival = threading.Condition()
@@ -84,7 +84,7 @@ class RangeFetcher:
         self._transport = transport
         self._name = name
         self._options = options
-        self._fresh = fresh
+        self._bypass_caches = bypass_caches
         self._queue = RangeQueue(options.gap_bytes, options.request_bytes)
         self._queue.add([self.beginning], urgent=True)
         self._request_limit = _INITIAL_REQUEST_BYTES
@@ -116,7 +116,7 @@ class RangeFetcher:
         self.wake()
 
     def release(self, pending: PendingRange) -> None:
-        """Drop a range that was read or is no longer needed, which frees room in the window."""
+        """Drop a range that was read or is no longer needed; its memory is freed."""
         if pending.is_dropped:
             return
         pending.is_dropped = True
@@ -241,8 +241,10 @@ class RangeFetcher:
         StorageError
             The request failed for good.
         """
-        fresh = self._fresh or request.is_fresh
-        async with self._get(request.position, request.end, fresh=fresh) as response:
+        bypass_caches = self._bypass_caches or request.bypasses_caches
+        async with self._get(
+            request.position, request.end, bypass_caches=bypass_caches
+        ) as response:
             head = response.head
             await self._require_unchanged(head)
             if head.is_whole:
@@ -275,11 +277,11 @@ class RangeFetcher:
             )
 
     def _get(
-        self, first: int, end: int, *, fresh: bool
+        self, first: int, end: int, *, bypass_caches: bool
     ) -> AbstractAsyncContextManager[RangeResponse]:
         """Count and send one range request."""
         self._requests += 1
-        return self._transport.get(first, end, fresh=fresh)
+        return self._transport.get(first, end, bypass_caches=bypass_caches)
 
     def _set_size(self, head: ResponseHead) -> None:
         """Set the length of the file from the first response."""
@@ -322,7 +324,7 @@ class RangeFetcher:
         if not kept.is_complete or self.whole is not None:
             return False
         again = PendingRange(0, kept.end)
-        async with self._get(0, kept.end, fresh=True) as response:
+        async with self._get(0, kept.end, bypass_caches=True) as response:
             async for part in response.parts:
                 self._received += len(part)
                 again.receive(again.received, part)

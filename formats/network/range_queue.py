@@ -13,7 +13,7 @@ class PendingRange:
     ----------
     first, end : int
         Range in the file: the first byte, and one past the last.
-    is_fresh : bool
+    bypasses_caches : bool
         Whether its request bypasses HTTP caches.
 
     Attributes
@@ -28,9 +28,9 @@ class PendingRange:
         Whether the range was read, or is no longer needed.
     """
 
-    def __init__(self, first: int, end: int, *, is_fresh: bool = False) -> None:
+    def __init__(self, first: int, end: int, *, bypasses_caches: bool = False) -> None:
         self.first, self.end = first, end
-        self.is_fresh = is_fresh
+        self.bypasses_caches = bypasses_caches
         self.received = 0
         self.error: BaseException | None = None
         self.is_started = False
@@ -53,14 +53,22 @@ class PendingRange:
         return self.first + self.received
 
     def receive(self, at: int, part: bytes) -> None:
-        """Append the bytes of the range that a part at file offset `at` holds; parts in order."""
+        """Append a part of a response, cut to the range; parts arrive in file order.
+
+        Parameters
+        ----------
+        at : int
+            File offset of the part.
+        part : bytes
+            Received bytes.
+        """
         start, stop = self.position, min(self.end, at + len(part))
         if at <= start < stop:
             self._bytes += part[start - at : stop - at]
             self.received = len(self._bytes)
 
     def bytes_at(self, first: int, end: int) -> bytes:
-        """Return received bytes by their file offsets."""
+        """Return the received bytes from file offset `first` up to `end`."""
         return bytes(self._bytes[first - self.first : end - self.first])
 
 
@@ -85,9 +93,9 @@ class Request:
         return self.end - self.position
 
     @property
-    def is_fresh(self) -> bool:
+    def bypasses_caches(self) -> bool:
         """Whether the request bypasses HTTP caches."""
-        return any(pending.is_fresh for pending in self.ranges)
+        return any(pending.bypasses_caches for pending in self.ranges)
 
     @property
     def is_dropped(self) -> bool:
@@ -157,17 +165,20 @@ class RangeQueue:
         return ranges
 
     def next_request(self, most_bytes: int) -> Request | None:
-        """Remove the next range and its close successors, joined into one request.
+        """Remove the next range and its close successors from a queue, joined into one request.
+
+        Prefetched ranges are requested only when the urgent queue is empty.
 
         Parameters
         ----------
         most_bytes : int
-            Maximum size of a request that joins several ranges, if below `request_bytes`.
+            Maximum size of a request that joins several ranges, bytes; `request_bytes` limits it
+            as well.
 
         Returns
         -------
         Request or None
-            Next request; None where both queues are empty.
+            Next request; None if no range is queued.
         """
         queue = self._urgent if self.has_urgent else self._prefetched
         _skip_settled(queue)

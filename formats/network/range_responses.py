@@ -61,7 +61,7 @@ class Transport(Protocol):
     """Protocol for requesting byte ranges of one file; used in one event loop."""
 
     def get(
-        self, first: int, end: int, *, fresh: bool = False
+        self, first: int, end: int, *, bypass_caches: bool = False
     ) -> AbstractAsyncContextManager[RangeResponse]:
         """Request bytes `first` to `end`; the response is shorter where the file ends before.
 
@@ -69,7 +69,7 @@ class Transport(Protocol):
         ----------
         first, end : int
             First byte of the file, and one past the last.
-        fresh : bool
+        bypass_caches : bool
             Whether to bypass HTTP caches.
 
         Raises

@@ -28,7 +28,7 @@ _Arguments = TypeVarTuple("_Arguments")
 
 
 class _EventLoop(asyncio.SelectorEventLoop):
-    """Event loop that ignores calls from other threads after its end.
+    """Event loop that, once closed, ignores calls from other threads.
 
     obstore's threads report the end of a cancelled request as well, perhaps after the loop is
     closed. asyncio's own loop raises an error then, and obstore prints its traceback.
@@ -65,7 +65,7 @@ class RangeSource:
         Name of the file in messages.
     options : NetworkOptions, optional
         Timeouts, retries, request sizes and the disk cache.
-    fresh : bool
+    bypass_caches : bool
         Whether to bypass HTTP caches, because a cached response was damaged.
     beginning_bytes : int
         Size of the first request, bytes.
@@ -92,7 +92,7 @@ class RangeSource:
         name: str,
         options: NetworkOptions | None = None,
         *,
-        fresh: bool = False,
+        bypass_caches: bool = False,
         beginning_bytes: int = BEGINNING_BYTES,
     ) -> None:
         self.name = name
@@ -100,7 +100,7 @@ class RangeSource:
             transport,
             name,
             options or NetworkOptions(),
-            fresh=fresh,
+            bypass_caches=bypass_caches,
             beginning_bytes=beginning_bytes,
         )
         self._arrival = self._fetcher.arrival
@@ -192,7 +192,7 @@ class RangeSource:
             return pending.first <= offset and end <= pending.position
 
     def reread(self, offset: int, length: int) -> bytes:
-        """Request damaged bytes again, around HTTP caches; otherwise as `read`."""
+        """Request damaged bytes again, bypassing HTTP caches; otherwise as `read`."""
         return self._read(offset, length, again=True)
 
     def _read(self, offset: int, length: int, *, again: bool) -> bytes:
@@ -217,7 +217,7 @@ class RangeSource:
                 if pending is not None:
                     fetcher.prioritise(pending)
                 else:
-                    pending = PendingRange(offset, end, is_fresh=again)
+                    pending = PendingRange(offset, end, bypasses_caches=again)
                     fetcher.fetch([pending], urgent=True)
                 try:
                     data = self._wait_for(pending, offset, end)
@@ -306,7 +306,10 @@ class RangeSource:
             return fetcher.size
 
     def _wait_for(self, pending: PendingRange, first: int, end: int) -> bytes:
-        """Wait for bytes of a range, or of a whole-file download, and return the bytes."""
+        """Return the bytes `first` to `end` of a pending range once all have arrived.
+
+        If the server ignores ranges, the bytes come from the whole-file download instead.
+        """
         fetcher = self._fetcher
         while first < end:
             whole = fetcher.whole

@@ -45,7 +45,7 @@ class ByteCount:
 
 
 def parse_byte_count(text: str) -> ByteCount:
-    """Parse ``65536``, ``64KiB``, ``1.5MB`` or ``20%``.
+    """Parse a number of bytes such as ``64KiB``, or a percentage of a file such as ``20%``.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def parse_byte_count(text: str) -> ByteCount:
 
 
 def parse_bytes(text: str) -> int:
-    """Parse ``65536``, ``64KiB`` or ``1.5MB``, without shares of a file.
+    """Parse a number of bytes such as ``65536``, ``64KiB`` or ``1.5MB``; refuse a percentage.
 
     Returns
     -------

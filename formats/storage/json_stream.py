@@ -111,12 +111,14 @@ class JsonStream:
         )
 
     def items(self) -> Iterator[int]:
-        """Yield the index of each item of the next array; the caller parses the item in between.
+        """Yield the index of each item of the next array.
+
+        The caller parses the item before it asks for the next index.
 
         Raises
         ------
         FormatError
-            `code`: no array, or a malformed one.
+            `code`: the next value is not an array, or is malformed.
         """
         self._take(b"[")
         if self.peek() == b"]":
@@ -130,12 +132,14 @@ class JsonStream:
                 return
 
     def members(self) -> Iterator[str]:
-        """Yield each key of the next object; the caller parses the value in between.
+        """Yield each key of the next object.
+
+        The caller parses the key's value before it asks for the next key.
 
         Raises
         ------
         FormatError
-            `code`: no object, or a malformed one.
+            `code`: the next value is not an object, or is malformed.
         """
         self._take(b"{")
         if self.peek() == b"}":

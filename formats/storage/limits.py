@@ -24,14 +24,14 @@ class Limits:
         Maximum decoded size: bytes of arrays, extra attributes and intermediate data. For a COGS
         file, codebooks, compensation codes, view table and cameras count as well.
     expansion : int
-        Maximum ratio of decoded size to file size for a COGS file, above 64 MiB. A splat of SH
-        degree 3 takes 236 bytes, so the default admits scenes of one byte per splat.
+        Maximum number of decoded bytes per byte of a COGS file, in addition to 64 MiB. A splat of
+        SH degree 3 takes 236 bytes, so the default admits scenes of one byte per splat.
     foreign_expansion : int
-        Maximum ratio of decoded size to file size for other formats, above `small_bytes`. Trained
-        scenes reach about 20 (SOG and SPZ at SH degree 3).
+        Maximum ratio of decoded size to file size for other formats; it applies to decoded sizes
+        above `small_bytes`. Trained scenes reach about 20 (SOG and SPZ at SH degree 3).
     small_bytes : int
-        Decoded size that a file of any length may reach, bytes; also the memory limit of parsed
-        JSON.
+        Decoded size that a file of another format may reach at any length, bytes; also the memory
+        limit of parsed JSON.
     splats : int
         Maximum number of splats of a scene.
     cameras : int

@@ -77,7 +77,7 @@ class RemoteSource(Source, Protocol):
         """
 
     def reread(self, offset: int, length: int) -> bytes:
-        """Fetch a damaged range again, around HTTP caches; otherwise as `read`."""
+        """Fetch a damaged range again, bypassing HTTP caches; otherwise as `read`."""
 
 
 def prefetching(
@@ -255,7 +255,7 @@ class PrefixSource:
 
     @property
     def size(self) -> int:
-        """Length of the source, bytes."""
+        """Length of the prefix, bytes."""
         return self._size
 
     def read(self, offset: int, length: int) -> bytes:

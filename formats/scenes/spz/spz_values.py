@@ -133,7 +133,7 @@ def _unpack_fixed_point(positions: U8, signs: F32, fractional_bits: int, out: F3
 
 
 def _unpack_first_three(rotations: U8, signs: F32, out: F32) -> None:
-    """Write quaternions stored as x, y, z (version 1 and 2), times `signs`, to `out`, (n, 4)."""
+    """Write quaternions stored as x, y, z to `out`, (n, 4) wxyz, with x, y, z times `signs`."""
     xyz = _FIRST[rotations]
     rest = np.float32(1) - np.square(xyz).sum(axis=1)
     np.sqrt(np.maximum(rest, 0), out=out[:, 0])
@@ -141,7 +141,7 @@ def _unpack_first_three(rotations: U8, signs: F32, out: F32) -> None:
 
 
 def _unpack_smallest_three(rotations: U8, signs: F32, out: F32) -> None:
-    """Write quaternions stored as their smallest three components to `out`, (n, 4) wxyz."""
+    """Write smallest-three quaternions to `out`, (n, 4) wxyz, with x, y, z times `signs`."""
     packed = rotations.view("<u4")[:, 0]
     largest = packed >> np.uint32(30)
     # The first stored component is in the highest bits.

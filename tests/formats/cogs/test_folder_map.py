@@ -68,7 +68,7 @@ def test_only_the_pages_of_a_range_are_asked_for() -> None:
     assert [page.page for page in folder.pages_for(len(data) - 1, 1)] == [2]
     read(folder, objects, len(data) - 1, 1)
     assert [page.page for page in folder.pages_for(0, len(data))] == [0, 1]
-    assert [folder.knows(page) for page in range(3)] == [False, False, True]
+    assert [folder.has_page(page) for page in range(3)] == [False, False, True]
 
 
 def test_pieces_name_objects_and_what_lies_in_them() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from cogsplat.codec.errors import FormatError
 from cogsplat.formats.cogs.folder_places import (
-    Places,
+    PlaceTable,
     check_object,
     key_of,
     object_name,
@@ -17,7 +17,7 @@ from cogsplat.formats.cogs.folder_places import (
 )
 
 KEYS = np.arange(48, dtype=np.uint8).reshape(3, 16)
-PLACES = Places(KEYS, np.array([10, 20, 30], np.uint32), np.array([0, 15, 1], np.uint32))
+PLACES = PlaceTable(KEYS, np.array([10, 20, 30], np.uint32), np.array([0, 15, 1], np.uint32))
 LENGTHS = np.array([10, 5, 29], np.uint32)
 
 

@@ -34,7 +34,7 @@ class Memory:
 
     @asynccontextmanager
     async def get(
-        self, first: int, end: int, *, fresh: bool = False
+        self, first: int, end: int, *, bypass_caches: bool = False
     ) -> AsyncIterator[RangeResponse]:
         self.asked.append((self.name, first, end))
         if self.name not in self.objects:
