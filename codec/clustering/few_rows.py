@@ -21,7 +21,7 @@ _FAR: Final = 0.97
 
 
 def train(vectors: F64, rows: int) -> F64:
-    """Train a codebook on unweighted vectors.
+    """Train a codebook on unweighted vectors by Lloyd iterations.
 
     Parameters
     ----------
@@ -33,7 +33,8 @@ def train(vectors: F64, rows: int) -> F64:
     Returns
     -------
     (rows, d) float64
-        Codebook. The first row starts at zero; a row without vectors keeps its start value.
+        Codebook. The first row is initialised with zeros, the others with distant vectors. A row
+        that is nearest to no vector keeps its initial value.
     """
     sample = vectors[:: max(1, len(vectors) // _SAMPLE)]
     # Start with distant rows.

@@ -48,14 +48,14 @@ _BLOCK: Final = 1024
 
 @dataclass(frozen=True)
 class _Leaf:
-    """A cluster that is not divided further.
+    """Cluster of vectors that is not divided further, with its rows of the palette.
 
     Parameters
     ----------
     members : (m,) intp
         Numbers of the cluster's vectors.
     centre : (d,) float32
-        Mean of the rows that were trained first.
+        Mean of the initial rows, which later updates of the rows do not change.
     rows : (r, d) float32
         Palette rows trained on the cluster's vectors.
     """
@@ -100,7 +100,7 @@ def train_palette(vectors: F32, rows: int, threads: int = 0) -> tuple[F32, NDArr
     # One BLAS thread: the order of BLAS's sums depends on the number of threads.
     with threadpool_limits(limits=1):
         everything = np.arange(len(vectors))
-        leaves = list(_leaves(vectors, everything, rows, 0, thread_count(threads)))
+        leaves = list(_divide(vectors, everything, rows, 0, thread_count(threads)))
         labels = np.empty(len(vectors), np.intp)
         palette = np.empty((0, vectors.shape[1]), np.float32)
         for _ in range(_ROUNDS):
@@ -115,8 +115,22 @@ def train_palette(vectors: F32, rows: int, threads: int = 0) -> tuple[F32, NDArr
     return palette[order], rank[inverse.reshape(-1)]
 
 
-def _leaves(vectors: F32, members: Index, rows: int, depth: int, threads: int) -> Iterator[_Leaf]:
-    """Yield clusters of `members` with at most `_LEAF_ROWS` of the `rows` each."""
+def _divide(vectors: F32, members: Index, rows: int, depth: int, threads: int) -> Iterator[_Leaf]:
+    """Divide vectors recursively into leaves and train the palette rows of each.
+
+    Parameters
+    ----------
+    vectors : (n, d) float32
+        All vectors.
+    members : (m,) intp
+        Numbers of the vectors to divide.
+    rows : int
+        Palette rows for these vectors. At most `_LEAF_ROWS` go to one leaf.
+    depth : int
+        Number of divisions so far.
+    threads : int
+        Number of threads of this division; deeper ones run on one.
+    """
     if rows <= _LEAF_ROWS or depth == _MAX_DEPTH:
         trained = _train_local(vectors[members], min(rows, _LEAF_ROWS), depth)
         yield _Leaf(members, trained.mean(axis=0), trained)
@@ -127,7 +141,7 @@ def _leaves(vectors: F32, members: Index, rows: int, depth: int, threads: int) -
     if len(members) > _SPLIT_SAMPLE:
         sample = members[np.sort(rng.choice(len(members), _SPLIT_SAMPLE, replace=False))]
     centres = _train_local(vectors[sample], parts, depth)
-    labels, errors = _nearest(vectors, members, centres, threads)
+    labels, errors = _nearest_row_and_error(vectors, members, centres, threads)
     order = np.argsort(labels, kind="stable")
     counts = np.bincount(labels, minlength=len(centres))
     part_errors = np.bincount(labels, errors, len(centres)).astype(np.float64)
@@ -135,15 +149,19 @@ def _leaves(vectors: F32, members: Index, rows: int, depth: int, threads: int) -
     groups = np.split(members[order], np.cumsum(counts)[:-1])
     work = [(group, int(n)) for group, n in zip(groups, part_rows, strict=True) if len(group)]
 
-    def divide(item: tuple[Index, int]) -> list[_Leaf]:
-        return list(_leaves(vectors, *item, depth + 1, 1))
+    def divide_part(item: tuple[Index, int]) -> list[_Leaf]:
+        return list(_divide(vectors, *item, depth + 1, 1))
 
-    for leaves in ordered_map(divide, work, threads):
+    for leaves in ordered_map(divide_part, work, threads):
         yield from leaves
 
 
 def _allocate_rows(counts: Index, errors: F64, rows: int) -> Index:
-    """Divide the rows among clusters by √(vectors · squared error), at most one per vector."""
+    """Divide a number of palette rows among clusters.
+
+    A cluster gets rows in proportion to √(its vectors · its squared error), but no more rows than
+    it has vectors.
+    """
     weights = np.sqrt(counts * errors)
     shares = np.minimum(counts, 1)
     # Rows in excess of a cluster's vectors are divided among the remaining clusters, repeatedly.
@@ -165,13 +183,13 @@ def _train_local(vectors: F32, rows: int, seed: int) -> F32:
     if len(centres) == len(vectors):
         return centres
     for _ in range(_LOCAL_ITERATIONS):
-        labels = _closest(vectors, centres)
+        labels = _nearest_row(vectors, centres)
         centres = _means(vectors, labels, len(centres))[0]
     return centres
 
 
 def _seeds(vectors: F32, rows: int, seed: int) -> F32:
-    """Choose distinct, distant vectors (k-means++, Arthur and Vassilvitskii 2007)."""
+    """Choose initial rows: distant vectors (k-means++, Arthur and Vassilvitskii 2007)."""
     rng = np.random.default_rng([seed, len(vectors), rows])
     sample = max(_SEED_SAMPLE_PER_ROW * rows, _MIN_SEED_SAMPLE)
     if len(vectors) > sample:
@@ -195,7 +213,7 @@ def _seeds(vectors: F32, rows: int, seed: int) -> F32:
     return vectors[chosen]
 
 
-def _closest(vectors: F32, rows: F32) -> Index:
+def _nearest_row(vectors: F32, rows: F32) -> Index:
     """Return the index of each vector's nearest row by exhaustive search."""
     half_norms = np.square(rows).sum(axis=1) / 2
     transposed = np.ascontiguousarray(rows.T)
@@ -206,12 +224,14 @@ def _closest(vectors: F32, rows: F32) -> Index:
     return out
 
 
-def _nearest(vectors: F32, members: Index, rows: F32, threads: int) -> tuple[Index, F64]:
-    """Return each member's nearest row and its squared distance."""
+def _nearest_row_and_error(
+    vectors: F32, members: Index, rows: F32, threads: int
+) -> tuple[Index, F64]:
+    """Return the nearest row of each vector of `members`, and its squared distance."""
 
     def search(start: int) -> tuple[Index, F64]:
         block = vectors[members[start : start + 16 * _BLOCK]]
-        best = _closest(block, rows)
+        best = _nearest_row(block, rows)
         return best, np.square(block - rows[best]).sum(axis=1, dtype=np.float64)
 
     found = list(ordered_map(search, range(0, len(members), 16 * _BLOCK), threads))
@@ -219,7 +239,10 @@ def _nearest(vectors: F32, members: Index, rows: F32, threads: int) -> tuple[Ind
 
 
 def _means(vectors: F32, labels: Index, count: int) -> tuple[F32, NDArray[np.bool_]]:
-    """Return the mean vector of each used label, and a mask of the used labels of `count`."""
+    """Return the mean vector of each used label and a mask of the used labels.
+
+    Labels are 0 to `count` - 1; a label is used if at least one vector has it.
+    """
     order = np.argsort(labels, kind="stable")
     counts = np.bincount(labels, minlength=count)
     used = counts > 0
@@ -249,7 +272,7 @@ def _assign(vectors: F32, leaves: list[_Leaf], threads: int) -> Index:
         near = np.argsort(distances, kind="stable")[:neighbours]
         rows = np.concatenate([leaves[k].rows for k in near])
         names = np.concatenate([np.arange(bases[k], bases[k] + sizes[k]) for k in near])
-        found: Index = names[_closest(vectors[leaves[index].members], rows)]
+        found: Index = names[_nearest_row(vectors[leaves[index].members], rows)]
         return found
 
     results = ordered_map(search, range(len(leaves)), threads)
@@ -259,7 +282,7 @@ def _assign(vectors: F32, leaves: list[_Leaf], threads: int) -> Index:
 
 
 def _update_rows(leaves: list[_Leaf], palette: F32, used: NDArray[np.bool_]) -> list[_Leaf]:
-    """Return the leaves with their rows replaced by the rows of a new palette."""
+    """Return the leaves with rows from a new palette, which lacks the rows not in `used`."""
     updated, base, start = [], 0, 0
     for leaf in leaves:
         stop = start + int(used[base : base + len(leaf.rows)].sum())

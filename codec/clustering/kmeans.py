@@ -99,7 +99,7 @@ def train(
         if start is None or not len(start):
             centres = _seeds(vectors, weights, rows, config.seed, rng)
         else:
-            centres = _complete(start, vectors, weights, rows)
+            centres = _resize(start, vectors, weights, rows)
         model = KMeans(
             len(centres),
             init=np.ascontiguousarray(centres),
@@ -109,13 +109,13 @@ def train(
             random_state=config.seed,
             algorithm="lloyd",
         )
-        _without_warnings(lambda: model.fit(vectors, sample_weight=weights))
+        _ignore_duplicate_rows(lambda: model.fit(vectors, sample_weight=weights))
     used = np.unique(model.labels_)
     return np.unique(model.cluster_centers_[used].astype(np.float32), axis=0)
 
 
 def _seeds(vectors: F32, weights: F64, rows: int, seed: int, rng: np.random.Generator) -> F32:
-    """Return start rows chosen by k-means++."""
+    """Choose initial codebook rows by k-means++ among a weighted sample of the vectors."""
     from sklearn.cluster import kmeans_plusplus
 
     # Seeding time is proportional to rows times vectors; a sample of eight times the rows gives
@@ -129,16 +129,16 @@ def _seeds(vectors: F32, weights: F64, rows: int, seed: int, rng: np.random.Gene
     return found
 
 
-def _complete(start: F32, vectors: F32, weights: F64, rows: int) -> F32:
-    """Cut an earlier codebook to `rows` rows, or extend it by the worst-matched vectors."""
+def _resize(start: F32, vectors: F32, weights: F64, rows: int) -> F32:
+    """Cut an earlier codebook to `rows` rows, or extend it by the vectors of largest error."""
     _, errors = nearest(vectors, start, 1)
     missing = max(rows - len(start), 0)
     worst = np.argsort(-(weights * errors), kind="stable")[:missing]
     return np.concatenate([start[:rows], vectors[worst]])
 
 
-def _without_warnings(work: Callable[[], object]) -> None:
-    """Run `work` without the warning that rows coincide: `train` drops duplicate rows itself."""
+def _ignore_duplicate_rows(work: Callable[[], object]) -> None:
+    """Run `work` without its warning of duplicate rows, which `train` drops itself."""
     import warnings
 
     from sklearn.exceptions import ConvergenceWarning

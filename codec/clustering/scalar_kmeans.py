@@ -50,7 +50,7 @@ def train_scalars(values: F32, levels: int) -> F32:
     distinct = ordered[first]
     if len(distinct) <= levels:
         return distinct
-    sample = _Sorted(ordered)
+    sample = _SortedValues(ordered)
     cells = sample.split(sample.first_cells(levels), _FINE_CELL_FACTOR * levels)
     cells = sample.lloyd(sample.merge(cells, levels), _ITERATIONS)
     return np.unique(sample.centres(cells).astype(np.float32))
@@ -75,11 +75,11 @@ def nearest_scalars(values: F32, codebook: F32) -> NDArray[np.intp]:
     return np.searchsorted(between, values)
 
 
-class _Sorted:
-    """Sorted values with prefix sums, for the sum and squared error of any run.
+class _SortedValues:
+    """Sorted values with prefix sums, for the sum and squared error of any cell.
 
-    C cells are given by C + 1 ascending positions in the values: the start of each cell, and the
-    end.
+    A cell is a run of the sorted values. The methods give C cells as C + 1 ascending positions: the
+    first value of each cell, then the number of values.
     """
 
     def __init__(self, ordered: F32) -> None:
@@ -99,7 +99,7 @@ class _Sorted:
         counts, edges = np.histogram(self.values, _BINS)
         shares = np.concatenate([[0.0], np.cumsum(np.cbrt(counts))])
         places = (np.arange(levels) + 0.5) / levels * shares[-1]
-        return self._cut(np.interp(places, shares, edges))
+        return self._nearest_cells(np.interp(places, shares, edges))
 
     def centres(self, cells: NDArray[np.intp]) -> F64:
         """Return the mean of each cell; no cell may be empty."""
@@ -107,16 +107,16 @@ class _Sorted:
         return means
 
     def lloyd(self, cells: NDArray[np.intp], iterations: int) -> NDArray[np.intp]:
-        """Return the cells after Lloyd iterations, until convergence or `iterations`."""
+        """Improve cells by Lloyd iterations, until convergence but at most `iterations`."""
         for _ in range(iterations):
-            better = self._cut(self.centres(cells))
+            better = self._nearest_cells(self.centres(cells))
             if np.array_equal(better, cells):
                 break
             cells = better
         return cells
 
     def split(self, cells: NDArray[np.intp], levels: int) -> NDArray[np.intp]:
-        """Return `levels` cells by cutting the cells with the largest error at their means.
+        """Divide the cells of largest error at their means, until there are `levels` cells.
 
         There are fewer cells if every cell holds equal values.
         """
@@ -141,7 +141,7 @@ class _Sorted:
     def merge(self, cells: NDArray[np.intp], levels: int) -> NDArray[np.intp]:
         """Merge neighbouring cells into `levels` cells of minimum squared error.
 
-        This is dynamic programming over the edges (Bruce, 1965).
+        The borders to keep are found by dynamic programming (Bruce, 1965).
         """
         fine = len(cells) - 1
         if fine <= levels:
@@ -169,7 +169,7 @@ class _Sorted:
             places.append(places[-1] - 1 - int(choices[level, places[-1]]))
         return cells[places[::-1]]
 
-    def _cut(self, centres: F64) -> NDArray[np.intp]:
-        """Return the cells of the values nearest to each centre."""
+    def _nearest_cells(self, centres: F64) -> NDArray[np.intp]:
+        """Return the cells of ascending centres: each value belongs to its nearest centre."""
         inner = np.searchsorted(self.values, (centres[:-1] + centres[1:]) / 2, side="right")
         return np.unique(np.concatenate([[0], inner, [len(self.values)]]))

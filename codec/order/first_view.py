@@ -9,29 +9,29 @@ from numpy.typing import NDArray
 
 
 def bring_forward(
-    rows: NDArray[np.int64], ahead: NDArray[np.int64], share: float, mix: float = 1.0
+    rows: NDArray[np.int64], view_rows: NDArray[np.int64], share: float, mix: float = 1.0
 ) -> NDArray[np.int64]:
-    """Return an order with the first rows of a view's order mixed into its beginning.
+    """Interleave a scene's order with the order of its first view.
 
     Parameters
     ----------
     rows : (N,) int64
         Order of all rows.
-    ahead : (M,) int64
+    view_rows : (M,) int64
         Order of the first view: distinct rows, not necessarily all.
     share : float
-        Limit of the rows taken from `ahead`, as a share of all rows, 0 to 1.
+        Rows taken from `view_rows` at most, as a share of all rows, 0 to 1.
     mix : float
-        Share of every prefix taken from `ahead` until that limit, 0 to 1.
+        Share of every prefix that is taken from `view_rows` while they last, 0 to 1.
 
     Returns
     -------
     (N,) int64
-        Order in which every prefix of n rows holds the first ``mix · n`` rows of `ahead`, up to the
-        limit, and the first ``(1 - mix) · n`` of `rows`; a row in both counts for both. The
-        remaining rows keep the order of `rows`.
+        Order of all rows. A prefix of n rows holds the first ``mix · n`` of `view_rows` and the
+        first ``(1 - mix) · n`` of `rows`; a row in both counts for both. After the last
+        row taken from `view_rows` the remaining rows follow in the order of `rows`.
     """
-    first = ahead[: math.ceil(share * len(rows))]
+    first = view_rows[: math.ceil(share * len(rows))]
     rank = np.empty(len(rows), np.int64)
     rank[rows] = np.arange(1, len(rows) + 1)
     with np.errstate(divide="ignore"):
@@ -44,7 +44,7 @@ def bring_forward(
 def keep_share(
     rows: NDArray[np.int64], inside: NDArray[np.bool_], share: float
 ) -> NDArray[np.int64]:
-    """Return an order in which every prefix has at least a share of its rows inside a frustum.
+    """Reorder rows so that at least a given share of every prefix lies inside a frustum.
 
     Parameters
     ----------
@@ -80,7 +80,9 @@ def keep_share(
 
 
 def default_share(inside: NDArray[np.bool_]) -> float:
-    """Return the default share of `keep_share`, which halves the rows outside in a mean prefix.
+    """Return the default of `keep_share`'s `share`: half of the scene's share outside stays.
+
+    If 60 % of the rows lie outside the frustum, at most 30 % of every prefix do.
 
     Parameters
     ----------

@@ -16,8 +16,8 @@ class GainEffort:
         Beyond 0.6 gains hardly differ. A smaller share gives a smaller file, because chunks of an
         order by contribution hold more similar splats.
     growth : float
-        Growth of the prefix in one stage, above 0. Small stages add fewer redundant splats; the run
-        time is proportional to the number of stages.
+        Splats that a stage adds, as a ratio to the splats of the prefix so far; above 0. Small
+        stages add fewer redundant splats; the run time is proportional to the number of stages.
     views : int
         Number of views in which each stage measures gains; the sample changes with the stage.
 

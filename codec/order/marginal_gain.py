@@ -35,8 +35,8 @@ _LATE_GROWTH: Final = 0.3
 _LATE_VIEWS: Final = 12
 # Number of candidates of a stage relative to the prefix, and at least: the best by contribution,
 # and by contribution times a power of the volume. Splats further down gain too little for now.
-_POOL: Final = 8
-_MIN_POOL: Final = 4000
+_CANDIDATES: Final = 8
+_MIN_CANDIDATES: Final = 4000
 # Splats that one stage picks for the same missing part of the picture are redundant. A stage
 # therefore picks from a random share of the candidates, and the next stage measures what is still
 # missing. This gains 0.5 dB at 10 to 20 % of a scene and loses as much at both ends, so it starts
@@ -77,19 +77,19 @@ class GainConfig:
 
 
 @dataclass(frozen=True, eq=False)
-class Pool:
-    """Splats of one stage, drawn together: the prefix and its candidates.
+class StageSplats:
+    """Splats that one stage draws: the prefix and its candidates.
 
-    Colours are read from the scene, so that the pool holds no copy of them.
+    SH coefficients are read from the scene, without a copy.
 
     Parameters
     ----------
     scene : Splats
         Whole scene.
     rows : (n,) int32
-        Rows of the pool's splats in the scene, ascending.
+        Rows of the stage's splats in the scene, ascending.
     shapes : Splats
-        Splats of the pool, possibly inflated, without higher SH coefficients and extra attributes.
+        Splats of the stage, possibly inflated, of SH degree 0 and without extra attributes.
     """
 
     scene: Splats
@@ -97,17 +97,17 @@ class Pool:
     shapes: Splats
 
 
-def make_pool(
+def stage_splats(
     scene: Splats, rows: NDArray[np.integer], inflation: prefix_inflation.Inflation | None = None
-) -> Pool:
-    """Return the pool of ascending rows of a scene, inflated if `inflation` is given."""
+) -> StageSplats:
+    """Select the splats that a stage draws, by ascending rows; `inflation` enlarges each splat."""
     shapes = scene.without_extras().with_sh_degree(0).take(rows)
     inflated = shapes if inflation is None else prefix_inflation.inflate(shapes, inflation)
-    return Pool(scene, rows.astype(np.int32), inflated)
+    return StageSplats(scene, rows.astype(np.int32), inflated)
 
 
 def view_gains(
-    pool: Pool,
+    splats: StageSplats,
     present: NDArray[np.bool_],
     camera: Camera,
     target: NDArray[np.float32],
@@ -115,14 +115,14 @@ def view_gains(
     kernel_px: float,
     near_plane: float = NEAR,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64], float]:
-    """Measure the marginal gain of every splat of a pool in one view.
+    """Measure the marginal gain of every splat of a stage in one view.
 
     Parameters
     ----------
-    pool : Pool
-        Pool of n splats.
+    splats : StageSplats
+        Prefix and candidates: n splats.
     present : (n,) bool
-        Mask of the pool's splats that are in the picture.
+        Mask of the prefix, whose splats are in the picture.
     camera : Camera
         Camera in the frame of the means.
     target : (H, W, 3) float32
@@ -135,20 +135,20 @@ def view_gains(
     Returns
     -------
     rows : (M,) int32
-        Positions in the pool of the splats whose footprint reaches the image.
+        Rows of `splats.shapes` whose footprint reaches the image.
     gains : (M,) float64
         Marginal gains of these splats; see `marginal_gains`.
     error : float
         Squared error of the picture; see `marginal_gains`.
     """
     footprints = project(
-        pool.shapes,
+        splats.shapes,
         camera,
         kernel_px=kernel_px,
-        antialiased=pool.scene.info.antialiased,
+        antialiased=splats.scene.info.antialiased,
         near_plane=near_plane,
     )
-    colours = footprint_colours(pool.scene, camera, footprints, rows=pool.rows)
+    colours = footprint_colours(splats.scene, camera, footprints, rows=splats.rows)
     found, error = marginal_gains(footprints, colours, present[footprints.index], target)
     return footprints.index, found, error
 
@@ -169,23 +169,24 @@ class Stage:
     rows : (n,) int32
         Rows of the prefix and the candidates in the scene, ascending.
     present : (n,) bool
-        Mask of the rows in the prefix.
+        Mask of the rows that belong to the prefix; the rest are candidates.
     inflation : Inflation or None
-        Inflation of all rows.
+        Offsets of all rows' log scales and opacities.
     """
 
     rows: NDArray[np.int32]
     present: NDArray[np.bool_]
     inflation: prefix_inflation.Inflation | None = None
-    # Built by each worker on first use: the pool is far larger than the rows.
-    _cache: dict[str, Pool] = field(default_factory=dict, init=False, repr=False)
+    # Built by each worker on first use: the splats are far larger than their row numbers.
+    _cache: dict[str, StageSplats] = field(default_factory=dict, init=False, repr=False)
 
-    def pool(self, splats: Splats) -> Pool:
-        """Return the pool of this stage's rows; it is built once."""
-        pool = self._cache.get("pool")
-        if pool is None:
-            pool = self._cache.setdefault("pool", make_pool(splats, self.rows, self.inflation))
-        return pool
+    def splats(self, scene: Splats) -> StageSplats:
+        """Return the prefix and candidates as splats of `scene`, selected at the first call."""
+        found = self._cache.get("splats")
+        if found is None:
+            found = stage_splats(scene, self.rows, self.inflation)
+            found = self._cache.setdefault("splats", found)
+        return found
 
 
 def _view_gains(
@@ -193,7 +194,7 @@ def _view_gains(
 ) -> tuple[NDArray[np.int32], NDArray[np.float64], float]:
     """Measure the gains of a stage in reference view number `view`."""
     return view_gains(
-        stage.pool(splats),
+        stage.splats(splats),
         stage.present,
         references.cameras[view],
         references.pictures[view],
@@ -295,7 +296,7 @@ def gain_rows(
         late = placed >= _LATE * count
         growth = max(effort.growth, _LATE_GROWTH) if late else effort.growth
         size = min(max(first, int(placed * growth)), until - placed)
-        candidates = ~chosen & (best_rank < max(_POOL * (placed + size), _MIN_POOL))
+        candidates = ~chosen & (best_rank < max(_CANDIDATES * (placed + size), _MIN_CANDIDATES))
         if len(stages) >= _RANDOM_FROM and placed + size < _RANDOM_UNTIL * count:
             part = candidates & (rng.random(count) < _RANDOM_SHARE)
             if part.sum() >= size:

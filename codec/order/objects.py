@@ -140,7 +140,7 @@ def rank_objects(
 
 
 def require_objects(splats: Splats, budgets: Budgets = ()) -> None:
-    """Check labels and budgets of a scene, before its splats are scored.
+    """Check a scene's object labels and budgets, so that errors come before the scoring.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def chunk_by_object(
     Parameters
     ----------
     rows : (n,) int64
-        Order of the splats of all objects; kept within each object.
+        Order of the splats, all objects mixed. Splats of one object keep their order.
     labels : (N,) uint32
         Object label of each row of the scene.
     contribution : (N,) float64
@@ -189,15 +189,15 @@ def chunk_by_object(
     largest : int
         Splats of a chunk at most.
     budgets : sequence of (int, float)
-        Objects that come first: label, and the share of the object's splats within its budget.
-        Label None stands for all other objects.
+        Label of an object, and the share of its splats that comes first. Label None stands for all
+        other objects.
 
     Returns
     -------
     ChunkedOrder
-        Splats within budgets come first, object by object in the order of `rank_objects`. The
-        other chunks follow by the mean position of their splats in `rows`, so that the rest of the
-        scene sharpens as it would without budgets.
+        Chunks of the splats within budgets come first, object by object in the order of
+        `rank_objects`. The other chunks follow by the mean position of their splats in `rows`, as
+        they would without budgets.
 
     Raises
     ------

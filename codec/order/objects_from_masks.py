@@ -96,25 +96,37 @@ def labels_from_masks(
         )
     winners = votes.argmax(axis=1)
     if not seen.all():
-        winners[~seen] = _from_neighbours(splats.means, winners, seen, len(known))
+        winners[~seen] = _labels_of_neighbours(splats.means, winners, seen, len(known))
     labels: NDArray[np.uint32] = known[winners].astype(np.uint32)
     return labels
 
 
-def _from_neighbours(
+def _labels_of_neighbours(
     means: NDArray[np.float32],
-    winners: NDArray[np.intp],
+    labels: NDArray[np.intp],
     seen: NDArray[np.bool_],
-    count: int,
+    num_labels: int,
 ) -> NDArray[np.intp]:
-    """Return, for each unseen splat, the most common label of the nearest seen splats."""
+    """Return, for each unseen splat, the most common label of the nearest seen splats.
+
+    Parameters
+    ----------
+    means : (N, 3) float32
+        Means of all splats.
+    labels : (N,) intp
+        Number of each splat's label, 0 to `num_labels` - 1; ignored for unseen splats.
+    seen : (N,) bool
+        Mask of the splats that some mask shows.
+    num_labels : int
+        Number of distinct labels.
+    """
     from scipy.spatial import KDTree
 
     finite = np.nan_to_num(means.astype(np.float64), posinf=0.0, neginf=0.0)
     nearest = min(_NEIGHBOURS, int(seen.sum()))
     found = KDTree(finite[seen]).query(finite[~seen], k=np.arange(1, nearest + 1))[1]
-    around = winners[seen][found]
-    tally = np.zeros((len(around), count), np.float64)
+    around = labels[seen][found]
+    tally = np.zeros((len(around), num_labels), np.float64)
     for rank in range(nearest):
         # Half an extra vote for the nearest splat decides ties only.
         weight = 1.5 if rank == 0 else 1.0

@@ -62,8 +62,8 @@ class OrderConfig:
         Share of those splats in every prefix until all are included, 0 to 1; the rest of the prefix
         follows the order of the whole scene.
     frustum_share : float or None
-        Share of every prefix that ``+frustum`` keeps inside the frustum, 0 to 1. None for the share
-        that halves the splats outside (the paper states no value).
+        Share of every prefix that ``+frustum`` keeps inside the frustum, 0 to 1. None halves the
+        share of splats outside (`first_view.default_share`; the paper states no value).
     frustum_margin : float
         Extension of the frustum beyond the image at each side, as a share of the image size; 0.15
         is ±1.3 in normalised device coordinates.
@@ -281,7 +281,7 @@ def needs_scores(name: str) -> bool:
 
 
 def require_order(name: str, config: OrderConfig) -> None:
-    """Check that an order is known and has its required settings.
+    """Check that an order's name is known and that it has the settings it needs.
 
     Raises
     ------
@@ -359,9 +359,9 @@ def order_rows(
             )
         return brought_forward
     in_view = _score_in_view(scene, config.first_view)
-    ahead = _ORDERS[base](in_view, config)
-    ahead = ahead[in_view.scores.contribution[ahead] > 0]
-    return view_rules.bring_forward(rows, ahead, config.first_view_share, config.first_view_mix)
+    view_rows = _ORDERS[base](in_view, config)
+    view_rows = view_rows[in_view.scores.contribution[view_rows] > 0]
+    return view_rules.bring_forward(rows, view_rows, config.first_view_share, config.first_view_mix)
 
 
 def _score_in_view(scene: OrderInputs, camera: Camera) -> OrderInputs:

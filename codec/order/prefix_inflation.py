@@ -13,7 +13,7 @@ from cogsplat.codec.splats import Splats
 # Best inflation of prefixes, measured on a captured room and two objects, by the number of their
 # splats over the scene's `effective_splats`; the optimum is flat. In a good order, a prefix with
 # nearly all effective splats has no holes.
-_PARTS: Final = (0.0034, 0.0085, 0.017, 0.034, 0.085, 0.17, 0.34, 0.6, 0.85, 1.27)
+_RELATIVE_SIZES: Final = (0.0034, 0.0085, 0.017, 0.034, 0.085, 0.17, 0.34, 0.6, 0.85, 1.27)
 _SCALES: Final = (0.47, 0.44, 0.42, 0.37, 0.28, 0.19, 0.12, 0.06, 0.02, 0.0)
 _OPACITIES: Final = (2.2, 2.2, 2.2, 2.0, 1.7, 1.3, 0.9, 0.4, 0.15, 0.0)
 
@@ -56,21 +56,23 @@ def effective_splats(contribution: NDArray[np.float64]) -> int:
     return int(np.searchsorted(running, _EFFECTIVE_SHARE * running[-1])) + 1
 
 
-def typical_inflation(part: float) -> Inflation:
-    """Return the typical inflation of a prefix by its size.
+def typical_inflation(relative_size: float) -> Inflation:
+    """Return the offsets of log scales and opacities that best close the holes of a prefix.
+
+    They are interpolated between offsets measured on three scenes.
 
     Parameters
     ----------
-    part : float
-        Number of the prefix's splats over the scene's `effective_splats`.
+    relative_size : float
+        Splats of the prefix divided by the scene's `effective_splats`; may exceed 1.
 
     Returns
     -------
     Inflation
-        Offsets that fall with `part` and are zero from 1.27 on.
+        Offsets, largest for short prefixes; zero at a relative size of 1.27 or more.
     """
-    at = np.log(max(part, _PARTS[0]))
-    known = np.log(_PARTS)
+    at = np.log(max(relative_size, _RELATIVE_SIZES[0]))
+    known = np.log(_RELATIVE_SIZES)
     return Inflation(float(np.interp(at, known, _SCALES)), float(np.interp(at, known, _OPACITIES)))
 
 

@@ -37,9 +37,9 @@ def lagrangian(scores: Scores, quality_db: float) -> float:
     Notes
     -----
     Reverse water-filling (Cover and Thomas, Elements of Information Theory, section 10.3.3): a
-    splat's error grows with λ until its steps reach the coarsest step, then stays constant. A
-    splat whose `costs.robust_energy` exceeds its mean energy gets finer steps, so its mean error
-    is smaller.
+    splat's error grows with λ until its steps reach the coarsest step, then stays constant. Steps
+    follow from `costs.robust_energy`; where it exceeds a splat's mean energy, steps are finer and
+    the mean error is smaller.
     """
     aim = 12 * 10 ** (-quality_db / 10) / _ERRORS_PER_PIXEL
     seen = scores.energy > 0

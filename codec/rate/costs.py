@@ -38,9 +38,9 @@ _VIEWS_PER_BEST: Final = 32
 
 
 def robust_energy(scores: Scores) -> F64:
-    """Return each splat's energy, raised to at least 1/32 of its largest energy in one view.
+    """Return each splat's mean energy, raised to at least 1/32 of its largest energy in one view.
 
-    The mean energy over the scoring views ignores the view that an error spoils most.
+    The mean over the scoring views ignores the view in which an error is most visible.
 
     Returns
     -------
@@ -76,23 +76,24 @@ def positive_energy(scores: Scores, rows: NDArray[np.int64] | None = None) -> F6
 
 @dataclass(frozen=True, eq=False)
 class Costs:
-    """Squared error of the picture per squared error of each stored value, by splat.
+    """Costs of each splat's stored values: squared error of the picture per squared error.
 
     Parameters
     ----------
     energy : (n,) float64
-        Cost of the colour.
+        Cost of the splat's colour.
     mean : (n,) float64
         Cost of a coordinate of the mean, per squared scene unit.
     opacity : (n,) float64
         Cost of the opacity logit.
     scale_long, scale_middle, scale_thin : (n,) float64
-        Costs of the three stored scale differences. They change all three log scales, the two
-        shorter ones and the shortest one.
+        Costs of the three stored scale differences. The first changes all three log scales, the
+        second the two smaller ones, the third the smallest.
     swing, twist : (n,) float64
-        Costs of the stored rotation values (SPEC 6.11): either value of swing, and twist.
+        Costs of the stored rotation values (SPEC 6.11): of each of the two values of swing, and of
+        twist.
     basis_mean : (n, K-1) float64
-        `Scores.basis_mean`.
+        Mean SH bases of each splat's views (`Scores.basis_mean`); no cost.
     """
 
     energy: F64
@@ -110,7 +111,7 @@ class Costs:
         return Costs(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
     def equalise(self) -> Costs:
-        """Return costs with every row set to the attribute's mean, so that all steps are equal."""
+        """Return costs with each attribute's mean in every row, so that all splats share steps."""
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
         level = {name: np.full_like(x, x.mean()) for name, x in values.items() if x.ndim == 1}
         return replace(self, **level)
@@ -152,17 +153,17 @@ SH0_WEIGHT: Final = 0.6
 
 
 def costs(splats: Splats, scores: Scores, energy: F64 | None = None) -> Costs:
-    """Return the error costs of splats, from their sensitivities or from energies alone.
+    """Return the error costs of splats, measured by sensitivities or estimated from energies.
 
     Parameters
     ----------
     splats : Splats
         Splats to compute costs of.
     scores : Scores
-        Scores of `splats`. If they have no sensitivities, typical costs per energy are used.
+        Scores of `splats`. Without sensitivities each cost is the energy times a typical factor.
     energy : (n,) float64, optional
-        `positive_energy` of the whole scene, at the rows of `splats`. None if `splats` is the
-        whole scene.
+        Energy of each splat, from `positive_energy` of the whole scene. None computes it from
+        `scores`, which then must be those of the whole scene.
     """
     if energy is None:
         energy = positive_energy(scores)
@@ -238,14 +239,14 @@ def _typical_costs(energy: F64, sizes: F64, basis_mean: F64) -> Costs:
 
 
 def limit_steps(found: Costs, scales: NDArray[np.float32], lagrangian: float) -> Costs:
-    """Return costs raised where λ would give a step above the attribute's coarsest step.
+    """Return costs raised so that no step √(λ / cost) exceeds its attribute's coarsest step.
 
     Parameters
     ----------
     found : Costs
         Costs to limit, one row per splat.
     scales : (n, 3) float32
-        Log scales.
+        Log scales: the coarsest steps of means and rotations depend on a splat's shape.
     lagrangian : float
         λ from which the steps are derived.
     """
@@ -271,5 +272,5 @@ def limit_steps(found: Costs, scales: NDArray[np.float32], lagrangian: float) ->
 
 
 def limit_colour_steps(energy: F64, lagrangian: float) -> F64:
-    """Return (n,) energies raised where λ would give a colour step above `COARSEST_COLOUR`."""
+    """Return (n,) energies raised so that no step √(λ / energy) exceeds `COARSEST_COLOUR`."""
     return np.maximum(energy, lagrangian / COARSEST_COLOUR**2)

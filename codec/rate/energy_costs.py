@@ -54,7 +54,7 @@ class EnergyCosts:
     energy: F64
 
     def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> EnergyCosts:
-        """Return the costs of the splats or codebook rows `rows`."""
+        """Return the costs of a selection of the splats or codebook rows."""
         return EnergyCosts(self.lagrangian, self.energy[rows])
 
     def step(self, attribute: Attribute) -> float:

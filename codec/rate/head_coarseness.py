@@ -40,12 +40,12 @@ class HeadCoarseness:
     Parameters
     ----------
     scales : tuple of int
-        Largest radix of the refinement digits, one per scale difference. Radix 1 stores the values
-        in full in the head.
+        Limit of the refinement digits' radix, one per scale difference. At 1 the head holds the
+        values in full.
     means : int
-        Bits of each coordinate that the refinement holds.
+        Number of low bits of each coordinate that the refinement holds.
     opacities, sh0 : tuple of int
-        Largest radix of the refinement digits, one per component.
+        Limit of the refinement digits' radix, one per component.
     """
 
     scales: tuple[int, ...]

@@ -41,8 +41,8 @@ class PruneConfig:
         Minimum number of scoring views in which the footprint lies. A splat that fewer views cover
         is kept, because its contribution is unknown.
     worth : float
-        Limit of the splat's energy (`costs.robust_energy`) over λ. Below it the picture loses less
-        than the same bytes would gain as finer steps elsewhere.
+        Limit of the splat's energy (`costs.robust_energy`) divided by λ. Below it, finer steps of
+        other splats gain more per byte than the splat does.
     """
 
     peak: float = 0.06

@@ -58,7 +58,7 @@ class Split:
     digits: Stream | None
 
     def take(self, rows: I64) -> Split:
-        """Return the split values of the rows `rows`, in that order."""
+        """Return the split values of given rows, in the order of `rows`."""
         digits = self.digits
         if digits is not None:
             digits = replace(digits, planes=[plane[rows] for plane in digits.planes])
@@ -70,8 +70,8 @@ def split(
 ) -> Split:
     """Quantise values and split their codes into coarse codes and refinement digits.
 
-    A component is split only if the bits that leave the head are worth the bits that the file
-    grows by (`DEFERRED_BIT_PRICE`).
+    A component is split only if the file grows by fewer bits than `DEFERRED_BIT_PRICE` times the
+    bits that move from the head to the refinement.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def split(
     weights : (n,) float64
         Weight of each row's squared error in the fit of the coarse grid.
     max_radices : tuple of int
-        Largest radix of each component, at most `refinement_digits.MAX_RADIX`.
+        Limit of the radix of each component, at most `refinement_digits.MAX_RADIX`.
     """
     codes = grid.quantise(values)
     radices, shifts = [], []
@@ -100,12 +100,28 @@ def split(
     fine = grid.dequantise(codes)
     digits = refinement_digits.write(attribute, codes, grid, radices)
     coarse_codes = codes // np.array(radices, np.uint32)
-    coarse_grid = _coarse_grid(grid, radices, coarse_codes, fine, weights)
+    coarse_grid = _fit_coarse_grid(grid, radices, coarse_codes, fine, weights)
     return Split(coarse_grid.dequantise(coarse_codes), coarse_grid, fine, digits)
 
 
 def _best_radix(codes: U32, levels: int, limit: int) -> tuple[int, int]:
-    """Return the radix of the digits, and the shift in levels to add to the codes first."""
+    """Choose the radix of one component's refinement digits by the sizes of head and refinement.
+
+    Parameters
+    ----------
+    codes : (n,) uint32
+        Codes of the component.
+    levels : int
+        Number of levels of the component's grid.
+    limit : int
+        Radix at most.
+
+    Returns
+    -------
+    radix, shift : int
+        Radix, 1 if a split does not pay; and the offset to add to the codes before the division by
+        the radix.
+    """
     if levels > _ALIGNED_LEVELS:
         return limit, 0
     counts = np.bincount(codes, minlength=levels)
@@ -144,8 +160,24 @@ def _extend_below(grid: Grid, shifts: list[int]) -> Grid:
     return Grid(minimum, grid.maximum, grid.levels + count)
 
 
-def _coarse_grid(grid: Grid, radices: list[int], codes: U32, fine: F32, weights: F64) -> Grid:
-    """Return the head's grid: minimum and maximum fitted to `fine` by weighted least squares."""
+def _fit_coarse_grid(
+    grid: Grid, radices: list[int], coarse_codes: U32, fine: F32, weights: F64
+) -> Grid:
+    """Fit the head's grid, so that coarse codes decode near the refined values.
+
+    Parameters
+    ----------
+    grid : Grid
+        Grid of the refined values.
+    radices : list of int
+        Radix of each component's digits; a component of radix 1 keeps its grid.
+    coarse_codes : (n, c) uint32
+        Codes of the head.
+    fine : (n, c) float32
+        Refined values.
+    weights : (n,) float64
+        Weight of each row's squared error.
+    """
     size = np.array(radices, np.float64)
     step = grid.step.astype(np.float64)
     levels = (grid.levels + np.array(radices, np.uint32) - 1) // np.array(radices, np.uint32)
@@ -155,7 +187,8 @@ def _coarse_grid(grid: Grid, radices: list[int], codes: U32, fine: F32, weights:
     for component in range(grid.components):
         if radices[component] == 1:
             continue
-        code, value = codes[:, component].astype(np.float64), fine[:, component].astype(np.float64)
+        code = coarse_codes[:, component].astype(np.float64)
+        value = fine[:, component].astype(np.float64)
         even = size[component] * step[component]
         centre, mean = weights @ code, weights @ value
         spread = weights @ np.square(code - centre)

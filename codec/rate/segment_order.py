@@ -36,7 +36,7 @@ _LOOK_AHEAD: Final = 16
 
 
 class OrderedKind(Enum):
-    """Kinds of segments in the segment order."""
+    """Kind of a segment in the order: head, refinement, tail or colour codebooks."""
 
     HEAD = auto()
     REFINEMENT = auto()
@@ -47,14 +47,14 @@ class OrderedKind(Enum):
 
 @dataclass(frozen=True)
 class SegmentGain:
-    """Size of a segment and the error that it removes.
+    """Size of a segment, and the drop of squared error when it is added to a prefix.
 
     Parameters
     ----------
     size_bytes : int
         Size of the segment, bytes.
     distortion_drop : float
-        Squared error of the pictures that the segment removes.
+        Drop of the pictures' squared error.
     """
 
     size_bytes: int
@@ -62,21 +62,20 @@ class SegmentGain:
 
     @property
     def drop_per_byte(self) -> float:
-        """Squared error removed per byte; 0 if the segment removes none."""
+        """Drop of squared error per byte; 0 if the error would rise."""
         return max(self.distortion_drop, 0.0) / max(self.size_bytes, 1)
 
 
 @dataclass(frozen=True)
 class ChunkSegments:
-    """Segments of a chunk with their sizes and gains.
+    """Sizes of a chunk's head, refinement and tail, with the gains of the latter two.
 
     Parameters
     ----------
     head_bytes : int
-        Size of the head, bytes. The squared error that a head removes follows from the missing
-        shares of the contribution.
+        Size of the head, bytes. Its drop of squared error is computed by `head_distortion_drops`.
     refinement, tail : SegmentGain or None
-        None if the chunk has no such segment.
+        Size and gain; None if the chunk has no such segment.
     """
 
     head_bytes: int
@@ -101,7 +100,7 @@ class OrderedSegment:
 
 
 def tail_distortion_drop(coefficients: F32, energy: F64, basis_spread: F64) -> float:
-    """Return the squared error that a tail removes: that of pictures without bands above DC.
+    """Return the drop of squared error by a chunk's tail: the error without SH above DC.
 
     Parameters
     ----------
@@ -125,7 +124,7 @@ def tail_distortion_drop(coefficients: F32, energy: F64, basis_spread: F64) -> f
 
 
 def missing_shares(contribution: F64) -> F64:
-    """Return the share of the contribution that is missing before each chunk and after the last.
+    """Return the missing share of the contribution before each chunk and after the last.
 
     Parameters
     ----------
@@ -135,7 +134,7 @@ def missing_shares(contribution: F64) -> F64:
     Returns
     -------
     (c + 1,) float64
-        Shares from 1 to 0, never rising.
+        Non-increasing shares from 1 to 0.
     """
     if not contribution.sum() > 0:
         contribution = np.ones(len(contribution))
@@ -165,7 +164,9 @@ def missing_shares_from_mse(prefix_mse: F64) -> F64:
 
 
 def head_distortion_drops(missing: F64, missing_all: float = MISSING_ALL) -> F64:
-    """Return the squared error of the pictures that each chunk's head removes.
+    """Return the drop of the pictures' squared error by each chunk's head.
+
+    While a share R of the contribution is missing, the squared error is `missing_all` times R².
 
     Parameters
     ----------
@@ -245,7 +246,10 @@ def order_segments(
 
 
 def _head_drops_per_byte(sizes: Sequence[int], drops: F64) -> list[float]:
-    """Return each head's largest error drop per byte over the runs of heads that start with it."""
+    """Return a priority of each head: the largest error drop per byte of a run that it starts.
+
+    A run is the head alone or together with heads after it, up to `_LOOK_AHEAD` in all.
+    """
     out = []
     for first in range(len(sizes)):
         run = slice(first, first + _LOOK_AHEAD)
@@ -255,7 +259,10 @@ def _head_drops_per_byte(sizes: Sequence[int], drops: F64) -> list[float]:
 
 
 def _codebooks_drop_per_byte(codebook_bytes: int, tails: Sequence[SegmentGain | None]) -> float:
-    """Return the largest error drop per byte of the codebooks together with their best tails."""
+    """Return the priority of the codebooks: their error drop per byte together with tails.
+
+    The best tails by error drop per byte are added while they raise the result.
+    """
     size, drop, best = codebook_bytes, 0.0, -1.0
     for tail in sorted((t for t in tails if t is not None), key=lambda t: -t.drop_per_byte):
         size, drop = size + tail.size_bytes, drop + tail.distortion_drop * _TAIL_WEIGHT

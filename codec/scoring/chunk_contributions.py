@@ -34,14 +34,14 @@ def chunk_contributions(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> F64:
-    """Measure each chunk's share of each view's picture.
+    """Measure each chunk's share of each view's picture: its blending weights per pixel.
 
     Parameters
     ----------
     splats : Splats
         Scene of N splats.
     chunks : (N,) int64
-        Chunk of each splat.
+        Number of the chunk of each splat.
     count : int
         Number of chunks.
     cameras : sequence of Camera
@@ -85,7 +85,7 @@ def chunk_contributions(
 def _shares_in_view(
     camera: Camera, splats: Splats, chunks: NDArray[np.int64], *, count: int
 ) -> F64:
-    """Return each chunk's share of one view's picture, (count,)."""
+    """Return each chunk's blending weights per pixel of one view, (count,)."""
     footprints = project(
         splats,
         camera,

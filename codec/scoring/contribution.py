@@ -130,13 +130,13 @@ class Scores:
     ----------
     contribution : (N,) float64
         Sum of w over a view's pixels, px, averaged over the given views (PRoGS, section 3.1). With
-        jitter, plus the average over the jittered copies. Only weights selected by
+        jitter, the average over the jittered copies is added. Only weights selected by
         `ScoreConfig.top_k` or `ScoreConfig.least_weight` count.
     colour_sensitivity : (N,) float64
-        Largest change of a channel's mean unclamped pixel per unit of one SH coefficient: the sum
-        over views of ``|Y| · contribution in the view``, over the views' pixels, maximised over
-        all 16 bases Y (Niedermayr et al. 2024, section 3.1). With jitter, given and jittered views
-        count half each. Top K makes it a lower bound. Zeros unless
+        Change of a channel's mean over all pixels, before clamping, per unit of an SH coefficient;
+        the largest over the coefficients (Niedermayr et al. 2024, section 3.1). It is the sum over
+        views of ``|Y| · Σw``, with the coefficient's basis Y, divided by the number of pixels. With
+        jitter, given and jittered views count half each. Top K makes it a lower bound. Zeros unless
         `ScoreConfig.colour_sensitivity` is set.
     energy : (N,) float64
         Sum of w² over all weights, per pixel of the views: a colour error Δ of the splat alone
@@ -214,24 +214,24 @@ def zero_scores(splats: int) -> Scores:
 
 @dataclass(frozen=True, eq=False)
 class _ViewScores:
-    """Sums over the pixels of one view, for the splats whose footprints reach it.
+    """Weight sums and sensitivities of one view, for the splats whose footprints reach it.
 
     Parameters
     ----------
     index : (M,) int32
-        Rows of the scene, ascending.
-    sums : (M, 3) float64
-        Sums of the weights, from `add_weights`.
-    places : (M,) int32
-        Row of `columns` for each row of `index`.
-    columns : (M, 13) float64 or None
-        Sums of `view_sensitivities`, nearest first; None if not measured in this view.
+        Rows of the splats in the scene, ascending.
+    weight_sums : (M, 3) float64
+        Sums of the blending weights, from `add_weights`, in the order of `index`.
+    sensitivity_rows : (M,) int32
+        Row of `sensitivities` for each row of `index`.
+    sensitivities : (M, 13) float64 or None
+        Result of `view_sensitivities`, nearest splat first; None if not measured in this view.
     """
 
     index: NDArray[np.int32]
-    sums: NDArray[np.float64]
-    places: NDArray[np.int32]
-    columns: NDArray[np.float64] | None
+    weight_sums: NDArray[np.float64]
+    sensitivity_rows: NDArray[np.int32]
+    sensitivities: NDArray[np.float64] | None
 
 
 def _score_view(
@@ -271,15 +271,18 @@ def _score_view(
 
 def _view_scores(
     footprints: Footprints,
-    sums: NDArray[np.float64],
-    columns: NDArray[np.float64] | None,
+    weight_sums: NDArray[np.float64],
+    sensitivities: NDArray[np.float64] | None,
 ) -> _ViewScores:
-    """Return the sums of footprints sorted by row.
+    """Return the scores of a view with the weight sums sorted by row of the scene.
 
-    The columns are the largest array and stay in the order of the footprints.
+    The sensitivities, the largest array, stay in the order of the footprints, nearest first.
     """
     return _ViewScores(
-        footprints.sorted_rows(), sort_by_row(footprints, sums), footprints.row_order(), columns
+        footprints.sorted_rows(),
+        sort_by_row(footprints, weight_sums),
+        footprints.row_order(),
+        sensitivities,
     )
 
 
@@ -307,8 +310,8 @@ def _score_on_device(
 def _sensitivity_views(count: int, every: int) -> list[bool]:
     """Return a list that marks the views with sensitivities: one in each run of `every` views.
 
-    Its position varies from run to run: jittered copies alternate between two kinds, and a fixed
-    position would always meet the same kind.
+    The position of the marked view varies from run to run: jittered copies alternate between two
+    kinds, and a fixed position would always meet the same kind.
     """
     if every == 0:
         return [False] * count
@@ -423,13 +426,19 @@ def score(
         view_share, pixel_share = shares[done]
         camera = views[done]
         num_pixels = camera.width * camera.height
-        sums = result.sums
+        sums = result.weight_sums
         if done >= given:
             sums[:, [WEIGHT, PEAK]] *= COVERING_SHARE
             sums[:, SQUARE] *= COVERING_SHARE**2
         totals.add(result.index, sums, camera.position, num_pixels, view_share, pixel_share)
-        if result.columns is not None:
-            add_rows(result.index, result.places, result.columns, sensitive[done], columns)
+        if result.sensitivities is not None:
+            add_rows(
+                result.index,
+                result.sensitivity_rows,
+                result.sensitivities,
+                sensitive[done],
+                columns,
+            )
         workspace.trim()
         progress("score", done + 1, len(views))
     if not totals.seen.any():

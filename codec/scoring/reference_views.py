@@ -56,19 +56,20 @@ class ReferenceViews:
     near_plane: float
 
     def sample(self, count: int, iteration: int) -> list[int]:
-        """Return the numbers of about `count` views for one iteration of an optimisation.
+        """Return the numbers of the views to draw in one iteration of an optimisation.
 
         Parameters
         ----------
         count : int
-            Number of views, at least 1; capped at the number of reference views.
+            Approximate number of views, at least 1; all views if there are no more.
         iteration : int
-            Iteration, from 0. Over many iterations all views occur equally often.
+            Number of the iteration, from 0. Over many iterations all views occur equally often.
 
         Returns
         -------
         list of int
-            Numbers of given views and jittered copies in proportion, each evenly spread.
+            Numbers spread evenly over the given views, then over the jittered copies. Both have
+            their share of `count` by their number of views, at least one each.
         """
         total = len(self.cameras)
         if count >= total:
@@ -98,7 +99,7 @@ def _reduce(camera: Camera, pixels: int) -> tuple[Camera, int]:
     return small, factor
 
 
-def _every_nth(views: Sequence[Camera], max_views: int) -> list[Camera]:
+def _evenly_spaced(views: Sequence[Camera], max_views: int) -> list[Camera]:
     """Return at most `max_views` views, at equal distances in the sequence."""
     if len(views) <= max_views:
         return list(views)
@@ -175,10 +176,10 @@ def render_references(
         raise ValueError(f"{pixels} pixels, expected at least 1")
     if jittered:
         # Each camera has two jittered copies.
-        chosen = _every_nth(cameras, MAX_VIEWS // 3)
+        chosen = _evenly_spaced(cameras, MAX_VIEWS // 3)
         copies = jitter(splats, chosen)
     else:
-        chosen, copies = _every_nth(cameras, MAX_VIEWS), []
+        chosen, copies = _evenly_spaced(cameras, MAX_VIEWS), []
     reduced = [_reduce(camera, pixels) for camera in [*chosen, *copies]]
     info = splats.info
     views = [camera for camera, _ in reduced]

@@ -123,19 +123,19 @@ def sort_by_row(footprints: Footprints, values: F64) -> F64:
 @kernel
 def add_rows(
     index: NDArray[np.int32],
-    places: NDArray[np.int32],
+    value_rows: NDArray[np.int32],
     values: F64,
     share: float,
     totals: F64,
 ) -> None:
-    """Add scaled rows of values to rows of a scene's totals, without temporary arrays.
+    """Add scaled rows of values to totals by row of the scene, without temporary arrays.
 
     Parameters
     ----------
     index : (M,) int32
         Rows of the scene; ascending rows are added fastest, especially to a mapped array.
-    places : (M,) int32
-        Row of `values` for each row of `index`.
+    value_rows : (M,) int32
+        Row of `values` that is added to each row of `index`.
     values : (M, K) float64
         Values to add.
     share : float
@@ -144,9 +144,9 @@ def add_rows(
         Sums, changed in place.
     """
     for row in range(len(index)):
-        place = places[row]
+        value_row = value_rows[row]
         for column in range(values.shape[1]):
-            totals[index[row], column] += share * values[place, column]
+            totals[index[row], column] += share * values[value_row, column]
 
 
 class ViewSums:
@@ -263,9 +263,12 @@ class ViewSums:
         return mean
 
     def basis_spread(self) -> F64:
-        """Return the covariance of the SH bases above DC over a splat's views: (15, 15) float64.
+        """Return the typical covariance of the SH bases above DC among one splat's views.
 
-        It is the energy-weighted mean over every eighth splat of the scene.
+        Returns
+        -------
+        (15, 15) float64
+            Energy-weighted mean of the covariances of every eighth splat of the scene.
         """
         if not self._directions:
             return np.zeros_like(self._gram)

@@ -30,9 +30,10 @@ def sequence(numbers: NDArray[np.integer], steps: F64) -> F64:
     Parameters
     ----------
     numbers : (n,) integer
-        Numbers of the points, possibly negative. Consecutive numbers cover the space evenly.
+        Numbers of the points, possibly negative. Points of consecutive numbers cover the unit
+        square or cube evenly.
     steps : (d,) float64
-        `STEPS_2D` or `STEPS_3D`.
+        `STEPS_2D` for the square, `STEPS_3D` for the cube.
 
     Returns
     -------

@@ -124,7 +124,7 @@ def turntable(target: OrbitTarget, count: int, down: F64, near_plane: float) -> 
     Returns
     -------
     list of Pose
-        Poses that all differ from the poses of `orbit`.
+        Poses for testing; none is a pose of `orbit`.
     """
     distances = (_WHOLE_CLOSEST, _WHOLE_FURTHEST)
     numbers = np.arange(-count, 0)

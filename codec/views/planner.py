@@ -135,8 +135,8 @@ class ViewPlanConfig:
     Parameters
     ----------
     views : int
-        Number of views. Planning adds at most half as many covering views, and at most an eighth as
-        many for splats outside all views.
+        Number of views before additions. Planning adds covering views, at most 1/2 of this number,
+        and views of splats outside all pictures, at most 1/8 of this number.
     width, height : int
         Image size of each view, px.
     fov_deg : float
@@ -436,9 +436,10 @@ class _Planner:
         return [Pose(place, look, 1.0) for place, look in zip(places, forward, strict=True)]
 
     def _typical_detail(self) -> float:
-        """Return the typical ratio of size to distance: the median over a sample of splats.
+        """Measure the typical ratio of a splat's size to its viewing distance.
 
-        The distance of a splat is the one from which its vicinity fills the view. Also set
+        The viewing distance is that at which the splat's vicinity, the nearest quarter of the
+        scene, fills the view. The ratio is the median over a sample. The method also sets
         `_vicinity_radius`, the median radius of the vicinities.
         """
         counts, sizes = self._scene.counts, self._scene.sizes
@@ -502,7 +503,7 @@ class _Planner:
         self._inside += (occlusion > _INSIDE_OCCLUSION).tolist()
 
     def _weigh_sides(self) -> None:
-        """Set the weights of views from inside and from outside of walls."""
+        """Set the weights of views from inside and from outside of a room or object."""
         counts = self._scene.counts
         samples = _systematic(counts, min(_SIDE_SAMPLES, len(counts)))
         visible = {side: self._visible_from(side, samples) for side in (False, True)}
@@ -512,13 +513,13 @@ class _Planner:
             share = float(not side) if most <= _SIDE_TIE else (only[side] / most) ** 2
             self._side_weight[side] = max(share, _MIN_SIDE_WEIGHT)
 
-    def _visible_from(self, side: bool, samples: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Return a mask of the samples visible from candidate positions on one side of walls.
+    def _visible_from(self, inside: bool, samples: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Return a mask of the samples that any candidate inside, or any outside, sees.
 
         Parameters
         ----------
-        side : bool
-            True for positions inside, False for positions outside.
+        inside : bool
+            True for the candidates inside a room or object, False for those outside.
         samples : (n,) intp
             Rows of the subsample.
 
@@ -526,7 +527,7 @@ class _Planner:
         -------
         (n,) bool
         """
-        rows = [row for row, inside in enumerate(self._inside) if inside == side]
+        rows = [row for row, enclosed in enumerate(self._inside) if enclosed == inside]
         visible = np.zeros(len(samples), np.bool_)
         coarser = math.sqrt(max(1.0, self._scene.counts.sum() / _COARSE_SPLATS))
         ends = _TARGET_SIZES * coarser * self._scene.sizes[samples]
@@ -544,7 +545,7 @@ class _Planner:
         return visible
 
     def _choose(self, chosen: list[int], views: int) -> None:
-        """Choose candidates greedily by the exposure that they add to the chosen views.
+        """Choose candidates greedily: each adds most to how clearly the views show the splats.
 
         Parameters
         ----------
@@ -555,6 +556,9 @@ class _Planner:
 
         Notes
         -----
+        A view's gain is the rise of Σ log(exposure + a constant) over the splats. The exposure of a
+        splat is the sum of `Candidate.exposure` over the chosen views.
+
         Gains only shrink as views are added, so a candidate's gain is recomputed only when its last
         known gain is the largest (lazy greedy, Minoux 1978).
         """
@@ -605,7 +609,7 @@ class _Planner:
         return added
 
     def _poses_for_uncovered(self, poses: Sequence[Pose], weights: F64) -> list[Pose]:
-        """Return poses at given positions that look at splats outside all given pictures.
+        """Return poses that look at splats outside all pictures so far, from the same positions.
 
         Parameters
         ----------

@@ -72,7 +72,15 @@ def view_clusters(cameras: Sequence[Camera], count: int) -> list[I64]:
 
 
 def _greedy_path(centres: Sequence[int], distances_to: Callable[[int], F64]) -> list[int]:
-    """Order clusters greedily: each is followed by the nearest remaining cluster."""
+    """Return cluster numbers, from 0 on: each is followed by the nearest remaining cluster.
+
+    Parameters
+    ----------
+    centres : sequence of int
+        Number of the camera at each cluster's centre.
+    distances_to : callable
+        Function that returns the distances of all cameras to the camera with a given number.
+    """
     left = list(range(len(centres)))
     path = [left.pop(0)]
     while left:

@@ -127,15 +127,15 @@ def roam(splats: Splats, cameras: Sequence[Camera]) -> list[Camera]:
 
 
 def jitter(splats: Splats, cameras: Sequence[Camera], copies: int = 2) -> list[Camera]:
-    """Return the jittered copies that scoring adds to the given cameras.
+    """Return jittered copies of cameras, which scoring adds: moved back or rotated.
 
     Parameters
     ----------
     splats, cameras
         See `roam`.
     copies : int
-        Copies per camera. 2 returns both copies of `roam`. 1 returns one of them by index modulo 4:
-        moved back (0, 3), rotated left (1), rotated right (2).
+        Copies per camera: 2 for both copies of `roam`, 1 for one of them. The one is, by the
+        camera's index modulo 4: moved back (0 and 3), rotated left (1) or rotated right (2).
 
     Returns
     -------

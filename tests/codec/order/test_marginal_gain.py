@@ -13,7 +13,7 @@ from cogsplat.codec.order.marginal_gain import (
     gain_order,
     gain_rows,
     gains,
-    make_pool,
+    stage_splats,
     view_gains,
 )
 from cogsplat.codec.order.orders import OrderInputs, order_rows
@@ -119,13 +119,15 @@ def test_gains_weigh_the_views(scene):
     splats, cameras, _ = scene
     references = render_references(splats, cameras, jittered=False)
     present = np.arange(len(splats)) % 2 == 0
-    pool = make_pool(splats, np.arange(len(splats)))
+    drawn = stage_splats(splats, np.arange(len(splats)))
     stage = Stage(np.arange(len(splats), dtype=np.int32), present)
     total = gains(splats, references, stage, [0, 2], LocalThreads(1))
     expected = np.zeros(len(splats))
     for view in (0, 2):
         camera = references.cameras[view]
-        rows, found, _ = view_gains(pool, present, camera, references.pictures[view], kernel_px=0.3)
+        rows, found, _ = view_gains(
+            drawn, present, camera, references.pictures[view], kernel_px=0.3
+        )
         expected[rows] += found / 3 / (camera.width * camera.height)
     np.testing.assert_allclose(total, expected, rtol=1e-12)
 
@@ -171,11 +173,11 @@ def test_without_jitter_only_the_given_views_are_rendered(several_chunks):
     np.testing.assert_array_equal(found, chunk_plan.sort_runs(without, scores.contribution))
 
 
-def test_pools_copy_no_colours(scene):
+def test_the_splats_of_a_stage_copy_no_colours(scene):
     splats, _, _ = scene
     rows = np.arange(0, len(splats), 2)
-    pool = make_pool(splats, rows, prefix_inflation.Inflation(0.25, 1.5))
-    assert pool.scene is splats
-    assert pool.shapes.sh_degree == 0
-    np.testing.assert_array_equal(pool.shapes.means, splats.means[rows])
-    np.testing.assert_allclose(pool.shapes.scales, splats.scales[rows] + 0.25, rtol=1e-6)
+    stage = stage_splats(splats, rows, prefix_inflation.Inflation(0.25, 1.5))
+    assert stage.scene is splats
+    assert stage.shapes.sh_degree == 0
+    np.testing.assert_array_equal(stage.shapes.means, splats.means[rows])
+    np.testing.assert_allclose(stage.shapes.scales, splats.scales[rows] + 0.25, rtol=1e-6)
