@@ -19,7 +19,7 @@ class LocalManifest extends BlobSource {
     this.folder = dirname(path);
   }
 
-  beside(name) {
+  relative(name) {
     const path = join(this.folder, name);
     if (!existsSync(path)) throw new CogsplatError("segment-missing", `${path} is not there`);
     this.objects.set(name, readFileSync(path));

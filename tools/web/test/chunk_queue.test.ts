@@ -150,7 +150,7 @@ test("kept heads stay within their limit, and those that came last go first", ()
   assert.equal(heads.bytes, 16 * 100);
   heads.keepAtMost(16 * 70);
   assert.equal(heads.bytes, 16 * 60);
-  assert.equal(heads.take(2), undefined);
-  assert.equal(heads.take(0)!.packed!.words.length, 4 * 60);
+  assert.equal(heads.remove(2), undefined);
+  assert.equal(heads.remove(0)!.packed!.words.length, 4 * 60);
   assert.equal(heads.bytes, 0);
 });

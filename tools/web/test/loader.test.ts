@@ -506,6 +506,6 @@ test("requests beside each other go around the browser's cache, which lets one o
   for (const options of [{}, { priority: "low" }, { fresh: true }] as const)
     await source.read({ offset: 0, length: 4 }, options);
   // An object of a folder has an address of its own.
-  await source.beside("segments/a").read({ offset: 0, length: 4 }, { priority: "low" });
+  await source.relative("segments/a").read({ offset: 0, length: 4 }, { priority: "low" });
   assert.deepEqual(asked, ["default", "no-store", "reload", "default"]);
 });

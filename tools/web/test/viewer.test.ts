@@ -116,18 +116,18 @@ test("turning keeps the target in the middle and the axes a rotation", () => {
 
 test("rows that chunks give back are taken again, in pieces where they must be", () => {
   const slots = new RowSlots(10);
-  const [a, b, c] = [slots.take(3), slots.take(3), slots.take(4)];
+  const [a, b, c] = [slots.allocate(3), slots.allocate(3), slots.allocate(4)];
   assert.deepEqual([a, b, c], [[{ first: 0, count: 3 }], [{ first: 3, count: 3 }], [{ first: 6, count: 4 }]]);
-  slots.give(a);
-  slots.give(c);
-  const pieces = slots.take(5);
+  slots.release(a);
+  slots.release(c);
+  const pieces = slots.allocate(5);
   assert.deepEqual(pieces, [
     { first: 0, count: 3 },
     { first: 6, count: 2 },
   ]);
-  assert.throws(() => slots.take(3), /2 are free/);
-  slots.give(b);
-  slots.give(pieces);
-  slots.give([{ first: 8, count: 2 }]);
-  assert.deepEqual(slots.take(10), [{ first: 0, count: 10 }]);
+  assert.throws(() => slots.allocate(3), /2 are free/);
+  slots.release(b);
+  slots.release(pieces);
+  slots.release([{ first: 8, count: 2 }]);
+  assert.deepEqual(slots.allocate(10), [{ first: 0, count: 10 }]);
 });

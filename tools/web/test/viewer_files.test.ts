@@ -10,13 +10,13 @@ import { SceneFile } from "../src/scene/scene_file.js";
 import { concatenate, type Splats } from "../src/scene/splats.js";
 import { bulkOf, depthAhead } from "../src/viewer/framing.js";
 import { Meter } from "../src/viewer/meter.js";
-import { sizeText } from "../src/viewer/numbers.js";
+import { formatBytes } from "../src/viewer/numbers.js";
 import { OrbitCamera } from "../src/viewer/orbit.js";
 import { readPlyHeader } from "../src/viewer/ply_header.js";
 import type { PlyResponse } from "../src/viewer/ply_messages.js";
 import { readPly } from "../src/viewer/ply_reader.js";
 import { NoWebGlError } from "../src/viewer/renderer.js";
-import { describe } from "../src/viewer/sentences.js";
+import { describeError } from "../src/viewer/sentences.js";
 import { vectorBytes } from "./vectors.js";
 
 const kernels = await loadKernels();
@@ -272,15 +272,15 @@ test("every error is told in a sentence of its own", () => {
     new CogsplatError("decoded-size", "x"),
     new CogsplatError("source-changed", "x"),
   ];
-  const titles = errors.map((error) => describe(error, false).title);
+  const titles = errors.map((error) => describeError(error, false).title);
   assert.equal(new Set(titles).size, errors.length);
-  assert.match(describe(errors[1], false).detail, /404/);
-  assert.notEqual(describe(errors[6], true).detail, describe(errors[6], false).detail);
-  assert.equal(describe(new Error("odd"), false).detail, "odd");
+  assert.match(describeError(errors[1], false).detail, /404/);
+  assert.notEqual(describeError(errors[6], true).detail, describeError(errors[6], false).detail);
+  assert.equal(describeError(new Error("odd"), false).detail, "odd");
 });
 
 test("sizes are written with three digits", () => {
-  assert.deepEqual([0, 999, 1000, 65_536, 999_499, 999_600, 12_345_678, 5e9].map(sizeText), [
+  assert.deepEqual([0, 999, 1000, 65_536, 999_499, 999_600, 12_345_678, 5e9].map(formatBytes), [
     "0 bytes",
     "999 bytes",
     "1 kB",

@@ -63,7 +63,7 @@ export async function streamTexels(
   const stream = scene.stream({ ...options, degree: wantedDegree(scene, options), compensate, format: layout, signal });
   for await (const update of stream) {
     rows.put(update.chunk, { texels: update.texels!, firstRow: update.firstRow }, update.prefix);
-    await pace.rest();
+    await pace.yieldIfDue();
     if (performance.now() - last < (options.uploadInterval ?? UPLOAD_INTERVAL)) continue;
     await rows.show(pace);
     options.onUpload?.(rows.shown);
@@ -117,7 +117,7 @@ class DrawnRows {
       const { texels, firstRow } = this.chunks.get(chunk)!;
       const shifts = this.compensate && chunk < prefix ? this.scene.compensation.shifts(prefix, chunk) : undefined;
       writeTexels(texels, shifts, this.target.arrays, firstRow);
-      await pace.rest();
+      await pace.yieldIfDue();
     }
     this.fresh.clear();
     this.shownPrefix = prefix;
@@ -133,7 +133,7 @@ class Pace {
   private since = performance.now();
 
   /** Yield if the present task has lasted long enough. */
-  async rest(): Promise<void> {
+  async yieldIfDue(): Promise<void> {
     if (performance.now() - this.since < LONGEST_TASK) return;
     await new Promise((resolve) => setTimeout(resolve, 0));
     this.since = performance.now();

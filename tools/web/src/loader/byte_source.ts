@@ -26,7 +26,7 @@ export interface ByteSource {
   /** Read a range; the answer is shorter where the file ends within it. */
   read(range: ByteRange, options?: ReadOptions): Promise<Answer>;
   /** Return the source of a name relative to this one, for the objects of a folder; required for folders alone. */
-  beside?(name: string): ByteSource;
+  relative?(name: string): ByteSource;
 }
 
 /** A File or Blob as a source. */

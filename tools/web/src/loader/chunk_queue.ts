@@ -143,11 +143,11 @@ export class ChunkQueue {
     const { head, refinement, tail } = this.index.chunkSegments(chunk);
     const { needs } = this.index.segments;
     const { degree, format, ranges } = this.options;
-    if (!this.ready(head, 0)) {
+    if (!this.isReady(head, 0)) {
       if (this.isLost(head, 0)) this.close(chunk);
       return;
     }
-    const withTail = degree > 0 && tail >= 0 && this.ready(tail, degree);
+    const withTail = degree > 0 && tail >= 0 && this.isReady(tail, degree);
     const refined = refinement >= 0 && this.payloads.has(refinement);
     const opacities = this.receivedOpacities(chunk);
     const before = this.emitted.get(chunk);
@@ -164,7 +164,7 @@ export class ChunkQueue {
     }
     const rows = this.index.chunks.splats[chunk]!;
     this.decoding.add(chunk);
-    const kept = this.heads.take(chunk);
+    const kept = this.heads.remove(chunk);
     const tailPayload = withTail ? this.payloads.get(tail)! : undefined;
     const isTailAlone =
       kept !== undefined &&
@@ -216,7 +216,7 @@ export class ChunkQueue {
   }
 
   /** Return whether a segment and its codebooks are received. */
-  private ready(segment: number, degree: number): boolean {
+  private isReady(segment: number, degree: number): boolean {
     const books = this.index.codebookSegmentsOf(segment, degree);
     return this.payloads.has(segment) && (books?.every((book) => this.codebooks.has(book)) ?? false);
   }
@@ -229,7 +229,7 @@ export class ChunkQueue {
   /** Drop the payloads of a chunk, until it is expected again. */
   close(chunk: number): void {
     this.pending.delete(chunk);
-    this.heads.take(chunk);
+    this.heads.remove(chunk);
     this.emitted.delete(chunk);
     const { head, refinement, tail, opacities } = this.index.chunkSegments(chunk);
     for (const segment of [head, refinement, tail, ...opacities]) this.payloads.delete(segment);

@@ -17,18 +17,18 @@ export class FolderSource implements ByteSource {
     /** Whether the server answers range requests, as far as known. */
     private hasRanges: boolean,
   ) {
-    if (manifest.beside === undefined)
+    if (manifest.relative === undefined)
       throw new SourceError("the manifest of a folder, expected its URL", undefined, false);
   }
 
   async read(range: ByteRange, options: ReadOptions = {}): Promise<Answer> {
     const { object, offset } = this.index.at(range.offset);
     if (this.hasRanges || options.fresh) {
-      const answer = await this.ask(object, { offset, length: range.length }, options);
+      const answer = await this.request(object, { offset, length: range.length }, options);
       this.hasRanges &&= !answer.whole;
       return { ...answer, offset: range.offset - offset + answer.offset, total: undefined, whole: false };
     }
-    const bytes = (await this.whole(object)).slice(offset);
+    const bytes = (await this.readWhole(object)).slice(offset);
     return {
       offset: range.offset,
       total: undefined,
@@ -37,9 +37,9 @@ export class FolderSource implements ByteSource {
     };
   }
 
-  private async ask(object: FolderObject, range: ByteRange, options?: ReadOptions): Promise<Answer> {
+  private async request(object: FolderObject, range: ByteRange, options?: ReadOptions): Promise<Answer> {
     const { name, size } = object;
-    const source = name === "" ? this.manifest : this.manifest.beside!(name);
+    const source = name === "" ? this.manifest : this.manifest.relative!(name);
     const answer = await source.read(range, options).catch((error: unknown) => {
       const isMissing = name !== "" && error instanceof SourceError && (error.status === 404 || error.status === 410);
       throw isMissing ? new CogsplatError("segment-missing", `${name} is not there`) : error;
@@ -50,11 +50,11 @@ export class FolderSource implements ByteSource {
   }
 
   /** Read a whole object from a server without ranges. */
-  private whole(object: FolderObject): Promise<Uint8Array> {
+  private readWhole(object: FolderObject): Promise<Uint8Array> {
     const known = this.kept.get(object);
     if (known !== undefined) return known;
     // Several callers may share the request, so no signal of one caller stops it.
-    const bytes = readAll({ read: (range) => this.ask(object, range) }, { offset: 0, length: object.size });
+    const bytes = readAll({ read: (range) => this.request(object, range) }, { offset: 0, length: object.size });
     this.kept.set(object, bytes);
     bytes.catch(() => this.kept.delete(object));
     let sum = 0;

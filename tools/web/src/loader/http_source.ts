@@ -44,7 +44,7 @@ export class HttpSource implements ByteSource {
   }
 
   /** Return a file relative to this one; it keeps the query of the address, which may hold a signature. */
-  beside(name: string): HttpSource {
+  relative(name: string): HttpSource {
     const own = new URL(this.url, globalThis.document?.baseURI ?? globalThis.location?.href);
     const url = new URL(name, own);
     url.search = own.search;

@@ -17,20 +17,20 @@ export class KeptHeads {
     this.limit = bytes;
     for (const chunk of [...this.heads.keys()].reverse()) {
       if (this.bytes <= bytes) return;
-      this.take(chunk);
+      this.remove(chunk);
     }
   }
 
   /** Keep a copy of a chunk without its coefficients above DC, if there is room. */
   keep(chunk: number, decoded: DecodedChunk): void {
-    this.take(chunk);
+    this.remove(chunk);
     if (this.bytes + headBytes(decoded) > this.limit) return;
     this.heads.set(chunk, copyHead(decoded));
     this.bytes += headBytes(decoded);
   }
 
   /** Remove and return the head of a chunk. */
-  take(chunk: number): DecodedChunk | undefined {
+  remove(chunk: number): DecodedChunk | undefined {
     const head = this.heads.get(chunk);
     if (head === undefined) return undefined;
     this.heads.delete(chunk);

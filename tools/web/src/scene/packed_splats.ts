@@ -69,7 +69,7 @@ export function packedOpacities(logits: Float32Array): Uint8Array {
 }
 
 /** Return the splats with opacities multiplied by a factor from 0 to 1. */
-export function faded(packed: PackedSplats, factor: number): PackedSplats {
+export function fade(packed: PackedSplats, factor: number): PackedSplats {
   const fade = (word: number): number => (word & 0xffffff) | (Math.round((word >>> 24) * factor) << 24);
   return { ...packed, words: packed.words.map((word, i) => (i % 4 === 0 ? fade(word) : word)) };
 }
@@ -104,7 +104,7 @@ export function unpackSplats(packed: PackedSplats): Splats {
       const [bits, values] = SH_BITS[b]!;
       const row = band.subarray(SH_WORDS[b]! * i, SH_WORDS[b]! * (i + 1));
       for (let v = 0; v < values; v++)
-        splats.shN[first + v] = (signed(row, v * bits, bits) * shRange) / (2 ** (bits - 1) - 1);
+        splats.shN[first + v] = (readSigned(row, v * bits, bits) * shRange) / (2 ** (bits - 1) - 1);
       first += values;
     });
   }
@@ -112,7 +112,7 @@ export function unpackSplats(packed: PackedSplats): Splats {
 }
 
 /** Read a number in two's complement from the bits of a row of words. */
-function signed(row: Uint32Array, at: number, bits: number): number {
+function readSigned(row: Uint32Array, at: number, bits: number): number {
   const word = at >>> 5;
   const shift = at & 31;
   const high = shift + bits > 32 ? row[word + 1]! << (32 - shift) : 0;

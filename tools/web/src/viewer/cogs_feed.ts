@@ -7,7 +7,7 @@ import type { ChunkUpdate } from "../loader/stream_options.js";
 import { type OpenOptions, StreamedScene, sourceOf } from "../loader/streamed_scene.js";
 import { Visit } from "../loader/visit.js";
 import type { DecoderIndex } from "../scene/chunk_decoder.js";
-import { faded, type PackedSplats } from "../scene/packed_splats.js";
+import { fade, type PackedSplats } from "../scene/packed_splats.js";
 import type { Pose } from "../schedule/poses.js";
 import { type ChunkService, SlicedService } from "../workers/decode_task.js";
 import { DecoderPool } from "../workers/decoder_pool.js";
@@ -45,7 +45,7 @@ export class CogsFeed implements SceneFeed {
   private readonly temporary = new Map<number, PackedSplats>();
   private readonly ending = new EndingChunks(
     (chunk, prefix) => this.scene!.index.isDrawn(chunk, prefix),
-    (chunk, factor) => this.paint(chunk, factor),
+    (chunk, factor) => this.drawFaded(chunk, factor),
   );
   private readonly opacities = new LevelOpacities();
   /** Coarser one of the two levels whose opacities the layer has. */
@@ -123,10 +123,10 @@ export class CogsFeed implements SceneFeed {
       { ...info, linear: info.colourSpace === "linear", hasLevels: info.levels.length > 0 },
       info,
     );
-    this.report();
+    this.reportProgress();
     if (this.usesViewOrder(scene)) await this.runVisit(scene, signal);
     else await this.streamAll(scene, signal);
-    this.report();
+    this.reportProgress();
     // All other chunks are shown by now.
     if (this.damage !== undefined) throw this.damage as Error;
   }
@@ -140,7 +140,7 @@ export class CogsFeed implements SceneFeed {
       splatBudget: Math.min(this.layer!.capacity, this.mostSplats),
       onDamage: (error) => (this.damage ??= error),
     });
-    for await (const update of stream) this.take(update);
+    for await (const update of stream) this.applyUpdate(update);
   }
 
   /** Return whether to fetch by the view; scenes with levels or chunks that end need the order of the file. */
@@ -173,7 +173,7 @@ export class CogsFeed implements SceneFeed {
       if (change.kind === "rows") host.rowsArrived(change.packed!, visited.splats === 0);
       visited.apply(change);
       this.splats = visited.splats;
-      this.report();
+      this.reportProgress();
     }
     // The scene is complete with every chunk in its own rows, as after a fetch in file order.
     const { splats } = scene.index.chunks;
@@ -262,7 +262,7 @@ export class CogsFeed implements SceneFeed {
       rows += index.chunks.splats[chunk]!;
       const { head, refinement, tail } = index.chunkSegments(chunk);
       for (const segment of [head, refinement, tail]) if (segment >= 0) bytes += index.range(segment).length;
-      found.push({ rows, chunks: chunk + 1, bytes, predictedDb: predicted(index.chunks.quality[chunk]) });
+      found.push({ rows, chunks: chunk + 1, bytes, predictedDb: knownQuality(index.chunks.quality[chunk]) });
     }
     const end = found.pop();
     if (end === undefined) return [];
@@ -285,13 +285,13 @@ export class CogsFeed implements SceneFeed {
   }
 
   /** Draw a chunk that ends with its opacities multiplied by a factor. */
-  private paint(chunk: number, factor: number): void {
+  private drawFaded(chunk: number, factor: number): void {
     const { packed, firstRow } = { packed: this.temporary.get(chunk)!, ...this.rowsOf.get(chunk)! };
     if (this.layer!.scene.hasLevels) this.writeLevels(chunk, factor);
-    this.layer!.repaint(factor === 1 ? packed : faded(packed, factor), firstRow);
+    this.layer!.repaint(factor === 1 ? packed : fade(packed, factor), firstRow);
   }
 
-  private take(update: ChunkUpdate): void {
+  private applyUpdate(update: ChunkUpdate): void {
     const { chunk, packed, firstRow, count } = update;
     const first = this.rowsOf.size === 0;
     const isNew = !this.rowsOf.has(chunk);
@@ -304,7 +304,7 @@ export class CogsFeed implements SceneFeed {
     const drawnBy = hasLevels ? index.levelsOf(chunk) : [];
     // Chunks that some levels do not draw are hidden by their opacities there.
     const ends = index.chunks.until[chunk]! > 0 && drawnBy.length === 0;
-    if (ends) this.temporary.set(chunk, copyOf(packed!));
+    if (ends) this.temporary.set(chunk, copyPacked(packed!));
     if (hasLevels) {
       this.opacities.put(chunk, drawnBy, packed!.opacities!);
       this.writeLevels(chunk);
@@ -314,29 +314,29 @@ export class CogsFeed implements SceneFeed {
     this.ending.show(this.drawnPrefix, this.shown === undefined ? performance.now() : undefined);
     // A new chunk is drawn with its compensation at once.
     if (isNew && this.compensatedFor >= 0) this.compensatedFor = Math.min(this.compensatedFor, this.prefix - 1);
-    this.report();
+    this.reportProgress();
   }
 
-  private report(): void {
+  private reportProgress(): void {
     const { index } = this.scene!;
     const progress: FeedProgress = {
       splats: this.splats,
       totalSplats: index.scene.splats,
       bytes: Math.min(this.meter.bytes, index.fileLength),
       totalBytes: index.fileLength,
-      predictedDb: this.prefix > 0 ? predicted(index.chunks.quality[this.prefix - 1]) : undefined,
+      predictedDb: this.prefix > 0 ? knownQuality(index.chunks.quality[this.prefix - 1]) : undefined,
     };
     this.host!.progressed(progress);
   }
 }
 
 /** Return a copy of splats, because a layer transfers its rows to the sorter. */
-function copyOf(packed: PackedSplats): PackedSplats {
+function copyPacked(packed: PackedSplats): PackedSplats {
   return { ...packed, words: packed.words.slice() };
 }
 
 /** Return a predicted quality; 0 in the file means none (SPEC 5.4). */
-function predicted(quality: number | undefined): number | undefined {
+function knownQuality(quality: number | undefined): number | undefined {
   return quality === undefined || quality === 0 ? undefined : quality;
 }
 
@@ -348,8 +348,8 @@ class CutSource implements ByteSource {
     return { ...(await this.source.read(range, options)), total: undefined };
   }
 
-  beside(name: string): ByteSource {
-    if (this.source.beside === undefined) throw new SourceError(`${name} cannot be reached`, undefined, false);
-    return this.source.beside(name);
+  relative(name: string): ByteSource {
+    if (this.source.relative === undefined) throw new SourceError(`${name} cannot be reached`, undefined, false);
+    return this.source.relative(name);
   }
 }

@@ -1,10 +1,10 @@
 import { Divide } from "./divide.js";
 import { FilmStrip } from "./film_strip.js";
 import { MARKUP } from "./markup.js";
-import { colourOf, sizeText } from "./numbers.js";
+import { formatBytes, parseColour } from "./numbers.js";
 import { Panel } from "./panel.js";
 import { type SceneSource, SceneView } from "./scene_view.js";
-import { describe, type Sentence } from "./sentences.js";
+import { describeError, type Sentence } from "./sentences.js";
 import { STYLE } from "./style.js";
 import type { ViewerHandle, ViewerPose, ViewerStatistics } from "./viewer_handle.js";
 import { type ViewerWorkers, workersBeside } from "./viewer_workers.js";
@@ -107,7 +107,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
   async load(source: SceneSource): Promise<void> {
     this.source = source;
     this.otherSource = undefined;
-    this.say(undefined);
+    this.showMessage(undefined);
     this.strip?.close();
     this.nameScenes();
     this.root?.classList.remove("shown");
@@ -135,14 +135,14 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
       this.scene = new SceneView(
         canvas,
         {
-          changed: () => this.changed(),
-          failed: (error, which) => this.failed(error, which),
-          restored: () => this.say(undefined),
+          changed: () => this.updateProgress(),
+          failed: (error, which) => this.onFailed(error, which),
+          restored: () => this.showMessage(undefined),
         },
         CogsplatViewer.workers,
       );
     } catch (error) {
-      this.failed(error, "graphics");
+      this.onFailed(error, "graphics");
       return;
     }
     const { scene } = this;
@@ -165,7 +165,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     }
     if (this.source !== undefined) void this.load(this.source);
     else this.apply("src", this.getAttribute("src"));
-    this.changed();
+    this.updateProgress();
   }
 
   disconnectedCallback(): void {
@@ -197,7 +197,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     } else if (name === "against") {
       void this.compare(value === null ? undefined : new URL(value, document.baseURI).href);
     } else if (name === "background") {
-      const colour = colourOf(value ?? "black");
+      const colour = parseColour(value ?? "black");
       if (colour === undefined) return;
       scene.show({ background: colour });
       this.panel!.background = `#${colour
@@ -290,7 +290,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     panel.hidden = !panel.hidden;
     this.find("#settings").setAttribute("aria-expanded", String(!panel.hidden));
     if (!panel.hidden) this.find("#panel select").focus();
-    this.changed();
+    this.updateProgress();
   }
 
   private toggleStrip(): void {
@@ -314,7 +314,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
   }
 
   /** Update the progress of the scene. */
-  private changed(): void {
+  private updateProgress(): void {
     const { scene } = this;
     const root = this.root;
     if (scene === undefined || root === null) return;
@@ -328,15 +328,15 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
         ? "Drop a .cogs file or a PLY of splats here."
         : state === "opening"
           ? "Opening …"
-          : `Loading … ${sizeText(bytes)}`;
+          : `Loading … ${formatBytes(bytes)}`;
     const share = totalBytes === undefined ? splats / Math.max(totalSplats, 1) : bytes / totalBytes;
     const done = state === "complete";
     this.find("#line > div").style.transform = `scaleX(${done ? 1 : Math.min(share, 1)})`;
     this.find("#line").setAttribute("aria-valuenow", String(Math.round(100 * (done ? 1 : share))));
     const texts = [
       totalBytes !== undefined && !done
-        ? `${sizeText(Math.min(bytes, totalBytes))} of ${sizeText(totalBytes)}`
-        : sizeText(totalBytes ?? bytes),
+        ? `${formatBytes(Math.min(bytes, totalBytes))} of ${formatBytes(totalBytes)}`
+        : formatBytes(totalBytes ?? bytes),
       `${splats.toLocaleString()} splats`,
       ...(predictedDb === undefined ? [] : [`${predictedDb.toFixed(1)} dB predicted`]),
     ];
@@ -344,13 +344,13 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     const text = totalSplats > 0 ? texts.join(" · ") : "Opening …";
     if (progress.textContent !== text) progress.textContent = text;
     this.panel?.update(statistics, this.find("canvas"));
-    if (state !== this.lastState) this.entered(state);
+    if (state !== this.lastState) this.onState(state);
     this.dispatchEvent(new Event("cogsplat-change"));
   }
 
   private lastState: ViewerStatistics["state"] | undefined;
 
-  private entered(state: ViewerStatistics["state"]): void {
+  private onState(state: ViewerStatistics["state"]): void {
     this.lastState = state;
     clearTimeout(this.quiet);
     this.root!.classList.remove("quiet");
@@ -366,19 +366,19 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
   private nameScenes(): void {
     const { source, otherSource } = this;
     if (this.root === null) return;
-    const name = this.getAttribute("label") ?? nameOf(source);
+    const name = this.getAttribute("label") ?? fileName(source);
     this.find("canvas").setAttribute("aria-label", name === "" ? "Splat scene" : `Splat scene ${name}`);
     const compares = otherSource !== undefined && (this.scene?.compares ?? false);
     this.find("#sceneName").textContent = name;
     const given = otherSource instanceof File ? null : this.getAttribute("against-label");
-    this.find("#otherName").textContent = given ?? nameOf(otherSource);
+    this.find("#otherName").textContent = given ?? fileName(otherSource);
     for (const id of ["#sceneName", "#otherName"]) this.find(id).hidden = !compares;
     if (this.divide) this.divide.shown = compares;
   }
 
-  private failed(error: unknown, which: "scene" | "other" | "graphics"): void {
+  private onFailed(error: unknown, which: "scene" | "other" | "graphics"): void {
     if (which === "graphics" && error === undefined) {
-      this.say(
+      this.showMessage(
         {
           title: "The graphics were interrupted",
           detail: "The scene comes back as soon as the browser has them again.",
@@ -387,17 +387,17 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
       );
       return;
     }
-    const sentence = describe(error, this.scene?.isShown ?? false);
+    const sentence = describeError(error, this.scene?.isShown ?? false);
     if (which === "other") {
       this.otherSource = undefined;
       this.nameScenes();
-      this.say({ ...sentence, title: `Nothing to compare with: ${sentence.title.toLowerCase()}` }, false);
-    } else this.say(sentence);
-    this.changed();
+      this.showMessage({ ...sentence, title: `Nothing to compare with: ${sentence.title.toLowerCase()}` }, false);
+    } else this.showMessage(sentence);
+    this.updateProgress();
   }
 
   /** Show a message, or hide it with undefined; `again` offers to load the scene once more. */
-  private say(sentence: Sentence | undefined, again = this.source !== undefined): void {
+  private showMessage(sentence: Sentence | undefined, again = this.source !== undefined): void {
     this.error = sentence;
     const message = this.shadow.querySelector<HTMLElement>("#message");
     if (message === null) return;
@@ -411,7 +411,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
 }
 
 /** Return the file name of a source. */
-function nameOf(source: SceneSource | undefined): string {
+function fileName(source: SceneSource | undefined): string {
   if (source instanceof File) return source.name;
   if (typeof source !== "string") return "";
   return decodeURIComponent(new URL(source, location.href).pathname.split("/").at(-1)!);

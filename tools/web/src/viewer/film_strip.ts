@@ -1,4 +1,4 @@
-import { sizeText } from "./numbers.js";
+import { formatBytes } from "./numbers.js";
 import type { Prefix } from "./scene_feed.js";
 import type { SceneView } from "./scene_view.js";
 
@@ -62,7 +62,7 @@ export class FilmStrip {
       .getContext("2d")!
       .drawImage(canvas, (canvas.width - width) / 2, (canvas.height - height) / 2, width, height, 0, 0, WIDTH, HEIGHT);
     const decibels = prefix.predictedDb === undefined ? "" : ` · ${prefix.predictedDb.toFixed(1)} dB`;
-    const text = `${sizeText(prefix.bytes)}${decibels}`;
+    const text = `${formatBytes(prefix.bytes)}${decibels}`;
     button.append(picture, text);
     button.setAttribute("aria-label", `The scene after ${text}`);
     button.addEventListener("click", () => this.choose(button, isWhole ? undefined : prefix));

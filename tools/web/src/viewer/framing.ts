@@ -42,15 +42,15 @@ export function bulkOf(packed: PackedSplats, zero: Vector): Bulk | undefined {
     const values = Float32Array.from(weights, (_, i) => means[3 * i + axis]!);
     return { values, order: ascending(values) };
   });
-  const inner = ballOf(axes, weights, OUTSIDE, MARGIN);
-  const outer = ballOf(axes, opacities, STRAY, 1);
+  const inner = ballAround(axes, weights, OUTSIDE, MARGIN);
+  const outer = ballAround(axes, opacities, STRAY, 1);
   const found =
     outer.radius <= OBJECT_REACH * inner.radius ? { ...outer, radius: OBJECT_MARGIN * outer.radius } : inner;
   return found.radius > 0 && Number.isFinite(found.radius) ? found : undefined;
 }
 
 /** Return the ball around the box between two quantiles of each axis, enlarged by a margin. */
-function ballOf(axes: readonly Sorted[], weights: Float32Array, outside: number, margin: number): Bulk {
+function ballAround(axes: readonly Sorted[], weights: Float32Array, outside: number, margin: number): Bulk {
   const ends = axes.map((axis) => [quantile(axis, weights, outside), quantile(axis, weights, 1 - outside)] as const);
   const centre = ends.map(([lo, hi]) => (lo + hi) / 2) as Vector;
   return { centre, radius: margin * Math.hypot(...ends.map(([lo, hi]) => (hi - lo) / 2)) };

@@ -41,7 +41,7 @@ export class LevelOpacities {
    */
   words(chunk: number, level: number, factor = 1): Uint32Array {
     const entry = this.chunks.get(chunk)!;
-    const [lower, upper] = [at(entry, level), at(entry, level + 1)];
+    const [lower, upper] = [opacitiesAt(entry, level), opacitiesAt(entry, level + 1)];
     const words = new Uint32Array(entry.count);
     for (let i = 0; i < words.length; i++) {
       words[i] = Math.round((lower?.[i] ?? 0) * factor) | (Math.round((upper?.[i] ?? 0) * factor) << 8);
@@ -51,7 +51,7 @@ export class LevelOpacities {
 }
 
 /** Return the opacities at a level, or at the previous one that has any; undefined where the level omits the chunk. */
-function at({ first, last, known }: ChunkOpacities, level: number): Uint8Array | undefined {
+function opacitiesAt({ first, last, known }: ChunkOpacities, level: number): Uint8Array | undefined {
   if (level < first || level > last) return undefined;
   return known
     .slice(0, level - first + 1)

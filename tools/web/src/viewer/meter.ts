@@ -44,8 +44,8 @@ export class MeteredSource implements ByteSource {
     return { ...answer, parts: this.meter.through(answer.parts) };
   }
 
-  beside(name: string): ByteSource {
-    if (this.source.beside === undefined) throw new SourceError(`${name} cannot be reached`, undefined, false);
-    return new MeteredSource(this.source.beside(name), this.meter);
+  relative(name: string): ByteSource {
+    if (this.source.relative === undefined) throw new SourceError(`${name} cannot be reached`, undefined, false);
+    return new MeteredSource(this.source.relative(name), this.meter);
   }
 }

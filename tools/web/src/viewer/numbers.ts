@@ -1,5 +1,5 @@
 /** Format bytes with three digits and a unit of 1000. */
-export function sizeText(bytes: number): string {
+export function formatBytes(bytes: number): string {
   const units = ["bytes", "kB", "MB", "GB"];
   let value = bytes;
   let unit = 0;
@@ -11,7 +11,7 @@ export function sizeText(bytes: number): string {
 }
 
 /** Parse a CSS colour to R, G, B and opacity from 0 to 1; undefined for an invalid one. */
-export function colourOf(text: string): [number, number, number, number] | undefined {
+export function parseColour(text: string): [number, number, number, number] | undefined {
   if (!CSS.supports("color", text)) return undefined;
   const context = new OffscreenCanvas(1, 1).getContext("2d", { willReadFrequently: true })!;
   context.fillStyle = text;

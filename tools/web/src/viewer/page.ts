@@ -10,7 +10,7 @@ const SCENE_BLOCKS = 'script[type="application/x-cogs-base64"]';
 const WORKER_BLOCKS = 'script[type="application/x-cogs-worker"]';
 
 /** Join the file from the blocks of the page, and remove the blocks, so that it is in memory once. */
-function heldScene(): Blob | undefined {
+function embeddedScene(): Blob | undefined {
   const blocks = [...document.querySelectorAll(SCENE_BLOCKS)];
   if (blocks.length === 0) return undefined;
   const parts = blocks.map((block) => {
@@ -40,7 +40,7 @@ const own = document.querySelector<CogsplatViewer>("body > cogsplat-viewer#page"
 if (own !== null) {
   window.cogsplatViewer = own;
   passKeysTo(own);
-  const held = heldScene();
+  const held = embeddedScene();
   const wanted = new URLSearchParams(location.search);
   const against = wanted.get("against");
   const scene = wanted.get("scene");

@@ -1,6 +1,6 @@
 import type { LevelEntry } from "../container/root.js";
 import type { Movement } from "./controls.js";
-import { colourOf } from "./numbers.js";
+import { parseColour } from "./numbers.js";
 import type { SceneView } from "./scene_view.js";
 import type { ViewerStatistics } from "./viewer_handle.js";
 
@@ -114,7 +114,7 @@ export class Panel {
     } else {
       const chosen = this.field("background").value;
       this.customRow.hidden = chosen !== "custom";
-      const colour = colourOf(chosen === "custom" ? this.field("custom").value : chosen);
+      const colour = parseColour(chosen === "custom" ? this.field("custom").value : chosen);
       if (colour !== undefined) view.show({ background: colour });
     }
   }

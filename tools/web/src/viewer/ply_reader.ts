@@ -79,12 +79,12 @@ class PlyRows {
       waiting += part.length;
       this.bytes += part.length;
       if (this.layout !== undefined && this.pending.length + waiting < ROWS * this.layout.stride) continue;
-      this.pending = joined([this.pending, ...parts.splice(0)]);
+      this.pending = concatenateBytes([this.pending, ...parts.splice(0)]);
       waiting = 0;
-      await this.take(false);
+      await this.packBlocks(false);
     }
-    this.pending = joined([this.pending, ...parts]);
-    await this.take(true);
+    this.pending = concatenateBytes([this.pending, ...parts]);
+    await this.packBlocks(true);
     if (this.layout === undefined) throw new Error("This PLY ends within its header.");
     if (this.row < this.wantedRows) {
       throw new Error(
@@ -99,7 +99,7 @@ class PlyRows {
   }
 
   /** Pack complete blocks; at the end also a partial one. */
-  private async take(last: boolean): Promise<void> {
+  private async packBlocks(last: boolean): Promise<void> {
     if (this.layout === undefined) {
       this.layout = readPlyHeader(this.pending);
       if (this.layout === undefined) return;
@@ -111,7 +111,7 @@ class PlyRows {
       if (rows === 0 || (rows < ROWS && !last && this.row + rows < this.wantedRows)) return;
       const values = valuesOf(this.pending, layout, rows);
       if (this.origin === undefined) {
-        this.origin = middle(values, layout, rows);
+        this.origin = meanPosition(values, layout, rows);
         const { origin: fileOrigin } = layout;
         const scene = {
           ...layout.scene,
@@ -131,7 +131,7 @@ class PlyRows {
 }
 
 /** Return the average position of the first rows, near which half floats are most precise. */
-function middle(block: Float32Array, layout: PlyLayout, rows: number): number[] {
+function meanPosition(block: Float32Array, layout: PlyLayout, rows: number): number[] {
   const width = layout.columns.length;
   return [0, 1, 2].map((axis) => {
     let sum = 0;
@@ -202,7 +202,7 @@ function normalise(
   }
 }
 
-function joined(parts: readonly Uint8Array[]): Uint8Array<ArrayBuffer> {
+function concatenateBytes(parts: readonly Uint8Array[]): Uint8Array<ArrayBuffer> {
   const whole = new Uint8Array(parts.reduce((sum, part) => sum + part.length, 0));
   let at = 0;
   for (const part of parts) {

@@ -97,7 +97,7 @@ export class SplatRenderer {
     const whole = layers.map((layer, i) => {
       if (i === 0) gl.scissor(divide, 0, width - divide, height);
       else gl.scissor(0, 0, divide, height);
-      return this.drawLayer(layer, moved(view, view.origin, layer.scene.origin), options.degree);
+      return this.drawLayer(layer, viewInSpace(view, view.origin, layer.scene.origin), options.degree);
     });
     gl.disable(gl.SCISSOR_TEST);
     gl.disable(gl.BLEND);
@@ -106,12 +106,12 @@ export class SplatRenderer {
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, target.texture);
     if (options.fill > 0) gl.generateMipmap(gl.TEXTURE_2D);
-    gl.uniform1i(composite.at("picture"), 0);
-    gl.uniform4fv(composite.at("background"), options.background);
-    gl.uniform1f(composite.at("fill"), options.fill);
-    gl.uniform1i(composite.at("divide"), divide);
+    gl.uniform1i(composite.uniform("picture"), 0);
+    gl.uniform4fv(composite.uniform("background"), options.background);
+    gl.uniform1f(composite.uniform("fill"), options.fill);
+    gl.uniform1i(composite.uniform("divide"), divide);
     gl.uniform2i(
-      composite.at("linear"),
+      composite.uniform("linear"),
       Number(layers[0]?.scene.linear ?? false),
       Number(layers[1]?.scene.linear ?? false),
     );
@@ -131,26 +131,26 @@ export class SplatRenderer {
     const { rotation: r, translation: t } = view;
     const whole = layer.prepare(r.slice(6, 9));
     gl.useProgram(splats.program);
-    gl.uniform1i(splats.at("count"), layer.drawnRows);
-    gl.uniform1i(splats.at("degree"), Math.min(degree, layer.scene.shDegree));
-    gl.uniform1i(splats.at("compensated"), Number(layer.compensated));
-    gl.uniformMatrix3fv(splats.at("rotation"), true, r as number[]);
-    gl.uniform3f(splats.at("translation"), t[0]!, t[1]!, t[2]!);
+    gl.uniform1i(splats.uniform("count"), layer.drawnRows);
+    gl.uniform1i(splats.uniform("degree"), Math.min(degree, layer.scene.shDegree));
+    gl.uniform1i(splats.uniform("compensated"), Number(layer.compensated));
+    gl.uniformMatrix3fv(splats.uniform("rotation"), true, r as number[]);
+    gl.uniform3f(splats.uniform("translation"), t[0]!, t[1]!, t[2]!);
     const position = [0, 1, 2].map((i) => -(r[i]! * t[0]! + r[3 + i]! * t[1]! + r[6 + i]! * t[2]!));
-    gl.uniform3f(splats.at("cameraPosition"), position[0]!, position[1]!, position[2]!);
-    gl.uniform2f(splats.at("focal"), view.focal[0], view.focal[1]);
-    gl.uniform2f(splats.at("viewport"), canvas.width, canvas.height);
-    gl.uniform1f(splats.at("kernel"), layer.scene.kernelPx);
-    gl.uniform1i(splats.at("antialiased"), Number(layer.scene.antialiased));
-    gl.uniform2f(splats.at("rgbRange"), layer.ranges.rgbMin, layer.ranges.rgbMax);
-    gl.uniform1f(splats.at("shRange"), layer.ranges.shRange);
+    gl.uniform3f(splats.uniform("cameraPosition"), position[0]!, position[1]!, position[2]!);
+    gl.uniform2f(splats.uniform("focal"), view.focal[0], view.focal[1]);
+    gl.uniform2f(splats.uniform("viewport"), canvas.width, canvas.height);
+    gl.uniform1f(splats.uniform("kernel"), layer.scene.kernelPx);
+    gl.uniform1i(splats.uniform("antialiased"), Number(layer.scene.antialiased));
+    gl.uniform2f(splats.uniform("rgbRange"), layer.ranges.rgbMin, layer.ranges.rgbMax);
+    gl.uniform1f(splats.uniform("shRange"), layer.ranges.shRange);
     const { hasLevels, shDegree } = layer.scene;
-    gl.uniform1i(splats.at("levelled"), Number(hasLevels));
-    gl.uniform1f(splats.at("between"), layer.between);
-    gl.uniform1i(splats.at("levels"), hasLevels ? 3 + shDegree : 0);
+    gl.uniform1i(splats.uniform("levelled"), Number(hasLevels));
+    gl.uniform1f(splats.uniform("between"), layer.between);
+    gl.uniform1i(splats.uniform("levels"), hasLevels ? 3 + shDegree : 0);
     const units = 3 + shDegree;
     ["splats", "order", "shifts", "sh1", "sh2", "sh3"].forEach((name, unit) => {
-      gl.uniform1i(splats.at(name), unit < units ? unit : 0);
+      gl.uniform1i(splats.uniform(name), unit < units ? unit : 0);
     });
     const instances = Math.ceil(layer.drawnRows / SPLATS_PER_INSTANCE);
     gl.drawArraysInstanced(gl.TRIANGLES, 0, 3 * SPLATS_PER_INSTANCE, instances);
@@ -174,7 +174,7 @@ export class NoWebGlError extends Error {
 }
 
 /** Return a view in the space of another scene's means. */
-function moved(view: View, from: readonly number[], to: readonly number[]): View {
+function viewInSpace(view: View, from: readonly number[], to: readonly number[]): View {
   if (from === to) return view;
   const { rotation: r } = view;
   const shift = to.map((value, i) => value - from[i]!);
@@ -215,18 +215,18 @@ class Program {
     const { gl, program } = this;
     if (this.isLinked) return true;
     // Querying the status would block the page until the program is built.
-    const beside = gl.getExtension("KHR_parallel_shader_compile");
-    if (beside !== null && gl.getProgramParameter(program, beside.COMPLETION_STATUS_KHR) === false) return false;
+    const parallel = gl.getExtension("KHR_parallel_shader_compile");
+    if (parallel !== null && gl.getProgramParameter(program, parallel.COMPLETION_STATUS_KHR) === false) return false;
     if (gl.getProgramParameter(program, gl.LINK_STATUS) === false && !gl.isContextLost()) {
       throw new NoWebGlError(gl.getProgramInfoLog(program) ?? "no program");
     }
     this.isLinked = true;
     // The first query of a uniform waits for the graphics, which are idle now.
-    this.at(this.known);
+    this.uniform(this.known);
     return true;
   }
 
-  at(name: string): WebGLUniformLocation | null {
+  uniform(name: string): WebGLUniformLocation | null {
     let location = this.locations.get(name);
     if (location === undefined) {
       location = this.gl.getUniformLocation(this.program, name);

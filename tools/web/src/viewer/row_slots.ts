@@ -18,7 +18,7 @@ export class RowSlots {
    *
    * @throws RangeError where fewer are free.
    */
-  take(count: number): RowRun[] {
+  allocate(count: number): RowRun[] {
     const taken: RowRun[] = [];
     let left = count;
     while (left > 0) {
@@ -33,7 +33,7 @@ export class RowSlots {
   }
 
   /** Free rows. */
-  give(runs: readonly RowRun[]): void {
+  release(runs: readonly RowRun[]): void {
     const joined: RowRun[] = [];
     for (const run of [...this.free, ...runs].sort((a, b) => a.first - b.first)) {
       const last = joined.at(-1);

@@ -134,7 +134,7 @@ export class SceneView {
       (event) => {
         event.preventDefault();
         this.lost = true;
-        this.note({ upToDate: false });
+        this.updateStatistics({ upToDate: false });
         host.failed(undefined, "graphics");
       },
       { signal },
@@ -269,7 +269,7 @@ export class SceneView {
   readonly redraw = (): void => {
     this.dirty = true;
     this.lastChange = performance.now();
-    if (this.statistics.upToDate) this.note({ upToDate: false });
+    if (this.statistics.upToDate) this.updateStatistics({ upToDate: false });
     this.schedule();
   };
 
@@ -303,11 +303,11 @@ export class SceneView {
     this[which] = shown;
     try {
       await feed.run(isMain ? this.mainHost(shown) : this.otherHost(shown), abort.signal);
-      if (isMain) this.note({ state: "complete" });
+      if (isMain) this.updateStatistics({ state: "complete" });
       this.redraw();
     } catch (error) {
       if (abort.signal.aborted) return;
-      if (isMain) this.note({ state: "failed" });
+      if (isMain) this.updateStatistics({ state: "failed" });
       else this.close("other");
       this.host.failed(error, isMain ? "scene" : "other");
       this.redraw();
@@ -323,9 +323,9 @@ export class SceneView {
         this.homeCamera = () => new OrbitCamera(info);
         this.home = undefined;
         this.reset();
-        this.note({ state: "streaming", totalSplats: scene.splats });
+        this.updateStatistics({ state: "streaming", totalSplats: scene.splats });
         shown.layer?.close();
-        shown.layer = this.layerOf(scene, shown.workers.known);
+        shown.layer = this.makeLayer(scene, shown.workers.known);
         return shown.layer;
       },
       rowsArrived: (packed, first) => {
@@ -344,7 +344,7 @@ export class SceneView {
       progressed: (progress) => this.progressed(progress),
       settled: (isSettled) => {
         this.wasSettled ||= isSettled;
-        this.note({ state: isSettled ? "complete" : "streaming" });
+        this.updateStatistics({ state: isSettled ? "complete" : "streaming" });
         this.redraw();
       },
       damaged: (error) => this.host.failed(error, "scene"),
@@ -355,7 +355,7 @@ export class SceneView {
     return {
       begin: (scene) => {
         shown.layer?.close();
-        shown.layer = this.layerOf(scene, shown.workers.known);
+        shown.layer = this.makeLayer(scene, shown.workers.known);
         return shown.layer;
       },
       rowsArrived: () => undefined,
@@ -365,7 +365,10 @@ export class SceneView {
     };
   }
 
-  private layerOf(scene: ConstructorParameters<typeof SplatLayer>[1], workers: ViewerWorkers | undefined): SplatLayer {
+  private makeLayer(
+    scene: ConstructorParameters<typeof SplatLayer>[1],
+    workers: ViewerWorkers | undefined,
+  ): SplatLayer {
     const { gl } = this.renderer;
     const sorter = (rows: number): DepthSorter =>
       new DepthSorter(rows, workers, (message) => this.host.failed(new Error(message), "scene"));
@@ -374,7 +377,7 @@ export class SceneView {
 
   private progressed(progress: FeedProgress): void {
     const { splats, totalSplats, bytes, totalBytes, predictedDb } = progress;
-    this.note({
+    this.updateStatistics({
       splats,
       totalSplats,
       bytes,
@@ -383,7 +386,7 @@ export class SceneView {
     });
   }
 
-  private note(changes: Partial<ViewerStatistics>): void {
+  private updateStatistics(changes: Partial<ViewerStatistics>): void {
     this.statistics = { ...this.statistics, ...changes };
     this.host.changed();
   }
@@ -436,7 +439,7 @@ export class SceneView {
       // arrive.
       const isSorting = layers.some((layer) => layer.isSorting);
       const isBusy = controls.active || isSorting || this.statistics.state === "streaming";
-      const waits = !isUrgent || (!moves && !controls.active && pace.isSlow && (isSorting || this.restComesSoon()));
+      const waits = !isUrgent || (!moves && !controls.active && pace.isSlow && (isSorting || this.isRestImminent()));
       if (isBusy && waits && performance.now() - this.lastChange < QUIET_MILLISECONDS) {
         this.schedule(LOOK_MILLISECONDS);
         return;
@@ -450,7 +453,7 @@ export class SceneView {
     const isDrawn = !more && !moves && !this.dirty && this.isSharp;
     if (!isDrawn) this.schedule();
     else if (!pace.isIdle) this.schedule(LOOK_MILLISECONDS);
-    this.note({ upToDate: isDrawn && this.isWhole && pace.isIdle, pictureMilliseconds: pace.milliseconds });
+    this.updateStatistics({ upToDate: isDrawn && this.isWhole && pace.isIdle, pictureMilliseconds: pace.milliseconds });
     if (this.statistics.upToDate) for (const resolve of this.waiting.splice(0)) resolve();
   };
 
@@ -482,7 +485,7 @@ export class SceneView {
     if (level === this.statistics.level && other === this.otherLevel) return;
     this.otherLevel = other;
     this.dirty = true;
-    if (level !== undefined) this.note({ level });
+    if (level !== undefined) this.updateStatistics({ level });
   }
 
   /** Return the size of pictures at a resolution, pixels. */
@@ -504,14 +507,14 @@ export class SceneView {
     } catch (error) {
       this.lost = true;
       this.close("main");
-      this.note({ state: "failed" });
+      this.updateStatistics({ state: "failed" });
       this.host.failed(error, "graphics");
       return false;
     }
   }
 
   /** Return whether the rest of the scene would arrive before the graphics finish a picture. */
-  private restComesSoon(): boolean {
+  private isRestImminent(): boolean {
     const { meter, pace, statistics } = this;
     if (statistics.state !== "streaming" || meter.since === undefined || this.wasSettled) return false;
     return millisecondsLeft({ ...statistics, bytes: meter.bytes }, performance.now() - meter.since) < pace.expected;
@@ -534,7 +537,7 @@ export class SceneView {
     });
     if (this.drawnRows > 0)
       pace.submitted(start, { scale, splats: layers.reduce((sum, layer) => sum + layer.drawnRows, 0) });
-    this.note({
+    this.updateStatistics({
       frames: statistics.frames + 1,
       drawMilliseconds: performance.now() - start,
       sortMilliseconds: layers[0]!.sortMilliseconds,

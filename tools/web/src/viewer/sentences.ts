@@ -12,7 +12,7 @@ export interface Sentence {
  *
  * @param shown - Whether a part of the scene is visible.
  */
-export function describe(error: unknown, shown: boolean): Sentence {
+export function describeError(error: unknown, shown: boolean): Sentence {
   if (error instanceof NoWebGlError) {
     return {
       title: "This browser cannot draw the scene",

@@ -51,7 +51,7 @@ export class VisitedScene {
         this.layer.clear(first, count);
         if (this.shifted.has(chunk)) this.layer.shift(first, count, undefined);
       }
-      this.slots?.give(runs);
+      this.slots?.release(runs);
       this.rows.delete(chunk);
       this.shifted.delete(chunk);
       this.compensatedFor.delete(chunk);
@@ -59,7 +59,7 @@ export class VisitedScene {
     }
     const { firstRow, count, packed } = change;
     const isNew = !this.rows.has(chunk);
-    const runs = this.rows.get(chunk) ?? this.slots?.take(count) ?? [{ first: firstRow, count }];
+    const runs = this.rows.get(chunk) ?? this.slots?.allocate(count) ?? [{ first: firstRow, count }];
     this.rows.set(chunk, runs);
     if (isNew) this.splats += count;
     if (runs.length === 1) {
@@ -68,7 +68,7 @@ export class VisitedScene {
     }
     let from = 0;
     for (const run of runs) {
-      this.layer.write(part(packed!, from, run.count), run.first);
+      this.layer.write(copyRows(packed!, from, run.count), run.first);
       from += run.count;
     }
   }
@@ -132,7 +132,7 @@ export class VisitedScene {
 }
 
 /** Return a copy of some rows of a chunk, because a layer transfers its rows to the sorter. */
-function part(packed: PackedSplats, from: number, count: number): PackedSplats {
+function copyRows(packed: PackedSplats, from: number, count: number): PackedSplats {
   const rows = (words: Uint32Array, each: number): Uint32Array => words.slice(each * from, each * (from + count));
   return { ...packed, count, words: rows(packed.words, 4), sh: packed.sh.map((band, i) => rows(band, SH_WORDS[i]!)) };
 }

@@ -39,8 +39,8 @@ export class DecoderPool implements ChunkService {
     this.load = new Array<number>(count).fill(0);
     this.workers = this.load.map((_, number) => {
       const worker = make();
-      worker.onmessage = ({ data }) => this.answered(data);
-      worker.onerror = (event) => this.crashed(number, event.message);
+      worker.onmessage = ({ data }) => this.onAnswer(data);
+      worker.onerror = (event) => this.onCrash(number, event.message);
       worker.postMessage({ type: "scene", index });
       return worker;
     });
@@ -70,7 +70,7 @@ export class DecoderPool implements ChunkService {
     }
   }
 
-  private answered(response: Response): void {
+  private onAnswer(response: Response): void {
     if ("ready" in response) return;
     const task = this.tasks.get(response.id);
     if (task === undefined) return;
@@ -82,7 +82,7 @@ export class DecoderPool implements ChunkService {
   }
 
   /** Reject the chunks of a worker that ended, for example for lack of memory. */
-  private crashed(number: number, message: string): void {
+  private onCrash(number: number, message: string): void {
     this.load[number] = Infinity;
     for (const [id, task] of this.tasks) {
       if (task.worker !== number) continue;
