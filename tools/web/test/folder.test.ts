@@ -126,7 +126,7 @@ test("an object that is not there spoils no other", async () => {
 test("without what reads folders, that is told", async () => {
   const server = new FolderServer(vectorFolder("folders", "pages"));
   const url = await server.start();
-  await assert.rejects(StreamedScene.open(url), /expected the option `folders`/);
+  await assert.rejects(StreamedScene.open(url), /needs the option `folders`/);
   await server.stop();
 });
 

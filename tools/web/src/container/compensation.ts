@@ -65,7 +65,7 @@ function readCodes(fields: Fields, packed: Uint8Array, splats: number, rows: num
     throw new CogsplatError("root-columns", `${packed.length} bytes of codes for ${total} bits`);
   }
   if (total % 8 !== 0 && packed[packed.length - 1]! >>> (total % 8) !== 0) {
-    throw fields.outOfRange("codes", "bits behind the last code are set");
+    throw fields.outOfRange("codes", "padding after the last code is not zero");
   }
   const codes = new Uint8Array(rows === 0 ? 0 : splats);
   for (let i = 0; i < codes.length; i++) {

@@ -36,7 +36,7 @@ export class Fields {
   /** Read an array of `count` finite floats. */
   floats(key: string, count: number): number[] {
     const values = this.array(key);
-    if (values.length !== count) throw this.outOfRange(key, `${values.length} values in the place of ${count}`);
+    if (values.length !== count) throw this.outOfRange(key, `${values.length} values, expected ${count}`);
     return values.map((value) => {
       if (!(value instanceof Float) || !Number.isFinite(value.value)) {
         throw this.outOfRange(key, "an entry that is no finite float");

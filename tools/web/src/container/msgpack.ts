@@ -30,7 +30,7 @@ export function parseMap(bytes: Uint8Array, maxValues = MAX_VALUES): ValueMap {
   const value = parser.value(0);
   if (!(value instanceof Map)) throw new CogsplatError("msgpack-type", "the outermost value is no map", 0);
   if (parser.at !== bytes.length) {
-    throw new CogsplatError("msgpack-trailing", `${bytes.length - parser.at} bytes behind the map`, parser.at);
+    throw new CogsplatError("msgpack-trailing", `${bytes.length - parser.at} bytes after the map`, parser.at);
   }
   return value;
 }

@@ -302,7 +302,7 @@ export class SceneIndex {
   private enterHeads(first: number): void {
     for (const [segment, owner] of this.ofKind(SegmentKind.head, first)) {
       if (owner !== this.heads.length) {
-        throw new CogsplatError("chunk-heads", `a head of chunk ${owner} in the place of ${this.heads.length}`);
+        throw new CogsplatError("chunk-heads", `a head of chunk ${owner}, expected chunk ${this.heads.length}`);
       }
       this.heads.push(segment);
     }
@@ -421,7 +421,7 @@ export class SceneIndex {
   private enterCompensation(first: number): void {
     for (const [segment, layer] of this.ofKind(SegmentKind.compensation, first)) {
       if (layer !== this.compensation.length) {
-        throw new CogsplatError("compensation-segments", `layer ${layer} in the place of ${this.compensation.length}`);
+        throw new CogsplatError("compensation-segments", `layer ${layer}, expected ${this.compensation.length}`);
       }
       this.compensation.push(segment);
     }

@@ -99,7 +99,7 @@ export async function readAll(source: ByteSource, range: ByteRange, options?: Re
   }
   if (at < range.length) {
     throw new SourceError(
-      `${Math.max(at, 0)} bytes in the place of ${range.length} from byte ${range.offset}`,
+      `${Math.max(at, 0)} bytes from byte ${range.offset}, expected ${range.length}`,
       undefined,
       true,
     );

@@ -42,7 +42,7 @@ export class FolderSource implements ByteSource {
     const source = name === "" ? this.manifest : this.manifest.relative!(name);
     const answer = await source.read(range, options).catch((error: unknown) => {
       const isMissing = name !== "" && error instanceof SourceError && (error.status === 404 || error.status === 410);
-      throw isMissing ? new CogsplatError("segment-missing", `${name} is not there`) : error;
+      throw isMissing ? new CogsplatError("segment-missing", `${name} is missing`) : error;
     });
     if (answer.total === undefined || answer.total === size) return answer;
     await answer.parts[Symbol.asyncIterator]().return?.();

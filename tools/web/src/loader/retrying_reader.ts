@@ -38,11 +38,7 @@ export class RetryingReader {
           if (received >= expected) return;
         }
         if (total !== undefined && received < expected) {
-          throw new SourceError(
-            `${received} bytes in the place of ${expected} from byte ${range.offset}`,
-            undefined,
-            true,
-          );
+          throw new SourceError(`${received} bytes from byte ${range.offset}, expected ${expected}`, undefined, true);
         }
       },
       () => received,
@@ -83,11 +79,7 @@ export class RetryingReader {
           if (useful.length > 0) take(useful);
           if (received === range.length) return;
         }
-        throw new SourceError(
-          `${received} bytes in the place of ${range.length} from byte ${range.offset}`,
-          undefined,
-          true,
-        );
+        throw new SourceError(`${received} bytes from byte ${range.offset}, expected ${range.length}`, undefined, true);
       },
       () => received,
     );

@@ -159,7 +159,7 @@ export class StreamedScene implements FetchSource {
     isReopened: boolean,
   ): Promise<StreamedScene> {
     if (options.folders === undefined)
-      throw new SourceError("a scene that is kept as a folder, expected the option `folders`", undefined, false);
+      throw new SourceError("a scene stored as a folder needs the option `folders`", undefined, false);
     // The first 64 KiB contain the root and its places (SPEC 8.8).
     await beginning.waitFor(FIRST_BYTES, options.signal);
     const { available, total, sequential } = beginning;

@@ -101,10 +101,7 @@ export class SceneFile {
   /** Check that a chunk is present and small enough, decode its codebooks, and return its payloads. */
   private prepare(chunk: number, degree: number, refine: boolean, level?: number) {
     if (chunk >= this.prefixChunks) {
-      throw new CogsplatError(
-        "file-truncated",
-        `chunk ${chunk} is not in the ${this.bytes.length} bytes that are there`,
-      );
+      throw new CogsplatError("file-truncated", `chunk ${chunk} is not in the ${this.bytes.length} bytes present`);
     }
     const { head, tail, refinement } = this.index.chunkSegments(chunk);
     const { needs } = this.index.segments;
@@ -289,10 +286,7 @@ export class SceneFile {
   private payload(segment: number): Uint8Array<ArrayBuffer> {
     const { offset, length } = this.index.range(segment);
     if (offset + length > this.bytes.length) {
-      throw new CogsplatError(
-        "file-truncated",
-        `segment ${segment} is not in the ${this.bytes.length} bytes that are there`,
-      );
+      throw new CogsplatError("file-truncated", `segment ${segment} is not in the ${this.bytes.length} bytes present`);
     }
     const payload = new Uint8Array(this.bytes.subarray(offset, offset + length));
     this.index.checkCrc(segment, payload);

@@ -46,7 +46,7 @@ export function readPlane(k: Kernels, plane: StoredPlane, length: number): numbe
 
 function readBytes(k: Kernels, address: number, stored: number, length: number, compressed: boolean): number {
   if (!compressed) {
-    if (stored !== length) throw new CogsplatError("plane-length", `${stored} bytes in the place of ${length}`);
+    if (stored !== length) throw new CogsplatError("plane-length", `${stored} bytes, expected ${length}`);
     return address;
   }
   checkFrame(k.u8.subarray(address, address + stored), length, address);
@@ -65,6 +65,6 @@ function symbolsPerByte(radix: number): number {
 /** Refuse nonzero padding bits (SPEC 6.5). */
 export function checkPadding(k: Kernels, address: number, bits: number): void {
   if (bits % 8 !== 0 && k.u8[address + (bits >>> 3)]! >>> (bits & 7) !== 0) {
-    throw new CogsplatError("bits-padding", `bits behind the last of ${bits} are set`);
+    throw new CogsplatError("bits-padding", `padding after ${bits} bits is not zero`);
   }
 }

@@ -204,7 +204,7 @@ function readRecords(bytes: Uint8Array, base: number, most: number): StreamRecor
     });
     return { ...record, planes };
   });
-  if (at !== bytes.length) throw new CogsplatError("stream-record", `${bytes.length - at} bytes behind the planes`, at);
+  if (at !== bytes.length) throw new CogsplatError("stream-record", `${bytes.length - at} bytes after the planes`, at);
   return streams;
 }
 

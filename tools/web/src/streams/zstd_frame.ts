@@ -30,7 +30,7 @@ export function checkFrame(frame: Uint8Array, length: number, offset: number): v
   if ((descriptor & 0x08) !== 0) throw refuse("the reserved bit of a frame header is set");
   const size = contentSize(frame, sizeAt, sizeBytes);
   if (size !== length) {
-    throw new CogsplatError("zstd-size", `a frame of ${size ?? "unstated"} bytes in the place of ${length}`, offset);
+    throw new CogsplatError("zstd-size", `a frame of ${size ?? "unstated"} bytes, expected ${length}`, offset);
   }
   const window = single ? size : windowSize(frame[windowAt]!);
   if (window > MAX_WINDOW) throw new CogsplatError("zstd-window", `a window of ${window} bytes`, offset);
@@ -63,7 +63,7 @@ function walkBlocks(frame: Uint8Array, start: number, largest: number, refuse: (
     at += 3 + (type === 1 ? 1 : size);
     if (at > frame.length) throw refuse("a frame that is cut");
     if ((header & 1) !== 0) {
-      if (at !== frame.length) throw refuse(`${frame.length - at} bytes behind the frame`);
+      if (at !== frame.length) throw refuse(`${frame.length - at} bytes after the frame`);
       return;
     }
   }

@@ -41,7 +41,7 @@ export class WidgetSource implements ByteSource {
         if (answer.type === "failed" || buffer === undefined) {
           reject(
             new SourceError(
-              `Python could not read the file: ${answer.type === "failed" ? answer.message : "no bytes came"}`,
+              `Python could not read the file: ${answer.type === "failed" ? answer.message : "no bytes arrived"}`,
               0,
             ),
           );

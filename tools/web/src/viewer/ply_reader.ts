@@ -88,7 +88,7 @@ class PlyRows {
     if (this.layout === undefined) throw new Error("This PLY ends within its header.");
     if (this.row < this.wantedRows) {
       throw new Error(
-        `This PLY ends early: ${this.row.toLocaleString()} of ${this.layout.scene.splats.toLocaleString()} splats are there.`,
+        `This PLY ends early: ${this.row.toLocaleString()} of ${this.layout.scene.splats.toLocaleString()} splats are present.`,
       );
     }
     this.post({ type: "end", bytes: this.bytes }, []);

@@ -29,18 +29,18 @@ function ofSource({ status, message }: SourceError): Sentence {
   if (status === 404 || status === 410) {
     return {
       title: "There is no scene at this address",
-      detail: `The server answered with status ${status}: the file was moved, or the address has a mistake in it.`,
+      detail: `The server answered with status ${status}: the file was moved, or the address is wrong.`,
     };
   }
   if (status === 401 || status === 403) {
     return {
-      title: "This scene is not open to you",
-      detail: `The server answered with status ${status}: it gives the file only to those it knows.`,
+      title: "Access to this scene is denied",
+      detail: `The server answered with status ${status}: access to the file needs permission.`,
     };
   }
   if (status !== undefined && status >= 400) {
     return {
-      title: "The server has trouble",
+      title: "The server failed",
       detail: `It answered with status ${status}. Trying again later may help.`,
     };
   }
@@ -58,13 +58,13 @@ function ofFile(error: CogsplatError, shown: boolean): Sentence {
   const { code, refusal, message } = error;
   if (code === "not-cogs") {
     return {
-      title: "This is no scene that can be shown",
+      title: "This file is not a scene",
       detail: "The file is neither a .cogs file nor a PLY of splats.",
     };
   }
   if (code === "source-changed") {
     return {
-      title: "The scene was replaced meanwhile",
+      title: "The scene was replaced",
       detail: "The file on the server changed while it was read. Load it again to see the new one.",
     };
   }
@@ -72,18 +72,18 @@ function ofFile(error: CogsplatError, shown: boolean): Sentence {
     return shown
       ? {
           title: "The file ends early",
-          detail: "What is there of the scene is shown; the rest is missing from the file.",
+          detail: "The part present is shown; the rest is missing from the file.",
         }
-      : { title: "The file ends early", detail: `Too little of it is there to show anything. ${message}` };
+      : { title: "The file ends early", detail: `The part present is too short to show. ${message}` };
   }
   if (refusal === "unsupported") {
     return {
       title: "This scene is newer than the viewer",
-      detail: `It uses something that this version does not know. ${message}`,
+      detail: `It uses a feature that this version does not have. ${message}`,
     };
   }
   if (refusal === "limit") return { title: "This scene is too large to show", detail: message };
   return shown
-    ? { title: "A part of the file is damaged", detail: `What is whole is shown. ${message}` }
+    ? { title: "A part of the file is damaged", detail: `The undamaged part is shown. ${message}` }
     : { title: "The file is damaged", detail: message };
 }
