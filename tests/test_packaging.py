@@ -69,7 +69,7 @@ def test_wheel_is_the_tree_and_nothing_else(tree: Path, wheel: zipfile.Path) -> 
     names = [name for name in wheel.root.namelist() if not name.endswith("/")]
     assert len(names) == len(set(names))
     inside = {name for name in names if ".dist-info/" not in name}
-    expected = {"cogsplat/__init__.py", "cogsplat/py.typed"}
+    expected = {f"cogsplat/{path.name}" for path in (tree / "cogsplat").iterdir() if path.is_file()}
     for package in PACKAGES:
         sources = (tree / package).rglob("*.py")
         expected |= {f"cogsplat/{path.relative_to(tree).as_posix()}" for path in sources}

@@ -41,8 +41,9 @@ def assemble(root: Path) -> Path:
     package = tree / "cogsplat"
     shutil.rmtree(tree, ignore_errors=True)
     package.mkdir(parents=True)
-    for path in (root / "cogsplat").glob("*.py*"):
-        shutil.copy(path, package)
+    for path in (root / "cogsplat").iterdir():
+        if path.is_file():
+            shutil.copy(path, package)
     for name in _PARTS:
         with suppress(OSError, NotImplementedError):
             (package / name).symlink_to(root / name, target_is_directory=True)
