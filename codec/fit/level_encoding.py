@@ -71,8 +71,8 @@ def encode_levels(
     levels : LevelledSplats
         Trained scene with levels.
     cameras : sequence of Camera
-        Views at full resolution. The precision of a splat follows from its scores in them, at the
-        last level that draws it.
+        Views at full resolution, used to score the splats; scores set the quantiser steps. A splat
+        is scored in the scene of the highest level that draws it.
     encoding : LevelEncoding, optional
         Settings of the encoding.
     progress : Progress
@@ -112,7 +112,7 @@ def encode_levels(
 def _scores(
     levels: LevelledSplats, cameras: Sequence[Camera], config: EncodeConfig, progress: Progress
 ) -> Scores:
-    """Score each splat at the last level that draws it."""
+    """Score each splat in the scene of the highest level that draws it."""
     settings = PRESETS["balanced"].score_config(config.profile, threads=config.threads)
     merged: Scores | None = None
     count = len(levels.splats)

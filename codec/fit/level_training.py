@@ -136,10 +136,10 @@ def train_levels(
     pictures: Sequence[F32] | None = None,
     progress: Progress = silent,
 ) -> LevelledSplats:
-    """Train a scene with levels from a trained scene.
+    """Train a scene with levels of detail from a trained scene.
 
-    Each level adds the splats with the highest contribution to pictures of its resolution that no
-    lower level has.
+    Each level is trained for pictures of one resolution. It adds splats of the trained scene that
+    no lower level has: those with the highest contribution to pictures of its resolution.
 
     Parameters
     ----------
@@ -150,7 +150,8 @@ def train_levels(
     config : LevelsConfig, optional
         Settings of the levels.
     pictures : sequence of (H, W, 3) float32, optional
-        Ground truth of each camera, in the scene's colour space; renders of the scene by default.
+        Ground truth of each camera at full resolution, in the scene's colour space; renders of the
+        scene by default.
     progress : Progress
         Receives ``pictures``, and for each level ``score`` and ``level 0``, ``level 1`` …
 
@@ -191,10 +192,10 @@ def grow_levels(
     *,
     progress: Progress = silent,
 ) -> LevelledSplats:
-    """Train a scene with levels from photos and structure-from-motion points.
+    """Train a scene with levels of detail from photos and structure-from-motion points.
 
-    Each level starts with splats at randomly chosen points, half as many as it may add. While it is
-    trained, they are split until it has all (`densification.Densification`).
+    Each level has a budget of splats to add. Half of the budget starts at randomly chosen points.
+    Training splits these splats until the budget is used (`densification.Densification`).
 
     Parameters
     ----------
@@ -320,7 +321,7 @@ def train_jointly(
 ) -> LevelledSplats:
     """Train one model on renders of all resolutions at once, as a baseline for levels.
 
-    It has the splats of the last level, and as many training steps as all levels together.
+    The model has the splat count of the last level and the training steps of all levels together.
 
     Parameters
     ----------

@@ -118,7 +118,10 @@ class SplatAdam:
                 pass
 
     def select(self, rows: NDArray[np.int64]) -> SplatAdam:
-        """Return the optimiser of a scene that is reduced to some rows."""
+        """Return a new optimiser with the moments of the splats `rows`, in this order.
+
+        A row may occur twice, as after a split. The number of steps is inherited.
+        """
         selected = SplatAdam.__new__(SplatAdam)
         selected._steps = self._steps
         for part in ("_means", "_squares"):

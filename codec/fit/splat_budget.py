@@ -84,18 +84,20 @@ def next_count_for_psnr(
 
 
 def corrected_count(count: int, measured_db: float, target_db: float, max_count: int) -> int | None:
-    """Return a better number of splats for a target PSNR; None if the current number is accepted.
+    """Return a better number of splats for a target PSNR; None to keep the current number.
+
+    Storing the splats costs some PSNR. The measured PSNR less this loss is compared to the target.
 
     Parameters
     ----------
     count : int
         Current number of splats.
     measured_db : float
-        PSNR of these splats after training.
+        PSNR of the trained splats before storing.
     target_db : float
         Target PSNR of the stored scene.
     max_count : int
-        Largest number of splats that can be restored.
+        Upper limit of the result: the largest count of the current scene and its checkpoints.
     """
     surplus_db = measured_db - _STORING_LOSS_DB - target_db
     if _TOO_FEW_DB <= surplus_db <= _TOO_MANY_DB:

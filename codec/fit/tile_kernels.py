@@ -72,12 +72,12 @@ def draw_tiles(
     first: int,
     last: int,
 ) -> None:
-    """Render the tiles from `first` to `last` of an image, and record where each one ended.
+    """Render the tiles from `first` to `last` of an image, and record where blending stopped.
 
     Parameters
     ----------
     lists_first, starts, members
-        Arrays of `TileLists`.
+        `first`, `starts` and `members` of the `TileLists`.
     ellipse, rows : (M, 8) float32, (M, 2) int32
         Arrays of `Footprints`.
     colours : (M, 3) float32
@@ -89,7 +89,8 @@ def draw_tiles(
     image : (H, W, 3) float32
         Output: the picture, in the area of these tiles.
     stops : (tiles of the lists,) int64
-        Output: position in `members` from which on all pixels of a tile are opaque.
+        Output, by tile: position in `members` of the first footprint that is not blended because
+        all pixels of the tile are opaque; the end of the list if there is none.
     first, last : int
         Half-open range of tiles, in row-major order.
     """
@@ -122,15 +123,29 @@ def draw_tiles(
 
 
 @inner_kernel
-def _load(state: F32, values: F32, plane: int, top: int, left: int, rows: int, cols: int) -> None:
-    """Copy a tile of an (H, W, 3) picture into three planes of a state; 0 outside the picture."""
+def _load_tile(
+    state: F32, picture: F32, plane: int, top: int, left: int, rows: int, cols: int
+) -> None:
+    """Copy a tile of an (H, W, 3) picture into three planes of the tile's state.
+
+    Parameters
+    ----------
+    state : float32
+        Per-pixel planes of `PIXELS` values each.
+    picture : (H, W, 3) float32
+        Picture to copy from.
+    plane : int
+        Number of the first of the three planes.
+    top, left, rows, cols : int
+        Area of the tile inside the picture; other pixels become 0.
+    """
     for channel in range(3):
         base = (plane + channel) * PIXELS
         for pixel in range(PIXELS):
             state[base + pixel] = _ZERO
         for y in range(rows):
             for x in range(cols):
-                state[base + y * TILE + x] = values[top + y, left + x, channel]
+                state[base + y * TILE + x] = picture[top + y, left + x, channel]
 
 
 @called_with(
@@ -182,8 +197,8 @@ def differentiate_tiles(
         begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
         stop = stops[tile - lists_first]
         open_pixels(state, num_rows, num_columns)
-        _load(state, image, 1, top, left, num_rows, num_columns)
-        _load(state, by_image, PLANES, top, left, num_rows, num_columns)
+        _load_tile(state, image, 1, top, left, num_rows, num_columns)
+        _load_tile(state, by_image, PLANES, top, left, num_rows, num_columns)
         for pair in range(stop, end):
             for k in range(SUMS):
                 sums[pair, k] = _ZERO

@@ -155,13 +155,14 @@ class Trainer:
         first_rate, last_rate : float
             Factors on the learning rates at the first and the last step; exponential in between.
         decoded : Splats, optional
-            Scene after an encode-decode round trip. Its distance from the current values is added
-            to them in every step before rendering (straight-through gradients, Bengio et al. 2013).
+            Scene after an encode-decode round trip. Its difference from the current scene is the
+            quantisation error. Every step adds this error to the trained values before rendering
+            (straight-through gradients, Bengio et al. 2013).
         extra_gradients : Gradients, optional
             Gradients of a further loss, such as the rate, added in every step. Their unit is the
             squared error of a picture, summed over channels and averaged over pixels.
         prefix_loss : PrefixLoss, optional
-            Loss of a random prefix, added in one view per step.
+            Loss of renders of a random prefix of the chunks, added in one view per step.
         progress : Progress
             Receives `stage`, in steps.
         stage : str
@@ -170,7 +171,7 @@ class Trainer:
         Returns
         -------
         float
-            Mean PSNR of the rendered views, dB.
+            Mean PSNR of the training renders of all steps, dB.
         """
         offsets = None
         if decoded is not None:
@@ -257,7 +258,22 @@ class Trainer:
         extra_gradients: Gradients | None,
         prefix_loss: PrefixLoss | None,
     ) -> list[float]:
-        """Update all values once; return the mean squared errors of the rendered views."""
+        """Render the views of one step and make one optimiser step.
+
+        Parameters
+        ----------
+        rates : mapping of str to (N,) float32
+            Learning rate of each splat by array.
+        offsets : mapping of str to float32 array, optional
+            Quantisation errors by array, added to the values before rendering.
+        extra_gradients, prefix_loss
+            See `run`.
+
+        Returns
+        -------
+        list of float
+            Mean squared error of each rendered view.
+        """
         scene = self._with_offsets(offsets)
         views = self._choose_views()
         # Weights follow from the view errors, which the loop below updates.

@@ -102,8 +102,8 @@ def _downscaling_factor(camera: Camera, max_pixels: int) -> int:
 def _interpolated_cameras(cameras: Sequence[Camera]) -> list[Camera]:
     """Return a camera halfway between each camera and each of its nearest neighbours.
 
-    They reduce overfitting: with few training views, training compensates quantisation errors in
-    these views alone. Interpolated cameras are as near to the capture path as the given ones.
+    Views from these cameras reduce overfitting. With few training views, training would hide
+    quantisation errors in those views alone. Interpolated cameras stay near the capture path.
     """
     return [
         _interpolate(cameras[one], cameras[other]) for one, other in _neighbouring_cameras(cameras)

@@ -307,9 +307,10 @@ class _TuningRun:
         self._report_round()
 
     def _correct_count(self) -> bool:
-        """Choose another number of splats if the PSNR after training asks for it.
+        """Choose another number of splats if the PSNR after training misses the target range.
 
-        More splats are restored from an earlier round. Fewer are left to further rounds.
+        If more splats are needed, the checkpoint of an earlier round is restored. If fewer suffice,
+        the caller prunes in further rounds.
 
         Returns
         -------

@@ -29,8 +29,8 @@ def scale_factor(scales: F32) -> F32:
     return factors
 
 
-def vectors(quats: F32, scales: F32) -> F32:
-    """Return the trace-normalised covariances R·diag(ŝ²)·Rᵀ as (n, 6) float32 vectors.
+def shape_vectors(quats: F32, scales: F32) -> F32:
+    """Return the shapes of splats as (n, 6) float32 vectors of trace-normalised covariances.
 
     Parameters
     ----------
@@ -38,6 +38,12 @@ def vectors(quats: F32, scales: F32) -> F32:
         Unit quaternions, wxyz.
     scales : (n, 3) float32
         Log scales.
+
+    Returns
+    -------
+    (n, 6) float32
+        Entries xx, yy, zz, √2·xy, √2·xz, √2·yz of R·diag(s²)·Rᵀ divided by its trace, with s the
+        scales. Distances of vectors are Frobenius distances of matrices.
     """
     relative = np.exp(2 * (scales - scale_factor(scales)[:, None]).astype(np.float64))
     turned = rotations.matrices(quats)
@@ -74,19 +80,19 @@ def principal_axes(covariances: F64) -> tuple[F64, F64]:
     return variances, rotations.from_matrices(axes)
 
 
-def decompose(rows: F32) -> tuple[F32, F32]:
-    """Return the quats and normalised log scales of (C, 6) covariance vectors.
+def quats_and_scales(vectors: F32) -> tuple[F32, F32]:
+    """Return the quats and normalised log scales of (C, 6) vectors from `shape_vectors`.
 
     Returns
     -------
     quats : (C, 4) float32
-        Unit quaternions, wxyz, with w the largest component.
+        Unit quaternions, wxyz. Axes are ordered so that w is the largest component.
     scales : (C, 3) float32
         Log scales with ‖exp(scales)‖ = 1.
     """
-    covariance = np.empty((len(rows), 3, 3))
+    covariance = np.empty((len(vectors), 3, 3))
     for column, (i, j, weight) in enumerate(_UPPER):
-        covariance[:, i, j] = covariance[:, j, i] = rows[:, column] / np.sqrt(weight)
+        covariance[:, i, j] = covariance[:, j, i] = vectors[:, column] / np.sqrt(weight)
     variances, quats = principal_axes(covariance)
     deviations = np.sqrt(np.maximum(variances, MIN_RELATIVE_SCALE**2))
     scales = np.log(deviations / np.sqrt(np.square(deviations).sum(axis=1, keepdims=True)))

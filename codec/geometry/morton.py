@@ -57,7 +57,7 @@ def interleave(codes: U32) -> U64:
 
 
 def deinterleave(morton: U64) -> U32:
-    """Return the (n, 3) axis codes of Morton codes."""
+    """Return the (n, 3) codes along x, y and z of (n,) Morton codes."""
     out = np.empty((len(morton), 3), np.uint32)
     for axis in range(3):
         out[:, axis] = _compact(morton >> np.uint64(axis))

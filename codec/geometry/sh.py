@@ -29,7 +29,7 @@ COLOUR_OFFSET = 0.5
 
 
 def terms(x: Number, y: Number, z: Number) -> tuple[Number, ...]:
-    """Return the 15 bases above DC of a unit direction, by band, m from -l to l.
+    """Return the 15 SH basis functions above DC at a unit direction, by band l, m from -l to l.
 
     3DGS keeps the Condon-Shortley phase: bases of odd m are negated. The function accepts float64
     scalars and arrays; numpy code and compiled kernels share it.

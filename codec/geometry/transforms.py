@@ -68,11 +68,12 @@ class AxesChange:
 
     @property
     def quat_signs(self) -> tuple[int, int, int]:
-        """Signs of the x, y, z components of quaternions, applied after their permutation.
+        """Signs of the x, y, z components of a quaternion, after its permutation by `order`.
 
-        With R the rotation and S the scales of a splat, ``M R S² R' M'`` equals
-        ``(M R M') (M S² M') (M R' M')``. The axes of the Gaussian are permuted with the axes of the
-        frame, so rotations stay proper in a mirrored frame and no value is rounded.
+        Scales are permuted by `order` too, without signs. With M the matrix of the change, R the
+        rotation of a splat and S its scales, the covariance in the new frame is
+        ``M R S² R' M' = (M R M') (M S² M') (M R' M')``. ``M R M'`` is a proper rotation even if M
+        is a reflection.
         """
         x, y, z = (self.handedness * sign for sign in self.signs)
         return x, y, z

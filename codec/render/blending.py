@@ -112,7 +112,7 @@ def blend_pixel(
 
 @inner_kernel
 def all_ended(pair: int, state: F32) -> bool:
-    """Return whether all pixels of a tile have ended; checked after every 16th pair only.
+    """Return whether all pixels of a tile have ended; False without a check except every 16th pair.
 
     Blending further splats into a finished tile changes nothing. Counting the pixels that each
     splat ends would take almost as long as blending it.
@@ -266,14 +266,14 @@ def draw_and_reopen(
     width: int,
     height: int,
 ) -> tuple[int, int, int, int, int, int]:
-    """Draw a tile over black, and prepare it for a second walk from the front.
+    """Draw a tile over black, then reset its transmittances for a second pass from the front.
 
     Parameters
     ----------
     state : (at least PLANES * PIXELS,) float32
-        Output planes: the picture of `blend_tile`, and `live` of `open_pixels`.
+        Output planes: the picture from `blend_tile`, and the transmittances from `open_pixels`.
     sums : (P, columns) float32
-        Sums by pair of a tile and a splat; set to 0 for the pairs that no pixel of the tile shows.
+        Sums by pair of a tile and a splat. Pairs behind the last blended splat are set to 0.
     columns : int
         Number of columns of `sums`; a constant, so that the compiler unrolls loops.
     tile : int
@@ -290,7 +290,7 @@ def draw_and_reopen(
     top, left, num_rows, num_columns : int
         Result of `tile_area`.
     begin, stop : int
-        Range of `members` for the second walk.
+        Range of `members` to blend in the second pass.
     """
     top, left, num_rows, num_columns = tile_area(tile, width, height)
     begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
@@ -318,7 +318,19 @@ def draw_and_reopen(
 
 @inner_kernel
 def store_lane_sums(lanes: F32, sums: F32, columns: int, pair: int) -> None:
-    """Store the sums over a tile's lanes as the `columns` sums of a pair."""
+    """Add up the SIMD lanes of each column, and store the totals in the row `pair` of `sums`.
+
+    Parameters
+    ----------
+    lanes : (columns * TILE,) float32
+        Partial sums: one lane per pixel column of a tile, for each column of `sums`.
+    sums : (P, columns) float32
+        Output.
+    columns : int
+        Number of columns of `sums`.
+    pair : int
+        Row of `sums` to write.
+    """
     for column in range(columns):
         row = np.uintp(column * TILE)
         total = _ZERO

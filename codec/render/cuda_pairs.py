@@ -47,10 +47,10 @@ class Pairs:
     free: Tensor
     weight: Tensor
 
-    def colour_by_log_alpha(self, colours: Tensor, pictures: Tensor) -> Tensor:
-        """Return the derivative of each pair's pixel colour by ln alpha.
+    def colour_derivatives(self, colours: Tensor, pictures: Tensor) -> Tensor:
+        """Return the derivative of the pixel's colour w.r.t. ln alpha of the splat, by pair.
 
-        It is also the change of the colour, negated, if the splat is deleted.
+        The derivative equals the pixel's colour minus its colour without the splat.
 
         Parameters
         ----------

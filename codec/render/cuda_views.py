@@ -44,7 +44,7 @@ _FAR: Final = 3e38
 
 
 class CudaView:
-    """Footprints and pairs of a scene seen by a camera, on the CUDA device.
+    """Footprints of a scene seen by a camera, and its pairs of pixel and splat, on a CUDA device.
 
     Create it with `CudaScene.view`.
 
@@ -126,7 +126,7 @@ class CudaView:
             # Without a background, as in `add_moments`.
             pictures = self._pictures((0.0, 0.0, 0.0))
             for pairs in self.pairs():
-                by_log_alpha = pairs.colour_by_log_alpha(self._colours, pictures)
+                by_log_alpha = pairs.colour_derivatives(self._colours, pictures)
                 g = by_log_alpha.square().sum(1) * pairs.free
                 u, v = pairs.u.double(), pairs.v.double()
                 powers = ((0, 0), (2, 0), (1, 1), (0, 2), (4, 0), (3, 1), (2, 2), (1, 3), (0, 4))
@@ -140,15 +140,16 @@ class CudaView:
         Parameters
         ----------
         by_picture : (H, W, 3) float32
-            Derivative of the loss by the picture over the background.
+            Derivative of the loss w.r.t. the picture over the background.
         background : sequence of float
             Background colour, RGB.
 
         Returns
         -------
         (M, 10) float64
-            Derivatives by the three colours; the moments 1, u, v, uu, uv, vv of g, the derivative
-            by ln alpha in a pixel; the squared change of the picture if the splat is deleted.
+            Derivatives w.r.t. the three colour channels; then the moments 1, u, v, uu, uv, vv of g,
+            the derivative w.r.t. ln alpha in a pixel; then the squared change of the picture if the
+            splat is deleted.
         """
         import torch
 
@@ -159,7 +160,7 @@ class CudaView:
             pictures = self._pictures(background)
             for pairs in self.pairs():
                 by_pair = by[pairs.pixel]
-                by_log_alpha = pairs.colour_by_log_alpha(self._colours, pictures)
+                by_log_alpha = pairs.colour_derivatives(self._colours, pictures)
                 g = (by_pair * by_log_alpha).sum(1) * pairs.free
                 u, v = pairs.u.double(), pairs.v.double()
                 terms = [*(pairs.weight[:, None] * by_pair).unbind(1)]

@@ -38,7 +38,7 @@ _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
 
-# Number of derivatives (by ln alpha, by ln scale), and their offsets in the lanes of a tile.
+# Number of derivatives (w.r.t. ln alpha, ln scale), and their offsets in the lanes of a tile.
 _SUMS = 2
 _BY_ALPHA, _BY_SCALE = (np.uintp(k * TILE) for k in range(_SUMS))
 
@@ -61,10 +61,28 @@ def _differentiate(
     kernel_px: np.float32,
     sums: NDArray[np.float32],
 ) -> float:
-    """Sum the derivatives of every pair of a tile and a splat; return the sum of squared errors.
+    """Differentiate the squared error of a picture w.r.t. ln alpha and ln scale of its splats.
 
-    Each tile is walked twice: the derivative by a splat's alpha depends on the colour behind it
-    (Kerbl et al. 2023, appendix C).
+    Each tile is blended twice, because the derivative w.r.t. a splat's alpha depends on the colour
+    behind the splat (Kerbl et al. 2023, appendix C).
+
+    Parameters
+    ----------
+    lists_first, lists_last, starts, members
+        Attributes of `TileLists`.
+    ellipse, rows, colours, present
+        Arguments of `blend_tile`.
+    target : (H, W, 3) float32
+        Target picture over black, in the scene's colour space.
+    kernel_px : float32
+        Variance added to projected covariances, px².
+    sums : (P, 2) float32
+        Output: both derivatives, summed over the pixels of each pair of a tile and a splat.
+
+    Returns
+    -------
+    float
+        Sum of squared errors over pixels and channels.
     """
     height, width = target.shape[0], target.shape[1]
     state = np.empty(PLANES_COMPARED * PIXELS, np.float32)
@@ -147,9 +165,9 @@ class Gradient:
     rows : (M,) int32
         Rows of the scene whose footprint reaches the image, nearest first.
     opacities : (M,) float64
-        Derivative by the opacity logit.
+        Derivative w.r.t. the opacity logit.
     scales : (M,) float64
-        Derivative by a common offset of all three log scales.
+        Derivative w.r.t. a common offset of all three log scales.
     error : float
         Sum of squared errors.
     """
@@ -161,7 +179,7 @@ class Gradient:
 
 
 def _opacity_by_scale(footprints: Footprints, kernel_px: float) -> NDArray[np.float64]:
-    """Return the derivative of the log of the anti-aliased opacities by the log scale: (M,)."""
+    """Return the derivative of ln opacity, anti-aliased, w.r.t. the log scale, (M,)."""
     ellipse = footprints.ellipse.astype(np.float64)
     var_y = 0.5 / ellipse[:, FLAT]
     det = 0.5 * var_y / ellipse[:, NARROW] ** 2
@@ -183,7 +201,7 @@ def gradient(
     kernel_px: float,
     near_plane: float = NEAR,
 ) -> Gradient:
-    """Differentiate the squared error of a picture by the opacities and sizes of its splats.
+    """Differentiate the squared error of a picture w.r.t. the opacities and sizes of its splats.
 
     Parameters
     ----------

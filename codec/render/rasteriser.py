@@ -126,7 +126,7 @@ def _draw(
 ) -> NDArray[np.float32]:
     """Render one view, or only the tiles that the (tiles in y, tiles in x) mask `wanted` marks."""
     if wanted is None:
-        wanted = np.ones(_tiles(camera), np.bool_)
+        wanted = np.ones(_tile_counts(camera), np.bool_)
     footprints = project(
         splats,
         camera,
@@ -156,8 +156,8 @@ def _draw(
     return image
 
 
-def _tiles(camera: Camera) -> tuple[int, int]:
-    """Return the numbers of tiles of an image in y and in x."""
+def _tile_counts(camera: Camera) -> tuple[int, int]:
+    """Return the tile counts of an image in y and in x."""
     return -(-camera.height // TILE), -(-camera.width // TILE)
 
 
@@ -247,7 +247,7 @@ def render_tiles(
         only.
     """
     config = config or _default_config(splats)
-    down, across = np.indices(_tiles(camera))
+    down, across = np.indices(_tile_counts(camera))
     # The offset per row of tiles is about a golden section, so the sample avoids rows and columns.
     wanted = (across + max(1, round(0.382 * every)) * down) % every == 0
     if config.device == "cuda":

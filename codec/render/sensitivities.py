@@ -96,7 +96,7 @@ class Sensitivities:
 
 
 def from_columns(columns: NDArray[np.float64]) -> Sensitivities:
-    """Return sums of `view_sensitivities`, (N, 13), as `Sensitivities`; the arrays are views."""
+    """Return the (N, 13) sums of `view_sensitivities` as `Sensitivities`; the arrays are views."""
     return Sensitivities(
         opacities=columns[:, _OPACITY],
         means=columns[:, _MEANS:_SCALES],
@@ -253,8 +253,8 @@ def add_moments(
 
 
 @inner_kernel
-def _quartic(moments: NDArray[np.float64], c: float, p: float, q: float, r: float) -> float:
-    """Return Σ g·(c + p u² + q uv + r v²)² from the moments."""
+def _quartic_sum(moments: NDArray[np.float64], c: float, p: float, q: float, r: float) -> float:
+    """Return Σ over pixels of g·(c + p u² + q uv + r v²)², computed from `_moments`."""
     total = c * c * moments[M00]
     total += 2.0 * c * (p * moments[M20] + q * moments[M11] + r * moments[M02])
     total += p * p * moments[M40] + r * r * moments[M04]
@@ -272,7 +272,7 @@ def _quartic(moments: NDArray[np.float64], c: float, p: float, q: float, r: floa
 @kernel
 def _moments_to_sensitivities(
     index: NDArray[np.int32],
-    places: NDArray[np.int32],
+    order: NDArray[np.int32],
     ellipse: NDArray[np.float32],
     squares: NDArray[np.float64],
     colours: NDArray[np.float32],
@@ -288,10 +288,29 @@ def _moments_to_sensitivities(
     antialiased: bool,
     columns: NDArray[np.float64],
 ) -> None:
-    """Convert the moments of footprints to sums of squared derivatives by stored values, in place.
+    """Convert the moments of footprints to `Sensitivities` of one view, in place.
 
-    Rows of `columns` hold moments on input and sums on output. Footprints are processed in the
-    order `places`, so that a scene mapped from a file is read by ascending rows.
+    Parameters
+    ----------
+    index : (M,) int32
+        `Footprints.index`.
+    order : (M,) int32
+        Order in which footprints are processed. Ascending rows are fastest if the scene is mapped
+        from a file.
+    ellipse : (M, 8) float32
+        `Footprints.ellipse`.
+    squares : (M,) float64
+        Sum of squared blending weights of each footprint.
+    colours : (M, 3) float32
+        Colours of the footprints.
+    means, scales, quats, opacities
+        Arrays of the scene.
+    rotation, translation, intrinsics, width, height
+        Camera; intrinsics are fx, fy, cx, cy.
+    antialiased : bool
+        Whether opacities are rescaled (Mip-Splatting).
+    columns : (M, 13) float64
+        Input: moments in the first columns. Output: sums of squared derivatives w.r.t. each value.
     """
     m = np.empty(MOMENTS, np.float64)
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
@@ -305,7 +324,7 @@ def _moments_to_sensitivities(
     bare = np.empty((3, 2), np.float64)
     axes = np.empty((3, 2), np.float64)
     variances = np.empty(3, np.float64)
-    for row in places:
+    for row in order:
         i = index[row]
         for k in range(MOMENTS):
             m[k] = columns[row, k]
@@ -382,7 +401,7 @@ def _moments_to_sensitivities(
                     inner -= cov * (bare[j, 0] * bare[k, 1] + bare[j, 1] * bare[k, 0])
                     widened = axes[j, 0] * axes[k, 0] + axes[j, 1] * axes[k, 1]
                     constant = inner / det - 2.0 * widened
-                quartic = _quartic(
+                quartic = _quartic_sum(
                     m,
                     constant,
                     4.0 * axes[j, 0] * axes[k, 0],

@@ -104,7 +104,7 @@ def attribute_bytes(
 def unpack_attributes(
     payload: memoryview, types: Sequence[AttributeType], out: Mapping[str, Extra], where: str
 ) -> None:
-    """Write a chunk's attributes into the rows of `out`.
+    """Decode a chunk's attributes into the rows of `out`.
 
     Parameters
     ----------

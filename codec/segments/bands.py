@@ -14,16 +14,17 @@ F32 = NDArray[np.float32]
 
 
 def read_band(found: StreamSet, band: int, out: F32, *, escape: bool = False) -> None:
-    """Write one SH band of all rows; zeros if it has no stream.
+    """Decode one SH band of all rows into `out`; zeros if it has no stream.
 
     Parameters
     ----------
     found : StreamSet
         Streams of the payload; the band's stream is removed from the set.
     band : int
-        1 to 3.
+        Number of the band, 1 to 3.
     out : (n, K-1, 3) float32
-        Unchanged if K does not reach the band; the stream is then checked but not decoded.
+        Coefficients above DC. If they do not include the band, `out` stays unchanged: the band's
+        stream is checked but not decoded.
     escape : bool
         Whether to read the band's escape rows.
     """

@@ -25,7 +25,11 @@ def has_all_parents(chunks: Sequence[int], parents: I64) -> bool:
 
 
 def equivalent_prefixes(chunks: Sequence[int], parents: I64, chunk_splats: I64) -> I64:
-    """Return for each chunk of a set the prefix with as many of its descendants (SPEC 8.5).
+    """Return the prefix length at which each chunk of a set is compensated (SPEC 8.5).
+
+    A set of chunks need not be a prefix. Compensation of a chunk depends on how many splats of its
+    subtree, the chunk and its descendants, are present. Each chunk is therefore compensated as in
+    the longest prefix that has no more splats of its subtree than the set.
 
     Parameters
     ----------
@@ -34,14 +38,13 @@ def equivalent_prefixes(chunks: Sequence[int], parents: I64, chunk_splats: I64) 
     parents : (c,) int64
         Parent of each chunk of the file; -1 for none.
     chunk_splats : (c,) int64
-        Splats of each chunk of the file.
+        Number of splats in each chunk of the file.
 
     Returns
     -------
     (k,) int64
-        Number of chunks of each prefix: the longest, up to the last chunk of the set, in which the
-        chunk and its descendants have no more splats than in the set. If the set is the first n
-        chunks, n for all.
+        Number of chunks in the prefix of each chunk, at most up to the last chunk of the set. If
+        the set is the first n chunks, n for all.
 
     Examples
     --------
@@ -70,7 +73,7 @@ def equivalent_prefixes(chunks: Sequence[int], parents: I64, chunk_splats: I64) 
 
 
 def _ancestor_lines(chunks: int, parents: I64) -> list[tuple[int, ...]]:
-    """Return for each of the first chunks itself and all its ancestors."""
+    """Return the numbers of each chunk and all its ancestors, for the first `chunks` chunks."""
     lines: list[tuple[int, ...]] = []
     for chunk in range(chunks):
         above = int(parents[chunk])

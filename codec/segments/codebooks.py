@@ -87,7 +87,7 @@ def decode_colour_codebook(
     payloads : mapping of int to memoryview
         Bytes of each segment by band, 1 to `degree`.
     rows, degree : int
-        Rows of the codebook, and SH degree of the result.
+        Number of rows in the codebook, and SH degree of the result.
     where : str
         Name of the codebook in messages.
     """
@@ -100,8 +100,18 @@ def decode_colour_codebook(
     return ColourCodebook(coefficients)
 
 
-def codebook_error(stream: StoredStream, number: int, attribute: str) -> FormatError:
-    """Return the error of a stream that refers to a codebook its segment does not need."""
+def missing_codebook_error(stream: StoredStream, number: int, attribute: str) -> FormatError:
+    """Return the error for a stream whose codebook is not among the codebooks of its segment.
+
+    Parameters
+    ----------
+    stream : StoredStream
+        Stream that refers to the codebook.
+    number : int
+        Number of the codebook.
+    attribute : str
+        Name of the expected type, ``shape`` or ``colour``.
+    """
     return FormatError(
         "codebook-missing",
         f"{stream.where}: codebook {number}, "

@@ -12,7 +12,7 @@ from cogsplat.codec.streams import codebook_index, kinds
 from cogsplat.codec.streams.records import Attribute
 from cogsplat.codec.streams.stream_inputs import Inputs
 
-from .codebooks import Codebook, ShapeCodebook, codebook_error
+from .codebooks import Codebook, ShapeCodebook, missing_codebook_error
 from .stream_set import RefinementSet, StreamSet
 
 F32 = NDArray[np.float32]
@@ -96,7 +96,7 @@ def _read_shapes(found: StreamSet, codebooks: Mapping[int, Codebook], out: Splat
         kinds.read(found.pop_escape(Attribute.QUATS, use.escape_rows), escape.quats)
     book = codebooks.get(use.number)
     if not isinstance(book, ShapeCodebook):
-        raise codebook_error(stream, use.number, "shape")
+        raise missing_codebook_error(stream, use.number, "shape")
     # Two arrays, one list of indices: rows of seven values would have to be copied apart.
     indices = codebook_index.read_indices(stream, len(book))
     codebook_index.gather(book.scales, escape.scales, indices, out.scales)

@@ -36,17 +36,20 @@ STRENGTH_STEP: Final = 2.0**-6
 class Layer:
     """Shifts of log scales and logits for one prefix of whole chunks.
 
+    The shift of a splat is the shift of its chunk plus the chunk's strength times the splat's entry
+    in a small codebook, the book. A splat has its entry from the first layer that includes its
+    chunk; all later layers use the same entry.
+
     Parameters
     ----------
     scales, opacities : (m,) int8
         Shift of the log scales and of the logits of each of the prefix's m chunks, in units of
         `SCALE_STEP` and `OPACITY_STEP`.
     strengths : (m, 2) uint8
-        Factors of each chunk for the book's entries of scales and of opacities, in units of
-        `STRENGTH_STEP`.
+        Strength of each chunk for scales and for opacities, in units of `STRENGTH_STEP`.
     book : (k, 2) int8
-        Shifts by code, in units of `SCALE_STEP` and `OPACITY_STEP`, for chunks that the previous
-        layer lacks. Without rows, these chunks have no codes.
+        Codebook entries of the chunks that the previous layer lacks: shifts of log scales and
+        logits, in units of `SCALE_STEP` and `OPACITY_STEP`. Without rows, all entries are 0.
     codes : (n,) uint8
         Row of the book for each splat of the chunks that the previous layer lacks, in stored
         order.
@@ -60,7 +63,7 @@ class Layer:
 
     @property
     def chunks(self) -> int:
-        """Chunks of the prefix."""
+        """Number of chunks in the prefix."""
         return len(self.scales)
 
 
@@ -73,7 +76,7 @@ class Compensation:
     layers : sequence of Layer
         Layers with ascending numbers of chunks, from 1 to all.
     chunk_splats : (c,) int64
-        Splats of every chunk of the scene.
+        Number of splats in each chunk of the scene.
     """
 
     layers: Sequence[Layer]
@@ -85,9 +88,9 @@ class Compensation:
         Parameters
         ----------
         splats : Splats
-            Splats of the first `chunks` chunks in stored order, or of the `drawn` ones of them.
+            Splats of the prefix in stored order; only those of the chunks `drawn` if given.
         chunks : int
-            Chunks of the prefix.
+            Number of chunks in the prefix.
         drawn : sequence of int, optional
             Numbers of the chunks in `splats`: those that have not ended (SPEC 5.10).
 
@@ -109,7 +112,7 @@ class Compensation:
         return self.apply_per_chunk(splats, held, np.full(len(held), chunks, np.int64))
 
     def apply_per_chunk(self, splats: Splats, chunks: I64, prefixes: I64) -> Splats:
-        """Return chunks of a scene, each shifted for a prefix of its own.
+        """Return the splats of some chunks, each chunk shifted as in its own prefix.
 
         Parameters
         ----------
@@ -118,8 +121,8 @@ class Compensation:
         chunks : (k,) int64
             Numbers of the chunks.
         prefixes : (k,) int64
-            Chunks of each chunk's prefix, more than its number. A chunk whose prefix is the whole
-            scene is unchanged.
+            Length in chunks of the prefix that each chunk is shifted for; the prefix must include
+            the chunk. A chunk whose prefix is the whole scene is unchanged.
 
         Returns
         -------
@@ -153,14 +156,15 @@ class Compensation:
         return replace(splats, scales=scales, opacities=opacities)
 
     def shifts_of(self, chunks: I64, prefixes: I64) -> F32:
-        """Return the shifts of log scales and logits of chunks, each for a prefix of its own.
+        """Return the shifts of log scales and logits of chunks, each chunk for its own prefix.
 
         Parameters
         ----------
         chunks : (k,) int64
             Numbers of the chunks.
         prefixes : (k,) int64
-            Chunks of each chunk's prefix: more than its number, fewer than all.
+            Length in chunks of the prefix that each chunk is shifted for. It includes the chunk,
+            and is not the whole scene.
 
         Returns
         -------
@@ -170,21 +174,31 @@ class Compensation:
         counts = self.chunk_splats[chunks]
         entries = self._entries(chunks)
         if len(prefixes) and (prefixes == prefixes[0]).all():
-            return self._in_prefix(int(prefixes[0]), chunks, entries)
+            return self._prefix_shifts(int(prefixes[0]), chunks, entries)
         out = np.zeros((int(counts.sum()), 2), np.float32)
         for prefix in np.unique(prefixes).tolist():
             are_of = prefixes == prefix
             rows = np.repeat(are_of, counts)
-            out[rows] = self._in_prefix(prefix, chunks[are_of], entries[rows])
+            out[rows] = self._prefix_shifts(prefix, chunks[are_of], entries[rows])
         return out
 
-    def _in_prefix(self, prefix: int, chunks: I64, entries: NDArray[np.int8]) -> F32:
-        """Return the shifts of chunks for one prefix, (n, 2)."""
+    def _prefix_shifts(self, prefix: int, chunks: I64, entries: NDArray[np.int8]) -> F32:
+        """Return the shifts of chunks for one prefix, interpolated between layers, (n, 2).
+
+        Parameters
+        ----------
+        prefix : int
+            Number of chunks in the prefix.
+        chunks : (k,) int64
+            Numbers of the chunks.
+        entries : (n, 2) int8
+            Book entry of each splat of the chunks, concatenated (`_entries`).
+        """
         ends = np.concatenate([[0], np.cumsum(self.chunk_splats)])
         above = next(
             (k for k, layer in enumerate(self.layers) if layer.chunks >= prefix), len(self.layers)
         )
-        upper = self._of_layer(above, chunks, entries)
+        upper = self._layer_shifts(above, chunks, entries)
         if above == 0 or (above < len(self.layers) and self.layers[above].chunks == prefix):
             return upper
         # Interpolate between two layers in proportion to the splats of the prefix. The whole scene,
@@ -196,12 +210,20 @@ class Compensation:
         )
         in_both = chunks < below
         rows = np.repeat(in_both, self.chunk_splats[chunks])
-        lower = self._of_layer(above - 1, chunks[in_both], entries[rows])
+        lower = self._layer_shifts(above - 1, chunks[in_both], entries[rows])
         upper[rows] = lower + (upper[rows] - lower) * part
         return upper
 
-    def _of_layer(self, number: int, chunks: I64, entries: NDArray[np.int8]) -> F32:
-        """Return the shifts of one layer for chunks, (n, 2)."""
+    def _layer_shifts(self, number: int, chunks: I64, entries: NDArray[np.int8]) -> F32:
+        """Return the shifts of chunks in one layer, (n, 2); 0 in the layer after the last.
+
+        Parameters
+        ----------
+        number : int
+            Number of the layer.
+        chunks, entries
+            See `_prefix_shifts`.
+        """
         out = np.zeros((len(entries), 2), np.float32)
         if number == len(self.layers):
             return out
@@ -236,7 +258,7 @@ class Compensation:
 
 
 def code_bits(rows: int) -> int:
-    """Return the bits of a code for a book of `rows` rows (SPEC 5.9)."""
+    """Return the number of bits of a code for a book of `rows` rows (SPEC 5.9)."""
     return max(rows - 1, 0).bit_length()
 
 

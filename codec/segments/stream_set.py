@@ -168,7 +168,7 @@ def _require_rows(stream: StoredStream, rows: int) -> None:
 def _require_empty(
     stored: Mapping[tuple[Attribute, int], StoredStream], where: str, clause: str
 ) -> None:
-    """Raise ``stream-unexpected`` if streams are left."""
+    """Raise ``stream-unexpected`` if `stored` is not empty; `clause` of the SPEC is cited."""
     if stored:
         names = sorted(stream.label for stream in stored.values())
         raise FormatError(

@@ -13,7 +13,7 @@ from cogsplat.codec.streams.records import Attribute
 from cogsplat.codec.streams.stream_inputs import Inputs
 
 from .bands import read_band
-from .codebooks import Codebook, ColourCodebook, codebook_error
+from .codebooks import Codebook, ColourCodebook, missing_codebook_error
 from .stream_set import StreamSet
 
 F32 = NDArray[np.float32]
@@ -65,7 +65,7 @@ def _read_from_codebook(
     book = codebooks.get(use.number)
     coefficients = out.shape[1]
     if not isinstance(book, ColourCodebook) or book.shN.shape[1] < coefficients:
-        raise codebook_error(stream, use.number, "colour")
+        raise missing_codebook_error(stream, use.number, "colour")
     # Not -1 for the columns: there may be no rows.
     columns = 3 * coefficients
     inputs = Inputs(

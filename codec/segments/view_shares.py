@@ -41,12 +41,15 @@ _BETWEEN: Final = 0.5 * (_SHARES[1:] + _SHARES[:-1])
 class ViewTable:
     """Shares of all chunks in the images from sampled viewpoints.
 
+    The share of a chunk is the sum of its splats' blending weights over an image, divided by the
+    number of pixels.
+
     Parameters
     ----------
     positions : (V, 3) float32
         Positions of the viewpoints in the space of the means; V is 1 to `MAX_VIEWS`.
     directions : (V, 3) int8
-        View directions, about `DIRECTION_UNIT` long; not (0, 0, 0).
+        View directions: unit vectors times `DIRECTION_UNIT`, rounded; not (0, 0, 0).
     codes : (V, c) uint8
         Code of each chunk's share in the image of each viewpoint, from `encode_shares`.
     """
@@ -81,9 +84,9 @@ def quantise_directions(directions: F64) -> NDArray[np.int8]:
 
 
 def pack_codes(codes: U8) -> bytes:
-    """Return the codes of a table as a byte plane, with its word in front.
+    """Return the codes of a table as bytes: the word of a byte plane, then the plane (SPEC 6.3).
 
-    The plane stores differences to the codes of the previous viewpoint, modulo 256.
+    The plane stores differences from the codes of the previous viewpoint, modulo 256.
     """
     differences = np.diff(codes, axis=0, prepend=np.zeros((1, codes.shape[1]), np.uint8))
     word, stored = pack_plane(np.ascontiguousarray(differences).reshape(-1))

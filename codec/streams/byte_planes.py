@@ -189,7 +189,18 @@ def parse_packing(stored: memoryview, word: int, length: int, where: str) -> tup
 
 
 def expand(stored: memoryview, word: int, length: int, where: str) -> bytes | memoryview:
-    """Return the `length` bytes of a plane, decompressed if they are a zstd frame.
+    """Return the `length` bytes of a plane, decompressed if its word has `ZSTD_FLAG`.
+
+    Parameters
+    ----------
+    stored : memoryview
+        Stored bytes of the plane.
+    word : int
+        Word of the plane: stored length and flags (SPEC 6.3).
+    length : int
+        Size after decompression, bytes.
+    where : str
+        Name of the plane in messages.
 
     Raises
     ------

@@ -99,7 +99,7 @@ def read_indices(stream: StoredStream, size: int) -> U32:
 
 
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
-    """Write the codebook and escape rows of a vq stream into (rows, d) float32 `out`.
+    """Look up the rows of a vq stream in codebook and escape rows, into (rows, d) float32 `out`.
 
     Needs `inputs.codebook`, and `inputs.escape` if the stream has escape rows.
 

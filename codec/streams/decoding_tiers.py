@@ -81,8 +81,11 @@ def use_compiled(wanted: bool) -> bool:
     return is_compiled()
 
 
-def _use_loaded() -> None:
-    """Select the compiled pass after loading, unless `use_compiled` was called."""
+def _switch_to_compiled() -> None:
+    """Switch to the compiled pass; `LOADER` calls this once the kernels are loaded.
+
+    An earlier call of `use_compiled` takes precedence.
+    """
     global _chunk_reader
     if not _decided:
         _chunk_reader = _load()
@@ -101,5 +104,5 @@ def _load() -> ChunkReader | None:
     return reader
 
 
-LOADER: Final = KernelLoader(KERNEL_MODULES, _use_loaded)
+LOADER: Final = KernelLoader(KERNEL_MODULES, _switch_to_compiled)
 """Loads the kernels in the background."""

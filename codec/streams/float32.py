@@ -23,7 +23,7 @@ def write(attribute: Attribute, values: F32) -> Stream:
 
 
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
-    """Write the values of a float stream into (rows, c) float32 `out`; it needs no `inputs`.
+    """Decode the values of a float stream into (rows, c) float32 `out`; it needs no `inputs`.
 
     Raises
     ------

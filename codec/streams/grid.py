@@ -118,7 +118,22 @@ def unpack(
     limit: int = MAX_LEVELS,
     max_value: float = MAX_VALUE,
 ) -> Grid:
-    """Read a grid from a stream's parameters; ranges are checked before levels.
+    """Read a grid from a stream's parameters.
+
+    If a range and a number of levels are both invalid, the range is reported.
+
+    Parameters
+    ----------
+    data : memoryview
+        Parameters: minimum, maximum and number of levels of each component.
+    components : int
+        Number of components.
+    where : str
+        Name of the stream in messages.
+    limit : int
+        Maximum number of levels of a component.
+    max_value : float
+        Maximum magnitude of a range's ends.
 
     Raises
     ------

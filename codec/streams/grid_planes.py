@@ -19,7 +19,7 @@ Codes = NDArray[np.uint8] | NDArray[np.uint32] | NDArray[np.uint64]
 
 
 def code_bytes(levels: int) -> int:
-    """Return the number of planes of codes below `levels`, 0 to 3."""
+    """Return the number of bytes of a code below `levels`, 0 to 3; each byte has its own plane."""
     return (max(levels, 1) - 1).bit_length() + 7 >> 3
 
 
@@ -86,7 +86,7 @@ def _codes(
 def read_values(
     stream: StoredStream, grid: Grid, out: F32, *, first: int = 0, extra: int = 0
 ) -> None:
-    """Write the values of codes on a grid.
+    """Decode the values of a stream on a grid into `out`.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def read_values(
     first : int
         Number of planes before the planes of the grid.
     extra : int
-        Codes above the levels of each component: 2 for +inf and -inf, else 0.
+        Number of codes above the levels of each component: 2 for +inf and -inf, else 0.
 
     Raises
     ------

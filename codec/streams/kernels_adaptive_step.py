@@ -14,8 +14,8 @@ U8 = NDArray[np.uint8]
 
 
 @inner_exact
-def write_extra_bits(scales: F32, coefficients: F32, knees: F32, extra: U8) -> None:
-    """Write the extra bits of each row (SPEC 6.10)."""
+def compute_extra_bits(scales: F32, coefficients: F32, knees: F32, extra: U8) -> None:
+    """Compute the extra bits of each row into `extra` (SPEC 6.10)."""
     c0, c1, c2 = coefficients[0], coefficients[1], coefficients[2]
     c3, c4, c5 = coefficients[3], coefficients[4], coefficients[5]
     k0, k1, k2, k3 = knees[0], knees[1], knees[2], knees[3]
@@ -37,8 +37,8 @@ def write_extra_bits(scales: F32, coefficients: F32, knees: F32, extra: U8) -> N
 
 @inner_exact
 def count_extra_bits(scales: F32, coefficients: F32, knees: F32, extra: U8) -> I64:
-    """Write the extra bits of each row; return the number of rows by extra bits."""
-    write_extra_bits(scales, coefficients, knees, extra)
+    """Compute extra bits of each row into `extra`; return the number of rows with each count."""
+    compute_extra_bits(scales, coefficients, knees, extra)
     # Two alternating histograms: an increment does not wait for the previous one.
     rows = np.zeros((2, MAX_EXTRA_BITS + 1), np.int64)
     for row in range(len(extra)):

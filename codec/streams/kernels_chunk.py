@@ -72,7 +72,7 @@ _MIN_PLANE_BYTES: Final = 1 << 14
     "float32[:, ::1], float32[:, ::1]))"
 )
 @exact
-def _write_transform_chunk(
+def _decode_transform_chunk(
     data: U8,
     records: I64,
     spans: I64,
@@ -80,7 +80,7 @@ def _write_transform_chunk(
     basis: F32,
     out: tuple[F32, F32, F32, F32, F32, F32],
 ) -> bool:
-    """Write all values of a chunk; return False if anything in its streams is invalid.
+    """Decode all values of a chunk into `out`; return False if a stream is invalid.
 
     Parameters
     ----------
@@ -133,10 +133,13 @@ def _write_transform_chunk(
 
 
 @inner_exact
-def _write_shapes(
+def _decode_shapes(
     planes: ChunkPlanes, book_scales: F32, book_quats: F32, scales: F32, quats: F32
 ) -> bool:
-    """Write scales and rotations from a shape codebook and escape rows (SPEC 6.7, 7.2)."""
+    """Decode scales and rotations from a shape codebook and escape rows (SPEC 6.7, 7.2).
+
+    Returns False if a stream is invalid.
+    """
     records = planes.records
     rows = len(scales)
     escapes = escape_rows(planes, records[SHAPE])
@@ -168,10 +171,11 @@ def _write_shapes(
 
 
 @inner_exact
-def _write_colours(planes: ChunkPlanes, book: F32, sh_degree: int, out: F32) -> bool:
-    """Write shN from a colour codebook and escape rows, band by band (SPEC 6.7, 7.3).
+def _decode_colours(planes: ChunkPlanes, book: F32, sh_degree: int, out: F32) -> bool:
+    """Decode shN from a colour codebook and escape rows, band by band (SPEC 6.7, 7.3).
 
-    Bands above the columns of `out` are skipped; bands above `sh_degree` are invalid.
+    Bands above the columns of `out` are skipped; bands above `sh_degree` are invalid. Returns False
+    if a stream is invalid.
     """
     records = planes.records
     rows, columns = out.shape
@@ -209,7 +213,7 @@ def _write_colours(planes: ChunkPlanes, book: F32, sh_degree: int, out: F32) -> 
     "float32[:, ::1], float32[:, ::1]))"
 )
 @exact
-def _write_vq_chunk(
+def _decode_vq_chunk(
     data: U8,
     records: I64,
     spans: I64,
@@ -218,14 +222,14 @@ def _write_vq_chunk(
     sh_degree: int,
     out: tuple[F32, F32, F32, F32, F32, F32],
 ) -> bool:
-    """Write all values of a chunk of the profile `vq`; return False if anything is invalid.
+    """Decode all values of a chunk of the profile `vq`; return False if a stream is invalid.
 
     Parameters
     ----------
     data, records, spans
         As in `ChunkPlanes`.
     constants, out
-        As in `_write_transform_chunk`.
+        As in `_decode_transform_chunk`.
     books : tuple
         (C, 3) log scales and (C, 4) quaternions of the shape codebook, (C, d) rows of the colour
         codebook.
@@ -235,7 +239,7 @@ def _write_vq_chunk(
     tables, knees, _, powers, axes_of_bits, _ = constants
     means, scales, quats, opacities, sh0, shN = out
     planes = ChunkPlanes(data, records, spans, tables)
-    if not _write_shapes(planes, books[0], books[1], scales, quats):
+    if not _decode_shapes(planes, books[0], books[1], scales, quats):
         return False
     if not read_means(
         planes, records[MEANS], records[NO_STREAM], knees, powers, axes_of_bits, scales, means
@@ -246,7 +250,7 @@ def _write_vq_chunk(
     if not read_values(planes, records[SH0], records[NO_STREAM], sh0[:0], sh0):
         return False
     if records[SHN, PRESENT] and len(shN):
-        return _write_colours(planes, books[2], sh_degree, shN)
+        return _decode_colours(planes, books[2], sh_degree, shN)
     return True
 
 
@@ -309,11 +313,11 @@ def read(
                 return False
             colours = book
         if streams is TRANSFORM_STREAMS:
-            return _write_transform_chunk(data, records, spans, _CONSTANTS, colours, arrays)
+            return _decode_transform_chunk(data, records, spans, _CONSTANTS, colours, arrays)
         shapes = books.shapes(_codebook_number(data, records, SHAPE))
         if shapes is None:
             return False
-        return _write_vq_chunk(
+        return _decode_vq_chunk(
             data, records, spans, _CONSTANTS, (*shapes, colours), sh_degree, arrays
         )
     return False
@@ -328,7 +332,7 @@ def _codebook_number(data: U8, records: I64, stream: int) -> int:
 def _locate(
     payload: bytes, ends: I64, streams: I64, limit: int, rows: int
 ) -> tuple[U8, I64, I64] | None:
-    """Return the arrays of `ChunkPlanes` but for the tables; None for other streams.
+    """Return the arrays of `ChunkPlanes` except the tables; None if the streams are not supported.
 
     Parameters
     ----------

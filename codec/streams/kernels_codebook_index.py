@@ -38,7 +38,7 @@ def has_escapes(stream: I64, rows: int) -> bool:
 
 @inner_exact
 def read_indices(planes: ChunkPlanes, stream: I64, total: int, out: U32) -> bool:
-    """Write the indices of a vq stream; return False if anything in it is invalid.
+    """Decode the indices of a vq stream into `out`; return False if the stream is invalid.
 
     Parameters
     ----------

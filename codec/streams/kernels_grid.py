@@ -61,8 +61,8 @@ def plane_count(levels: U32) -> int:
 
 
 @inner_exact
-def write_values(data: U8, starts: I64, grid: GridArrays, out: F32) -> bool:
-    """Write (rows, c) values from byte planes; return False if a code is out of range (SPEC 6.4).
+def decode_values(data: U8, starts: I64, grid: GridArrays, out: F32) -> bool:
+    """Decode byte planes to (rows, c) values; return False if a code is out of range (SPEC 6.4).
 
     Parameters
     ----------
@@ -104,8 +104,10 @@ def write_values(data: U8, starts: I64, grid: GridArrays, out: F32) -> bool:
 
 
 @inner_exact
-def _write_column(codes: I32, width: np.float32, low: np.float32, column: int, out: F32) -> None:
-    """Write the values of codes on a grid into one column of `out`."""
+def _dequantise_column(
+    codes: I32, width: np.float32, low: np.float32, column: int, out: F32
+) -> None:
+    """Dequantise codes on a grid into one column of `out`."""
     # Into a contiguous array first: only that loop is vectorised.
     values = np.empty(len(codes), np.float32)
     for row in range(len(codes)):
@@ -115,7 +117,7 @@ def _write_column(codes: I32, width: np.float32, low: np.float32, column: int, o
 
 
 @inner_exact
-def _write_refined_values(
+def _decode_refined_values(
     data: U8,
     starts: I64,
     coarse: GridArrays,
@@ -124,7 +126,7 @@ def _write_refined_values(
     coarse_out: F32,
     out: F32,
 ) -> bool:
-    """Write (rows, c) values from codes on a grid and their refining digits (SPEC 6.16).
+    """Decode codes on a grid and their refining digits to (rows, c) values (SPEC 6.16).
 
     Parameters
     ----------
@@ -174,7 +176,7 @@ def _write_refined_values(
             width = np.float32(0)
             if limit > 1:
                 width = (coarse.maximum[column] - low) / (np.float32(limit) - np.float32(1))
-            _write_column(codes, width, low, column, coarse_out)
+            _dequantise_column(codes, width, low, column, coarse_out)
         radix = np.int32(radices[column])
         if radix > 1:
             digits_of = data[starts[digit] : starts[digit] + rows]
@@ -197,13 +199,13 @@ def _write_refined_values(
         width = np.float32(0)
         if fine_limit > 1:
             width = (fine.maximum[column] - low) / (np.float32(fine_limit) - np.float32(1))
-        _write_column(codes, width, low, column, out)
+        _dequantise_column(codes, width, low, column, out)
     return True
 
 
 @inner_exact
 def read_values(planes: ChunkPlanes, stream: I64, digits: I64, coarse_out: F32, out: F32) -> bool:
-    """Write the values of a stream on a grid, refined if the chunk has its digits.
+    """Decode the values of a stream on a grid, refined if the chunk has refining digits.
 
     Parameters
     ----------
@@ -229,7 +231,7 @@ def read_values(planes: ChunkPlanes, stream: I64, digits: I64, coarse_out: F32, 
     if not plane_starts(planes, stream[FIRST_PLANE], count, rows, starts, 0):
         return False
     if not digits[PRESENT]:
-        return write_values(data, starts, coarse, out)
+        return decode_values(data, starts, coarse, out)
     at = digits[PARAMS]
     valid, fine = parse_grid(data, at, components, MAX_LEVELS, MAX_VALUE)
     radices = np.empty(components, np.int64)
@@ -243,12 +245,12 @@ def read_values(planes: ChunkPlanes, stream: I64, digits: I64, coarse_out: F32, 
         return False
     if not plane_starts(planes, digits[FIRST_PLANE], finer, rows, starts, count):
         return False
-    return _write_refined_values(data, starts, coarse, radices, fine, coarse_out, out)
+    return _decode_refined_values(data, starts, coarse, radices, fine, coarse_out, out)
 
 
 @inner_exact
 def accumulate(differences: F32, out: F32) -> None:
-    """Write (rows, 3) log scales from their differences (SPEC 6.12)."""
+    """Compute (rows, 3) log scales from their differences (SPEC 6.12)."""
     for row in range(len(out)):
         middle = differences[row, 0] - differences[row, 1]
         out[row, 0] = middle
@@ -258,7 +260,7 @@ def accumulate(differences: F32, out: F32) -> None:
 
 @inner_exact
 def on_axes(values: F32, axes: F32, out: F32) -> None:
-    """Write (rows, 3) sh0 from coordinates on the three `axes` (SPEC 6.13)."""
+    """Compute (rows, 3) sh0 from coordinates on the three `axes` (SPEC 6.13)."""
     for row in range(len(out)):
         a, b, c = values[row, 0], values[row, 1], values[row, 2]
         for channel in range(3):

@@ -63,7 +63,7 @@ def digits_in_byte(radix: int) -> tuple[int, int]:
 def _unpack_digits(
     packed: U8, start: int, table: U8, count: int, out: U8, at: int, length: int
 ) -> int:
-    """Write the digits of packed bytes; return the number of non-zero digits beyond `length`."""
+    """Unpack the digits of packed bytes; return the number of non-zero digits beyond `length`."""
     whole = length // count
     if count == 2:
         for i in range(whole):
@@ -173,7 +173,7 @@ def plane_start(planes: ChunkPlanes, plane: int, length: int) -> int:
 def plane_starts(
     planes: ChunkPlanes, first: int, count: int, length: int, starts: I64, at: int
 ) -> bool:
-    """Write the positions of consecutive planes of equal length; return False if one is invalid.
+    """Find the positions of consecutive planes of equal length; return False if one is invalid.
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def plane_starts(
     first, count : int
         Number of the first plane in the chunk, and number of planes.
     length : int
-        Symbols that each plane must hold.
+        Number of symbols in each plane.
     starts : int64, out
         Positions, written from index `at` on.
     at : int

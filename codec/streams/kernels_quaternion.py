@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from .grid import MAX_LEVELS
 from .kernels_bits import inner_exact, u32
-from .kernels_grid import parse_grid, plane_count, write_values
+from .kernels_grid import decode_values, parse_grid, plane_count
 from .kernels_planes import FIRST_PLANE, PARAMS, PLANES, ChunkPlanes, plane_start, plane_starts
 from .quaternion import PER_ROW
 
@@ -18,7 +18,7 @@ U8 = NDArray[np.uint8]
 
 @inner_exact
 def read_quaternions(planes: ChunkPlanes, stream: I64, out: F32) -> bool:
-    """Write the unit quaternions of a quat stream; return False if anything in it is invalid.
+    """Decode the unit quaternions of a quat stream; return False if the stream is invalid.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def read_quaternions(planes: ChunkPlanes, stream: I64, out: F32) -> bool:
     if not plane_starts(planes, first + varies, count - varies, rows, starts, 0):
         return False
     others = np.empty((rows, 3), np.float32)
-    if not write_values(data, starts, grid, others):
+    if not decode_values(data, starts, grid, others):
         return False
     one = np.float32(1)
     for row in range(rows):

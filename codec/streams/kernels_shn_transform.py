@@ -59,7 +59,7 @@ def _rows_above(ends: U8, width: int) -> I64:
 
 
 @inner_exact
-def _write_coefficients(
+def _decode_coefficients(
     ends: U8,
     above: I64,
     groups: I64,
@@ -71,12 +71,12 @@ def _write_coefficients(
     shrink: np.float32,
     out: F32,
 ) -> None:
-    """Write shN from coordinates on a basis (SPEC 6.14).
+    """Compute shN from coordinates on a basis (SPEC 6.14).
 
     Parameters
     ----------
     ends : (n,) uint8
-        Coordinates of each row, at most the width.
+        Number of coordinates of each row, at most the width.
     above : (width + 2,) int64
         Number of rows with more than 0, 1, … coordinates.
     groups : (g + 1,) int64
@@ -167,7 +167,7 @@ def _write_coefficients(
 def read_coefficients(
     planes: ChunkPlanes, stream: I64, group_starts: I64, basis: F32, out: F32
 ) -> bool:
-    """Write the shN of a chunk; return False if anything in their stream is invalid.
+    """Decode the shN of a chunk; return False if the stream is invalid.
 
     Parameters
     ----------
@@ -241,5 +241,5 @@ def read_coefficients(
             if not plane_starts(planes, first + 1 + plane, own, length, starts, plane):
                 return False
             plane += own
-    _write_coefficients(ends, above, groups, sizes, data, starts, padded, step, shrink, out)
+    _decode_coefficients(ends, above, groups, sizes, data, starts, padded, step, shrink, out)
     return True

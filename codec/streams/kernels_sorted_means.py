@@ -46,7 +46,9 @@ AXES_OF_BITS: Final = _axes_of_bits()
 def _count_bits(
     classes: U8, scales: F32, coefficients: F32, knees: F32, extra: U8
 ) -> tuple[int, int]:
-    """Write the extra bits of each row; return the bits in the planes of differences and fields.
+    """Compute the extra bits of each row; return the bit counts of the two packed planes.
+
+    The planes are those of the Morton differences and of the fields below the cells.
 
     The first count is -1 if a class is above 51.
     """
@@ -63,7 +65,7 @@ def _count_bits(
 
 
 @inner_exact
-def _write_means(
+def _decode_means(
     classes: U8,
     differences: U64,
     extra: U8,
@@ -76,7 +78,7 @@ def _write_means(
     more_fields: U64,
     out: F32,
 ) -> bool:
-    """Write means from Morton differences and the bits below their cells (SPEC 6.5, 6.17).
+    """Compute means from Morton differences and the bits below their cells (SPEC 6.5, 6.17).
 
     Parameters
     ----------
@@ -154,7 +156,7 @@ def read_means(
     scales: F32,
     out: F32,
 ) -> bool:
-    """Write the means of a chunk; return False if anything in their streams is invalid.
+    """Decode the means of a chunk; return False if a stream is invalid.
 
     Parameters
     ----------
@@ -216,7 +218,7 @@ def read_means(
             width = span / (np.float32(count) - np.float32(1))
         for m in range(len(powers)):
             steps[m, axis] = powers[m] * width
-    return _write_means(
+    return _decode_means(
         classes,
         plane_words(data, differences, bits + 7 >> 3),
         extra,

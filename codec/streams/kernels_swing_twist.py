@@ -24,7 +24,7 @@ symbols."""
 
 @inner_exact
 def _count_rows(scales: F32, coefficients: F32, knees: F32, extra: U8, counts: I64) -> None:
-    """Write the extra bits of swing and twist (SPEC 6.10) and the sizes of their planes.
+    """Compute the extra bits of swing and twist (SPEC 6.10) and the sizes of their planes.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def _count_rows(scales: F32, coefficients: F32, knees: F32, extra: U8, counts: I
     extra : (2, n) uint8, out
         Extra bits of each row.
     counts : (2, GROUPS + 1) int64, out
-        Rows of each group, then the low bits of all rows together.
+        Number of rows in each group, then the total number of low bits.
     """
     counts[:] = 0
     for which in range(2):
@@ -49,10 +49,26 @@ def _count_rows(scales: F32, coefficients: F32, knees: F32, extra: U8, counts: I
 
 
 @inner_exact
-def _positions(data: U8, starts: I64, counts: I64) -> tuple[I64, I64, bool]:
-    """Return the position of each component's symbols (byte) and low bits (bit).
+def _component_positions(data: U8, starts: I64, counts: I64) -> tuple[I64, I64, bool]:
+    """Return the start positions of the symbols and the low bits of each component.
 
-    The third value is False if bits after the last low bit are set.
+    Parameters
+    ----------
+    data : uint8
+        Decompressed planes of the chunk.
+    starts : (3 · GROUPS,) int64
+        Byte position of each plane, component by component.
+    counts : (2, GROUPS + 1) int64
+        Output of `_count_rows`.
+
+    Returns
+    -------
+    symbols : (3, GROUPS) int64
+        Byte position of the symbols of each component and group.
+    bits : (3,) int64
+        Bit position of the low bits of each component.
+    valid : bool
+        False if padding bits are set.
     """
     symbols = np.zeros((3, GROUPS), np.int64)
     bits = np.zeros(3, np.int64)
@@ -69,22 +85,23 @@ def _positions(data: U8, starts: I64, counts: I64) -> tuple[I64, I64, bool]:
 
 
 @inner_exact
-def _write_rotations(data: U8, starts: I64, extra: U8, counts: I64, steps: F32, out: F32) -> bool:
-    """Write unit quaternions from swing and twist; return False if a code or padding is invalid.
+def _decode_rotations(data: U8, starts: I64, extra: U8, counts: I64, steps: F32, out: F32) -> bool:
+    """Decode swing and twist to unit quaternions; return False if a code or padding is invalid.
 
     Parameters
     ----------
     data : uint8
-        At least two bytes follow the last plane.
+        Decompressed planes of the chunk, with at least two more bytes at the end.
     starts : (3 · GROUPS,) int64
         Position of each plane.
     extra, counts
         See `_count_rows`.
     steps : (MAX_EXTRA_BITS + 1,) float32
-        Distance between levels for each number of extra bits.
+        Quantiser step for each number of extra bits.
     out : (n, 4) float32
+        Output, wxyz.
     """
-    symbols, bits, valid = _positions(data, starts, counts)
+    symbols, bits, valid = _component_positions(data, starts, counts)
     if not valid:
         return False
     one = np.float32(1)
@@ -122,7 +139,7 @@ def _write_rotations(data: U8, starts: I64, extra: U8, counts: I64, steps: F32, 
 def read_rotations(
     planes: ChunkPlanes, stream: I64, knees: F32, steps: F32, scales: F32, out: F32
 ) -> bool:
-    """Write the rotations of a chunk; return False if anything in their stream is invalid.
+    """Decode the rotations of a chunk; return False if anything in their stream is invalid.
 
     Parameters
     ----------
@@ -159,4 +176,4 @@ def read_rotations(
             if start < 0:
                 return False
             starts[plane] = start
-    return _write_rotations(data, starts, extra, counts, steps, out)
+    return _decode_rotations(data, starts, extra, counts, steps, out)

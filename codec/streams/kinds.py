@@ -119,12 +119,14 @@ def codec_of(stream: StoredStream) -> StreamCodec:
 
 
 def refinement_kind(stream: StoredStream) -> Kind | None:
-    """Return the kind of stream that refines a stream of a head; None if it cannot be refined.
+    """Return the kind of stream that refines a head's stream; None if it cannot be refined.
+
+    Streams with infinities cannot be refined.
 
     Raises
     ------
     FormatError
-        ``stream-kind``: the attribute is not stored in the stream's kind.
+        ``stream-kind``: the stream has a kind that is not allowed for its attribute.
     """
     return None if stream.flags & INFINITIES else codec_of(stream).refined_by
 
@@ -146,7 +148,7 @@ def codebook_use(stream: StoredStream) -> CodebookUse:
 
 
 def read(stream: StoredStream, out: F32, inputs: Inputs = NO_INPUTS) -> None:
-    """Write the values of a stream.
+    """Decode the values of a stream into `out`.
 
     Parameters
     ----------

@@ -72,7 +72,7 @@ def parse(stream: StoredStream) -> tuple[int, Grid]:
 
 
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
-    """Write unit quaternions, wxyz, w at least 0, into (rows, 4) float32 `out`.
+    """Decode unit quaternions, wxyz with w at least 0, into (rows, 4) float32 `out`.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def read_largest(stream: StoredStream, largest: int, grid: Grid) -> U8 | None:
 
 
 def complete_quaternions(largest: int, which: U8 | None, others: F32, out: F32) -> None:
-    """Write (rows, 4) unit quaternions from their stored components.
+    """Compute unit quaternions from their three stored components, into (rows, 4) `out`.
 
     Parameters
     ----------

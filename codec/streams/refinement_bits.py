@@ -28,7 +28,7 @@ def half_level(bits: int) -> int:
 
 
 def coarse_codes(codes: I64, bits: int) -> I64:
-    """Return the codes of the head nearest to refined codes."""
+    """Return the codes of the head: refined codes rounded to `bits` fewer bits."""
     coarse: I64 = (codes + half_level(bits)) >> bits
     return coarse
 
@@ -45,12 +45,12 @@ def write(codes: I64, bits: int) -> Stream:
     """
     low = (codes + half_level(bits) - (coarse_codes(codes, bits) << bits)).astype(np.uint64)
     fields = low[:, 0] | (low[:, 1] << np.uint64(bits)) | (low[:, 2] << np.uint64(2 * bits))
-    plane = bit_fields.pack(fields, _widths(len(codes), bits))
+    plane = bit_fields.pack(fields, _field_widths(len(codes), bits))
     return Stream(Attribute.MEANS, Kind.BITS, len(codes), _PARAMS.pack(bits, bytes(3)), [plane])
 
 
-def _widths(rows: int, bits: int) -> U8:
-    """Return the field width of each row, three axes together."""
+def _field_widths(rows: int, bits: int) -> U8:
+    """Return the width of each row's packed field: `bits` bits for each of three axes."""
     return np.full(rows, 3 * bits, np.uint8)
 
 
@@ -82,7 +82,7 @@ def read_plane(stream: StoredStream, bits: int) -> U8:
     FormatError
         ``bits-padding``, or a code of `byte_planes.unpack_plane`.
     """
-    widths = _widths(stream.rows, bits)
+    widths = _field_widths(stream.rows, bits)
     plane = stream.plane(0, bit_fields.packed_bytes(widths))
     bit_fields.require_padding(plane, widths, stream.where)
     return plane
@@ -104,7 +104,9 @@ def read(stream: StoredStream, codes: I64) -> tuple[I64, int]:
         As `parse` and `read_plane`; ``code-range``: a refined code below 0.
     """
     bits = parse(stream)
-    fields = bit_fields.unpack(read_plane(stream, bits), _widths(stream.rows, bits), stream.where)
+    fields = bit_fields.unpack(
+        read_plane(stream, bits), _field_widths(stream.rows, bits), stream.where
+    )
     refined = codes << bits
     mask = np.uint64((1 << bits) - 1)
     for axis in range(3):

@@ -69,7 +69,7 @@ def parse(digits: StoredStream, components: int) -> tuple[Grid, list[int]]:
 def read(
     head: StoredStream, coarse: Grid, digits: StoredStream, out: F32, coarse_out: F32 | None = None
 ) -> None:
-    """Write the values of a stream on a grid, refined by a digits stream.
+    """Decode the values of a stream on a grid, refined by a digits stream, into `out`.
 
     Parameters
     ----------

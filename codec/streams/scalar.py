@@ -15,7 +15,7 @@ F32 = NDArray[np.float32]
 
 
 def write(attribute: Attribute, values: F32, grid: Grid, *, escape: bool = False) -> Stream:
-    """Return a scalar stream.
+    """Quantise values on a grid; return a scalar stream.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def write(attribute: Attribute, values: F32, grid: Grid, *, escape: bool = False
     grid : Grid
         Grid of c components.
     escape : bool
-        Whether the rows are escape rows.
+        Whether the rows are escape rows: rows stored in full, outside a codebook.
     """
     planes = grid_planes.split_components(grid.quantise(values), grid)
     flags = ESCAPE if escape else 0
@@ -66,10 +66,10 @@ def infinity_codes(stream: StoredStream) -> int:
 
 
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
-    """Write the values of a scalar stream into (rows, c) float32 `out`.
+    """Decode the values of a scalar stream into (rows, c) float32 `out`.
 
-    `inputs.refinement` holds the digits that refine it; `inputs.coarse` then receives the values
-    without refinement.
+    If `inputs.refinement` is given, `out` receives the refined values, and the array
+    `inputs.coarse` the values without refinement.
 
     Raises
     ------

@@ -46,10 +46,10 @@ def write(differences: F32, grid: Grid) -> Stream:
 
 
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
-    """Write the log scales of a differences stream into (rows, 3) float32 `out`.
+    """Decode the log scales of a differences stream into (rows, 3) float32 `out`.
 
-    `inputs.refinement` holds the digits that refine it; `inputs.coarse` then receives the scales
-    without refinement.
+    If `inputs.refinement` is given, `out` receives the refined scales, and the array
+    `inputs.coarse` the scales without refinement.
 
     Raises
     ------

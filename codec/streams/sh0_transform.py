@@ -58,9 +58,9 @@ def parse(stream: StoredStream) -> tuple[Grid, F32]:
 
 
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
-    """Write the sh0 of a basis stream into (rows, 3) float32 `out`.
+    """Decode the sh0 of a basis stream into (rows, 3) float32 `out`.
 
-    `inputs.refinement` holds the digits that refine its coordinates.
+    If `inputs.refinement` is given, its digits refine the coordinates.
 
     Raises
     ------

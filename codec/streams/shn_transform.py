@@ -211,7 +211,7 @@ def require_basis(inputs: Inputs) -> F32:
 
 
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
-    """Write SH coefficients into (rows, d) float32 `out`, coefficient by coefficient, R G B inside.
+    """Decode SH coefficients into (rows, d) float32 `out`, coefficient by coefficient, as R G B.
 
     Needs `inputs.codebook`, (C, d) float32: the basis, limited to the d requested coefficients.
 
@@ -238,7 +238,7 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
             first, last = max(part.first, start), min(part.last, stop)
             if first < last:
                 product = products[: last - first]
-                part.write_products(first, product)
+                part.compute_products(first, product)
                 block[first - start : last - start] += product
         out[order[start:stop]] = block
     out[order[count:]] = 0
@@ -269,8 +269,8 @@ class _Part:
     coordinates: F32 | None
     row: F32
 
-    def write_products(self, start: int, out: F32) -> None:
-        """Write coordinate times basis row for the rows from rank `start` on, (rows, d) float32."""
+    def compute_products(self, start: int, out: F32) -> None:
+        """Multiply coordinates by the basis row, from the row of rank `start` on, into `out`."""
         own = slice(start - self.first, start - self.first + len(out))
         if self.coordinates is not None:
             np.multiply(self.coordinates[own, None], self.row, out=out)

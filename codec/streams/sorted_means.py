@@ -228,9 +228,9 @@ def parse(stream: StoredStream) -> tuple[Grid, StepModel]:
 
 
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
-    """Write the means of a sorted stream into (rows, 3) float32 `out`.
+    """Decode the means of a sorted stream into (rows, 3) float32 `out`.
 
-    Needs `inputs.scales`; `inputs.refinement` holds the bits that refine it.
+    Needs `inputs.scales`. If `inputs.refinement` is given, its bits refine the means.
 
     Raises
     ------

@@ -35,9 +35,10 @@ STEPS: Final = np.ldexp(np.float32(BASE_STEP), -np.arange(MAX_EXTRA_BITS + 1)).a
 
 
 def decompose(quats: F32, scales: F32) -> tuple[F64, F32]:
-    """Return rotations as swing and twist, with axes in the order middle, thin, long.
+    """Decompose rotations into a swing of the longest axis and a twist about it.
 
-    A Gaussian stays the same if its axes are permuted or reversed.
+    The axes of each splat are first sorted: x the middle one, y the thinnest, z the longest.
+    Permuting or reversing axes does not change a Gaussian.
 
     Parameters
     ----------
@@ -131,20 +132,23 @@ def extra_bits_of(scales: F32, swing: StepModel, twist: StepModel) -> list[U8]:
 
 
 def split_component(codes: U32, extra_bits: U8) -> list[U8]:
-    """Return the planes of one component's codes.
+    """Split the codes of one component into planes.
+
+    The high bits of a code, `SYMBOL_BITS` at most, are its symbol. The remaining low bits are
+    packed. Symbols are grouped by the bit width of their codes.
 
     Parameters
     ----------
     codes : (n,) uint32
         Codes of one component.
     extra_bits : (n,) uint8
-        Extra bits of each row.
+        Bit width of each row's code (SPEC 6.10).
 
     Returns
     -------
     list of uint8 arrays
-        For each m from 1 to `SYMBOL_BITS`, the symbols of the rows with m extra bits; the last
-        plane includes rows with more. Then the low bits of those rows, packed.
+        One plane of symbols for each width from 1 to `SYMBOL_BITS`, then the plane of low bits.
+        Codes wider than `SYMBOL_BITS` have their symbols in the last plane of symbols.
     """
     capped = np.minimum(extra_bits, SYMBOL_BITS)
     low = extra_bits - capped
@@ -169,7 +173,7 @@ def parse(stream: StoredStream) -> tuple[StepModel, StepModel]:
 
 
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
-    """Write the unit quaternions of a swing_twist stream into (rows, 4) float32 `out`.
+    """Decode a swing_twist stream to unit quaternions, into (rows, 4) float32 `out`.
 
     Needs `inputs.scales`.
 

@@ -149,7 +149,7 @@ def _vq_start(codebooks: Sequence[EncodedCodebook], degree: int) -> vq.VqStart:
     for book in codebooks:
         rows = book.decode(degree)
         if isinstance(rows, ShapeCodebook):
-            start = replace(start, shapes=covariance.vectors(rows.quats, rows.scales))
+            start = replace(start, shapes=covariance.shape_vectors(rows.quats, rows.scales))
         else:
             start = replace(start, colours=rows.shN.reshape(len(rows), -1))
     return start

@@ -92,7 +92,7 @@ class VqStart:
     Parameters
     ----------
     shapes : (C, 6) float32 or None
-        Shape vectors (`covariance.vectors`).
+        Shape vectors (`covariance.shape_vectors`).
     colours : (D, 3·(K-1)) float32 or None
         SH coefficients above DC.
     """
@@ -195,7 +195,7 @@ def plan(
     costs = EnergyCosts(lagrangian, energy)
     quats, scales = rotations.largest_w(rotations.unit(splats.quats), splats.scales)
     factors = covariance.scale_factor(scales)
-    vectors = covariance.vectors(quats, scales)
+    vectors = covariance.shape_vectors(quats, scales)
     rows = kmeans.train(
         vectors,
         energy,
@@ -335,7 +335,7 @@ def _row_costs(costs: EnergyCosts, indices: U32, rows: int) -> EnergyCosts:
 
 def _store_shapes(rows: F32, indices: U32, costs: EnergyCosts) -> tuple[bytes, F32]:
     """Return a shape codebook's payload and the vectors that its decoded rows stand for."""
-    quats, scales = covariance.decompose(rows)
+    quats, scales = covariance.quats_and_scales(rows)
     # Similar rows together: their planes compress.
     order = np.lexsort((quats[:, 2], quats[:, 1], np.rint(scales.min(axis=1))))
     quats, scales = quats[order], scales[order]
@@ -350,7 +350,7 @@ def _store_shapes(rows: F32, indices: U32, costs: EnergyCosts) -> tuple[bytes, F
     stored = records.unpack(memoryview(payload), "shape codebook", len(rows))
     kinds.read(stored[0], scales)
     kinds.read(stored[1], quats)
-    return payload, covariance.vectors(quats, scales)
+    return payload, covariance.shape_vectors(quats, scales)
 
 
 def _store_colours(rows: F32, indices: U32, costs: EnergyCosts) -> tuple[tuple[bytes, ...], F32]:

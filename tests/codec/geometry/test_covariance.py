@@ -55,27 +55,27 @@ def test_the_scale_factor_neither_overflows_nor_vanishes(offset):
 
 def test_vectors_are_covariances_of_trace_one():
     quats, scales = random_shapes(1)
-    rows = covariance.vectors(quats, scales)
+    rows = covariance.shape_vectors(quats, scales)
     assert rows.dtype == np.float32
     np.testing.assert_allclose(rows[:, :3].sum(axis=1), 1, atol=1e-6)
     np.testing.assert_allclose(unfolded(rows), normalised(quats, scales), atol=1e-6)
 
 
 def test_distances_of_vectors_are_those_of_matrices():
-    a, b = (covariance.vectors(*random_shapes(seed)).astype(np.float64) for seed in (2, 3))
+    a, b = (covariance.shape_vectors(*random_shapes(seed)).astype(np.float64) for seed in (2, 3))
     matrices = np.linalg.norm(unfolded(a) - unfolded(b), axis=(1, 2))
     np.testing.assert_allclose(np.linalg.norm(a - b, axis=1), matrices, rtol=1e-6)
 
 
 def test_size_does_not_matter_and_no_size_breaks_it():
     quats, scales = random_shapes(4)
-    rows = covariance.vectors(quats, scales)
+    rows = covariance.shape_vectors(quats, scales)
     for offset in (-100, 100):
         np.testing.assert_allclose(
-            covariance.vectors(quats, scales + np.float32(offset)), rows, atol=1e-4
+            covariance.shape_vectors(quats, scales + np.float32(offset)), rows, atol=1e-4
         )
     extreme = np.array([[1e5, -1e5, 0], [-1e29, 1e29, 0], [-3e4, -3e4, -3e4]], np.float32)
-    out = covariance.vectors(quats[:3], extreme)
+    out = covariance.shape_vectors(quats[:3], extreme)
     assert np.isfinite(out).all()
     # Logs this large are float32 themselves: 3e4 is known to 0.002.
     np.testing.assert_allclose(out[:, :3].sum(axis=1), 1, atol=4e-3)
@@ -85,12 +85,14 @@ def test_equivalent_quaternions_give_one_vector():
     quats, scales = random_shapes(5)
     named, permuted = rotations.largest_w(quats, scales)
     np.testing.assert_allclose(
-        covariance.vectors(named, permuted), covariance.vectors(quats, scales), atol=1e-6
+        covariance.shape_vectors(named, permuted),
+        covariance.shape_vectors(quats, scales),
+        atol=1e-6,
     )
 
 
 def check_decomposed(rows, atol):
-    quats, scales = covariance.decompose(rows)
+    quats, scales = covariance.quats_and_scales(rows)
     assert quats.dtype == scales.dtype == np.float32
     assert np.isfinite(quats).all()
     assert np.isfinite(scales).all()
@@ -98,13 +100,13 @@ def check_decomposed(rows, atol):
     assert (quats[:, 0] >= np.abs(quats[:, 1:]).max(axis=1, initial=0) - 1e-6).all()
     np.testing.assert_allclose(np.exp(2 * scales.astype(np.float64)).sum(axis=1), 1, atol=1e-5)
     assert (scales >= math.log(covariance.MIN_RELATIVE_SCALE) - 1e-4).all()
-    np.testing.assert_allclose(covariance.vectors(quats, scales), rows, atol=atol)
+    np.testing.assert_allclose(covariance.shape_vectors(quats, scales), rows, atol=atol)
     return quats, scales
 
 
 def test_vectors_come_back_from_scales_and_rotations():
     quats, scales = random_shapes(6, spread=0.8)
-    rows = covariance.vectors(quats, scales)
+    rows = covariance.shape_vectors(quats, scales)
     _, out = check_decomposed(rows, 2e-6)
     relative = scales - covariance.scale_factor(scales)[:, None]
     plain = relative.min(axis=1) > -4
@@ -127,10 +129,10 @@ def test_vectors_come_back_from_scales_and_rotations():
 )
 def test_degenerate_shapes_come_back(scales):
     quats, _ = random_shapes(7, 200)
-    rows = covariance.vectors(quats, np.tile(np.array([scales], np.float32), (200, 1)))
+    rows = covariance.shape_vectors(quats, np.tile(np.array([scales], np.float32), (200, 1)))
     check_decomposed(rows, 2e-6)
     aligned = np.array([[1, 0, 0, 0]], np.float32)
-    check_decomposed(covariance.vectors(aligned, np.array([scales], np.float32)), 2e-6)
+    check_decomposed(covariance.shape_vectors(aligned, np.array([scales], np.float32)), 2e-6)
 
 
 def test_principal_axes_turn_variances_into_the_covariance():
@@ -150,8 +152,8 @@ def test_indefinite_matrices_still_give_shapes():
         [[1, 0, 0, 0, 0, 0.01], [0.5, 0.5, -1e-4, 0, 0, 0], [0.3, 0.3, 0.3, 0, 0, 0], [0] * 6],
         np.float32,
     )
-    quats, scales = covariance.decompose(rows)
+    quats, scales = covariance.quats_and_scales(rows)
     assert np.isfinite(quats).all()
     np.testing.assert_allclose(np.exp(2 * scales.astype(np.float64)).sum(axis=1), 1, atol=1e-5)
-    none = covariance.decompose(rows[:0])
+    none = covariance.quats_and_scales(rows[:0])
     assert (none[0].shape, none[1].shape) == ((0, 4), (0, 3))

@@ -39,7 +39,7 @@ def test_kernels_are_loaded_with_numba_or_for_many_splats(loaded, decoded, expec
     for wanted in (False, True):
         decoding_tiers.use_compiled(wanted)
         decoding_tiers.load_if_worthwhile(decoding_tiers.MIN_SPLATS)
-        decoding_tiers._use_loaded()
+        decoding_tiers._switch_to_compiled()
         assert loader.starts == expected
         assert decoding_tiers.is_compiled() is wanted
 

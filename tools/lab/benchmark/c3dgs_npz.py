@@ -39,16 +39,16 @@ _TRAINING: Final = TrainingConfig(iterations=8)
 
 
 def write(splats: Splats, scores: Scores, path: Path, *, threads: int = 0) -> None:
-    """Write a scene as an npz archive, replacing what is there.
+    """Write a scene as an npz archive; an existing file is replaced.
 
     Parameters
     ----------
     splats : Splats
         Valid rows, at least one.
     scores : Scores
-        Of these splats: codebooks are trained by sensitivity, and what contributes to no view is
-        dropped. The sensitivity of shapes is taken from `Scores.sensitivities`, as the change of
-        the picture with the logarithms of the scales; of shapes as many are kept as of colours.
+        Scores of the splats. Codebooks are trained by sensitivity, and splats without contribution
+        are dropped. The sensitivity of shapes is `Scores.sensitivities` of the log scales. As many
+        shapes are kept as colours.
     path : Path
     threads : int
         0 for all cores; the bytes do not depend on it.
@@ -99,13 +99,13 @@ def write(splats: Splats, scores: Scores, path: Path, *, threads: int = 0) -> No
 
 
 def read(path: Path, info: SceneInfo | None = None) -> Splats:
-    """Read an npz that `write` wrote, without checks for files of other origin.
+    """Read an npz archive from `write`, without validity checks.
 
     Parameters
     ----------
     path : Path
     info : SceneInfo, optional
-        Of the scene, which the archive has no place for.
+        Scene information, which the archive does not store.
 
     Returns
     -------
@@ -162,9 +162,11 @@ def _shapes(splats: Splats, scores: Scores, keep: int, threads: int) -> tuple[F3
     weights = np.sqrt(squared)
     kept = np.zeros(len(splats), np.bool_)
     kept[np.argsort(-weights, kind="stable")[:keep]] = True
-    rows, indices = _clustered(covariance.vectors(quats, splats.scales), weights, kept, threads)
+    rows, indices = _clustered(
+        covariance.shape_vectors(quats, splats.scales), weights, kept, threads
+    )
     clustered = len(rows) - keep
-    row_quats, row_scales = covariance.decompose(rows[:clustered])
+    row_quats, row_scales = covariance.quats_and_scales(rows[:clustered])
     own_scales = splats.scales[kept] - factors[kept, None]
     scales = np.concatenate([row_scales, own_scales.astype(np.float32)])
     return scales, np.concatenate([row_quats, quats[kept]]), indices, factors

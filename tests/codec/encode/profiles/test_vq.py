@@ -107,8 +107,8 @@ def test_every_splat_has_the_nearest_row_as_it_is_stored():
     splats = oracle.scene(5, n=N)
     plan = planned(splats)
     stored = books(plan, 3)
-    vectors = covariance.vectors(plan.quats, plan.scales).astype(np.float64)
-    rows = covariance.vectors(stored[0].quats, stored[0].scales).astype(np.float64)
+    vectors = covariance.shape_vectors(plan.quats, plan.scales).astype(np.float64)
+    rows = covariance.shape_vectors(stored[0].quats, stored[0].scales).astype(np.float64)
     distances = np.linalg.norm(vectors[:, None] - rows, axis=2)
     chosen = distances[np.arange(N), plan.shape_indices]
     np.testing.assert_allclose(chosen, distances.min(axis=1), atol=1e-4)
