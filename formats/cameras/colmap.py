@@ -275,7 +275,7 @@ def _text_records(
 ) -> Iterator[tuple[str, list[str]]]:
     """Yield the location and the fields of each record of a text file.
 
-    `has_points` is for images: a line of points follows each record and is skipped.
+    With `has_points`, as for images, the line of points after each record is skipped.
     """
     number = records = 0
     while line := file.readline(MAX_LINE_BYTES + 1):

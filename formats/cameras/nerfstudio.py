@@ -56,14 +56,15 @@ _ENDINGS: Final = ("", ".png", ".jpg", ".jpeg")
 class _Frames:
     """Values common to all frames of a file.
 
-    `undo` and `scale` revert the transform that was applied to the original poses.
+    `undo` and `scale` revert the transform that was applied to the original poses. `sizes` caches
+    the sizes of images by file path.
     """
 
     root: JsonObject
     folder: Path
     undo: F64
     scale: float
-    # Cached image sizes by file path, because frames often name the same image.
+    # Frames often name the same image.
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
 
 

@@ -83,7 +83,7 @@ def decode_between(
 
 
 def _expected(levels: int) -> str:
-    """Return the expected range of levels, for a message."""
+    """Describe the valid level numbers of a file with `levels` levels, for a message."""
     return f"expected 0 to {levels - 1}" if levels else "expected none: the file has no levels"
 
 

@@ -82,7 +82,7 @@ def unpack_cameras(payload: bytes, where: str, allowed_bytes: int) -> list[Camer
         ``decoded-size``: the cameras exceed `allowed_bytes`.
     """
     values = canonical_msgpack.unpack(
-        payload, where, most_values=MAX_CAMERA_VALUES, allowed_bytes=allowed_bytes
+        payload, where, max_values=MAX_CAMERA_VALUES, allowed_bytes=allowed_bytes
     )
     table = CheckedMap(values, where, "5.8")
     names = table.pop("name", list)

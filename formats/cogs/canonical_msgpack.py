@@ -51,7 +51,7 @@ def pack(value: dict[str, Value]) -> bytes:
 
 
 def unpack(
-    data: bytes, where: str, *, most_values: int = MAX_VALUES, allowed_bytes: int | None = None
+    data: bytes, where: str, *, max_values: int = MAX_VALUES, allowed_bytes: int | None = None
 ) -> dict[str, Value]:
     """Decode a map, and refuse non-canonical or oversized encodings.
 
@@ -61,7 +61,7 @@ def unpack(
         Encoding of exactly one map.
     where : str
         Name of the data in messages.
-    most_values : int
+    max_values : int
         Maximum number of values, including the map itself and its keys.
     allowed_bytes : int, optional
         Memory limit of the values, bytes, at `VALUE_BYTES` each; by default none.
@@ -81,7 +81,7 @@ def unpack(
     The msgpack library is unsuitable for decoding: it allocates arrays of any length that a header
     claims, and hides whether an encoding was the shortest.
     """
-    reader = _Reader(data, where, most_values, allowed_bytes)
+    reader = _Reader(data, where, max_values, allowed_bytes)
     value = reader.value(0)
     if not isinstance(value, dict):
         raise reader.error("msgpack-type", f"{type(value).__name__}, expected a map")
@@ -93,13 +93,11 @@ def unpack(
 class _Reader:
     """Decoder that reads values front to back and allocates nothing for missing elements."""
 
-    def __init__(
-        self, data: bytes, where: str, most_values: int, allowed_bytes: int | None
-    ) -> None:
+    def __init__(self, data: bytes, where: str, max_values: int, allowed_bytes: int | None) -> None:
         self._data = data
         self._where = where
         self._position = 0
-        self._most = most_values
+        self._max_values = max_values
         self._allowed = allowed_bytes
         self._values = 1
 
@@ -208,9 +206,9 @@ class _Reader:
                 "msgpack-truncated", f"{self.left} bytes left, expected {values} for as many values"
             )
         self._values += values
-        if self._values > self._most:
+        if self._values > self._max_values:
             raise self.error(
-                "msgpack-count", f"{self._values} values, expected at most {self._most}"
+                "msgpack-count", f"{self._values} values, expected at most {self._max_values}"
             )
         if self._allowed is not None and self._values * VALUE_BYTES > self._allowed:
             raise LimitError(

@@ -53,7 +53,7 @@ PART_SPLATS: Final = 1 << 18
 _WORTH_THREADS: Final = 50_000
 
 # With kernels, a third of the work still holds that lock, so more threads wait for each other.
-_MOST_WORKERS: Final = 4
+_MAX_WORKERS: Final = 4
 
 
 class ChunkDecoder(StoredFile):
@@ -301,7 +301,7 @@ class ChunkDecoder(StoredFile):
         sh_degree: int | None = None,
         refine: bool = True,
         extras: bool = True,
-        most_splats: int = PART_SPLATS,
+        max_splats: int = PART_SPLATS,
         threads: int = 0,
         progress: Progress = silent,
     ) -> Iterator[Splats]:
@@ -311,7 +311,7 @@ class ChunkDecoder(StoredFile):
         ----------
         chunks, sh_degree, refine, extras, threads, progress
             As in `decode`.
-        most_splats : int
+        max_splats : int
             Maximum number of splats per part; a larger chunk is a part of its own.
 
         Yields
@@ -338,7 +338,7 @@ class ChunkDecoder(StoredFile):
         with file._prefetch(wanted, degree, refine=refine, extras=bool(kinds)):
             while first < len(wanted):
                 stop, rows = first + 1, counts[first]
-                while stop < len(wanted) and rows + counts[stop] <= most_splats:
+                while stop < len(wanted) and rows + counts[stop] <= max_splats:
                     rows += counts[stop]
                     stop += 1
                 yield file._decode(wanted[first:stop], sh_degree, refine, extras, threads=threads)
@@ -483,4 +483,4 @@ class ChunkDecoder(StoredFile):
 def _workers(splats: int) -> int:
     """Return the number of threads that decode a number of splats fastest."""
     pays = decoding_tiers.is_compiled() and splats >= _WORTH_THREADS
-    return min(thread_count(0), _MOST_WORKERS) if pays else 1
+    return min(thread_count(0), _MAX_WORKERS) if pays else 1

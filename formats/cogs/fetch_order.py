@@ -79,7 +79,17 @@ def rows_of_chunk(
 
 
 def codebook_rows(index: Index, rows: Iterable[int], sh_degree: int) -> list[int]:
-    """Return the rows of all codebook segments that some segments need, up to an SH degree."""
+    """Return the rows of the codebook segments, up to an SH degree, that given segments need.
+
+    Parameters
+    ----------
+    index : Index
+        Index of the file.
+    rows : iterable of int
+        Rows of the segments to decode.
+    sh_degree : int
+        Highest SH degree to decode.
+    """
     books = index.root.codebooks
     needed = {book for row in rows for book in needed_codebooks(index.segments, row, len(books))}
     found: list[int] = []

@@ -91,7 +91,7 @@ def is_manifest(head: bytes) -> bool:
 
 
 def index_extents(root_end: int, root: Root) -> list[IndexExtent]:
-    """Return the positions of the root and of each page in the file (SPEC 5.1, 5.6)."""
+    """Return the extents of the root and of each page in the file (SPEC 5.1, 5.6)."""
     end = root_end + int(root.segments.length.sum(dtype=np.uint64))
     found = [IndexExtent(0, root_end, end)]
     for page in root.pages:

@@ -135,7 +135,10 @@ class FolderSource(ObjectSource):
             }
 
     def _object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
-        """Return the ranges of objects that make up a range of the file; read missing pages."""
+        """Return the ranges of objects that make up a range of the file.
+
+        Reads the index pages of the range that the map lacks.
+        """
         with self._lock:
             for page in self._map.pages_for(offset, length):
                 self._map.add_page(page.page, self._manifest.read(page.offset, page.length))

@@ -23,7 +23,7 @@ from .root import HASH_BYTES
 from .verification import read_verified
 
 # Lengths of objects have 32 bits (SPEC 3.4).
-_MOST_OBJECT_BYTES: Final = (1 << 32) - 1
+_MAX_OBJECT_BYTES: Final = (1 << 32) - 1
 
 
 @dataclass(frozen=True)
@@ -192,10 +192,10 @@ def unpack_cogs(
 def _split_objects(file: CogsFile, rows: Sequence[int]) -> list[list[int]]:
     """Split the segments of an object into several objects of at most 4 GiB."""
     parts: list[list[int]] = []
-    size = _MOST_OBJECT_BYTES
+    size = _MAX_OBJECT_BYTES
     for row in rows:
         size += int(file.segments.length[row])
-        if size > _MOST_OBJECT_BYTES:
+        if size > _MAX_OBJECT_BYTES:
             parts.append([])
             size = int(file.segments.length[row])
         parts[-1].append(row)

@@ -14,7 +14,7 @@ from .lazy_index import LazyIndex
 def missing_segment_bytes(source: Source, index: Index | LazyIndex) -> int:
     """Return the total size of the segments that a source with gaps lacks, bytes.
 
-    Segments behind the end of the source are not counted; a file has no gaps, so 0.
+    Segments behind the end of the source are not counted. 0 for a file, which has no gaps.
     """
     return sum(int(index.whole().segments.length[row]) for row in _gaps(source, index))
 

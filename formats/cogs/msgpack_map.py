@@ -49,7 +49,7 @@ class CheckedMap:
         return FormatError(code, f"{self._where}, {key}: {message}", clause=self._clause)
 
     def has(self, key: str) -> bool:
-        """Whether the map still contains a key."""
+        """Whether the map contains a key that was not yet removed by reading it."""
         return key in self._value
 
     def pop(self, key: str, kind: type[_T]) -> _T:

@@ -93,7 +93,8 @@ class ChunkTable:
     quality : (c,) float32
         Predicted PSNR of the prefix that ends with the chunk, dB; 0 for no prediction.
     until : (c,) uint32
-        Number of chunks from which on prefixes do not draw the chunk; 0 for never (SPEC 5.10).
+        Prefixes of this number of chunks or more do not draw the chunk; 0 if all prefixes draw it
+        (SPEC 5.10).
     """
 
     splats: U32

@@ -11,7 +11,7 @@ from .drawn_chunks import drawn_chunks
 from .root import ChunkTable
 
 # Maximum number of labels in a message.
-_MOST_NAMED: Final = 12
+_MAX_NAMED: Final = 12
 
 
 def select_chunks(
@@ -68,6 +68,6 @@ def _chunks_of(table: ChunkTable, objects: set[int]) -> set[int]:
         if label not in there and there in ([], [0]):
             raise ValueError(f"object {label}, expected a file with chunks of one object each")
         if label not in there:
-            some = ", ".join(map(str, there[:_MOST_NAMED])) + " …" * (len(there) > _MOST_NAMED)
+            some = ", ".join(map(str, there[:_MAX_NAMED])) + " …" * (len(there) > _MAX_NAMED)
             raise ValueError(f"object {label}, expected one of {some}")
     return {chunk for chunk, label in enumerate(labels) if label in objects}

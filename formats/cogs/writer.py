@@ -145,7 +145,7 @@ def lay_out(root: Root, segments: Sequence[Segment]) -> list[bytes]:
 
 @dataclass(frozen=True)
 class _Group:
-    """Rows of one index, the root's or a page's, as slices of all segments and chunks."""
+    """Contents of one index (root or page): slices of the file's segments and chunks."""
 
     segments: slice
     chunks: slice

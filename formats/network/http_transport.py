@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import httpx
 
 _REDIRECTS: Final = frozenset({301, 302, 303, 307, 308})
-_MOST_REDIRECTS: Final = 5
+_MAX_REDIRECTS: Final = 5
 
 # Bodies with a Content-Encoding have no byte ranges.
 _PLAIN: Final = {"Accept-Encoding": "identity"}
@@ -129,7 +129,7 @@ class HttpTransport:
         library = self._httpx
         origin = _origin(library.URL(self._given))
         url = library.URL(self._target)
-        for _ in range(_MOST_REDIRECTS + 1):
+        for _ in range(_MAX_REDIRECTS + 1):
             own = self._options.headers if _origin(url) == origin else {}
             wanted = {"Range": f"bytes={first}-{end - 1}"}
             headers = {**own, **_PLAIN, **(_BYPASS_CACHES if bypass_caches else {}), **wanted}
@@ -151,7 +151,7 @@ class HttpTransport:
             await response.aclose()
             url = self._redirect_target(url, response.headers["location"])
         raise StorageError(
-            "redirect-loop", f"{self._name}: more than {_MOST_REDIRECTS} redirects, expected a file"
+            "redirect-loop", f"{self._name}: more than {_MAX_REDIRECTS} redirects, expected a file"
         )
 
     def _redirect_target(self, url: Any, location: str) -> Any:

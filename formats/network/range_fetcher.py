@@ -25,7 +25,7 @@ BEGINNING_BYTES: Final = 64 * KIB
 _INITIAL_REQUEST_BYTES: Final = 256 * KIB
 
 # After this many different ETags with unchanged bytes, the server's ETags are ignored.
-_MOST_ETAGS: Final = 4
+_MAX_ETAGS: Final = 4
 
 # A range queued behind fewer bytes than this keeps its place: joined with its neighbours it costs
 # no request of its own.
@@ -36,7 +36,7 @@ _WHOLE_AHEAD_BYTES: Final = 4 << 20
 
 
 class RangeFetcher:
-    """Fetcher of byte ranges in an event loop; readers in other threads wait on `arrival`.
+    """Fetcher of byte ranges in an event loop, for readers in further threads.
 
     Parameters
     ----------
@@ -306,7 +306,7 @@ class RangeFetcher:
                 "while it was read: open it again",
             )
         etag = head.etag
-        if etag is None or etag in self._etags or len(self._etags) >= _MOST_ETAGS:
+        if etag is None or etag in self._etags or len(self._etags) >= _MAX_ETAGS:
             return
         # Servers of one name may state different ETags of the same bytes.
         if self._etags and not await self._has_same_beginning():

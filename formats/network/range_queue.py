@@ -147,15 +147,15 @@ class RangeQueue:
         _skip_settled(self._urgent)
         return bool(self._urgent)
 
-    def bytes_before(self, pending: PendingRange, most: int) -> int:
-        """Return the number of prefetched bytes queued before a range, capped at `most`."""
+    def bytes_before(self, pending: PendingRange, cap: int) -> int:
+        """Return the number of prefetched bytes queued before a range, at most `cap`."""
         count = 0
         for other in self._prefetched:
-            if other is pending or count >= most:
-                return min(count, most)
+            if other is pending or count >= cap:
+                return min(count, cap)
             if not (other.is_dropped or other.is_started):
                 count += other.length
-        return most
+        return cap
 
     def clear(self) -> list[PendingRange]:
         """Empty both queues and return their ranges."""
@@ -164,14 +164,14 @@ class RangeQueue:
         self._prefetched.clear()
         return ranges
 
-    def next_request(self, most_bytes: int) -> Request | None:
+    def next_request(self, max_bytes: int) -> Request | None:
         """Remove the next range and its close successors from a queue, joined into one request.
 
         Prefetched ranges are requested only when the urgent queue is empty.
 
         Parameters
         ----------
-        most_bytes : int
+        max_bytes : int
             Maximum size of a request that joins several ranges, bytes; `request_bytes` limits it
             as well.
 
@@ -193,7 +193,7 @@ class RangeQueue:
             following = queue[0]
             start, stop = min(first, following.position), max(end, following.end)
             gap = max(following.position - end, first - following.end, 0)
-            if gap > self._gap_bytes or stop - start > min(most_bytes, self._request_bytes):
+            if gap > self._gap_bytes or stop - start > min(max_bytes, self._request_bytes):
                 break
             first, end = start, stop
             ranges.append(queue.popleft())

@@ -21,7 +21,7 @@ class SegmentCache:
     ----------
     folder : Path
         Folder of the cache; created if it does not exist.
-    most_bytes : int
+    max_bytes : int
         Approximate size limit, bytes.
 
     Examples
@@ -29,16 +29,16 @@ class SegmentCache:
     >>> import hashlib
     >>> from pathlib import Path
     >>> from cogsplat.formats.network.segment_cache import SegmentCache
-    >>> cache = SegmentCache(Path("kept"), most_bytes=1 << 20)
+    >>> cache = SegmentCache(Path("kept"), max_bytes=1 << 20)
     >>> key = hashlib.sha256(b"segment").digest()[:16]
     >>> cache.put(key, b"segment")
     >>> cache.get(key)
     b'segment'
     """
 
-    def __init__(self, folder: Path, most_bytes: int) -> None:
+    def __init__(self, folder: Path, max_bytes: int) -> None:
         self._folder = folder
-        self._most_bytes = most_bytes
+        self._max_bytes = max_bytes
         self._added = 0
 
     def has(self, key: bytes) -> bool:
@@ -74,7 +74,7 @@ class SegmentCache:
             # The disk is full or the folder read-only: the cache is optional.
             return
         self._added += len(data)
-        if self._added > self._most_bytes * (1 - _KEPT_SHARE):
+        if self._added > self._max_bytes * (1 - _KEPT_SHARE):
             self._added = 0
             self._evict()
 
@@ -82,12 +82,12 @@ class SegmentCache:
         """Remove the least recently used segments if the cache exceeds its size limit."""
         files = [(path, path.stat()) for path in self._folder.iterdir() if path.is_file()]
         size = sum(status.st_size for _, status in files)
-        if size <= self._most_bytes:
+        if size <= self._max_bytes:
             return
         for path, status in sorted(files, key=lambda entry: entry[1].st_mtime_ns):
             path.unlink(missing_ok=True)
             size -= status.st_size
-            if size <= self._most_bytes * _KEPT_SHARE:
+            if size <= self._max_bytes * _KEPT_SHARE:
                 return
 
 

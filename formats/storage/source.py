@@ -22,8 +22,8 @@ class Source(Protocol):
     -----
     Three further members are optional. The attribute ``first_request_bytes`` is the best size of
     the first read, bytes. The method ``holds(offset, length)`` is for sources with gaps: it says
-    whether a range is present. The attribute ``stored_bytes`` is the size of the storage, bytes,
-    where it is below `size`.
+    whether a range is present. The attribute ``stored_bytes`` is the number of bytes that
+    the source occupies, where it is below `size`, as in a folder with missing objects.
     """
 
     @property
@@ -274,7 +274,7 @@ class PrefixSource:
 
     @property
     def stored_bytes(self) -> int:
-        """Size of the storage, bytes, capped at the prefix."""
+        """Number of bytes that the whole source occupies, capped at the length of the prefix."""
         return min(self._size, stored_bytes(self._source))
 
     def prefetch(
@@ -319,7 +319,10 @@ def has_range(source: Source, offset: int, length: int) -> bool:
 
 
 def stored_bytes(source: Source) -> int:
-    """Return the size of a source's storage, bytes; by default its length."""
+    """Return the number of bytes that a source occupies, which may be below its length.
+
+    For a folder, the length of its manifest and objects; by default the length of the source.
+    """
     return int(getattr(source, "stored_bytes", source.size))
 
 

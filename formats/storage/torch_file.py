@@ -33,13 +33,13 @@ CODE: Final = "torch-file"
 
 # A training checkpoint with its optimiser has some hundred tensors of about 200 bytes of pickle
 # each. An opcode of one byte may make an object of 64 bytes.
-_MOST_PICKLE_BYTES: Final = 1 << 19
+_MAX_PICKLE_BYTES: Final = 1 << 19
 
 # Some hundred entries of about 100 bytes each, and the last 64 KiB, where the directory's end is.
-_MOST_DIRECTORY_BYTES: Final = 1 << 20
+_MAX_DIRECTORY_BYTES: Final = 1 << 20
 
 # VGG-16 with its classifier has 528 MiB.
-_MOST_BYTES: Final = 1 << 30
+_MAX_BYTES: Final = 1 << 30
 
 _DTYPES: Final[Mapping[str, str]] = {
     "FloatStorage": "<f4",
@@ -144,7 +144,7 @@ def _open_archive(path: StrPath) -> Iterator[zipfile.ZipFile]:
     with storage_errors(path), open_for_read(path) as file:
         try:
             with open_zip(
-                file, _MOST_DIRECTORY_BYTES, lambda found: _refusal(path, found)
+                file, _MAX_DIRECTORY_BYTES, lambda found: _refusal(path, found)
             ) as archive:
                 yield archive
         except DataError:
@@ -164,7 +164,7 @@ def _unpickle(archive: zipfile.ZipFile) -> object:
     if name is None:
         raise zipfile.BadZipFile("no pickle in the ZIP file")
     folder = name[: -len("data.pkl")]
-    data = _read_stored(archive, name, _MOST_PICKLE_BYTES)
+    data = _read_stored(archive, name, _MAX_PICKLE_BYTES)
     for opcode, number, position in pickletools.genops(data):
         if opcode.name in _STORES and isinstance(number, int) and number > len(data):
             raise pickle.UnpicklingError(
@@ -173,19 +173,19 @@ def _unpickle(archive: zipfile.ZipFile) -> object:
             )
     stream = io.BytesIO(data)
     return _TensorUnpickler(
-        stream, lambda key: _read_stored(archive, f"{folder}data/{key}", _MOST_BYTES)
+        stream, lambda key: _read_stored(archive, f"{folder}data/{key}", _MAX_BYTES)
     ).load()
 
 
-def _read_stored(archive: zipfile.ZipFile, name: str, most: int) -> bytes:
-    """Return the bytes of an uncompressed entry; refuse a compressed one, or more than `most`."""
+def _read_stored(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
+    """Return the bytes of a ZIP entry; refuse a compressed entry, or one above `max_bytes`."""
     entry = archive.getinfo(name)
     if entry.compress_type != zipfile.ZIP_STORED or entry.file_size > min(
-        most, entry.compress_size
+        max_bytes, entry.compress_size
     ):
         raise zipfile.BadZipFile(
             f"{name[:60]} of {entry.compress_size} bytes, {entry.file_size} unpacked, expected it "
-            f"uncompressed and at most {most} bytes"
+            f"uncompressed and at most {max_bytes} bytes"
         )
     return archive.read(entry)
 
@@ -211,8 +211,8 @@ def read_state_dict(path: StrPath) -> dict[str, F32]:
         ``torch-file``: another format, or objects other than named arrays.
     """
     with _open_archive(path) as archive:
-        if sum(entry.file_size for entry in archive.infolist()) > _MOST_BYTES:
-            raise _refusal(path, f"more than {_MOST_BYTES} bytes")
+        if sum(entry.file_size for entry in archive.infolist()) > _MAX_BYTES:
+            raise _refusal(path, f"more than {_MAX_BYTES} bytes")
         if _pickle_name(archive) is None:
             names = archive.namelist()
             return {name.removesuffix(".npy"): _read_npy(archive, name) for name in names}

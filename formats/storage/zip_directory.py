@@ -13,7 +13,7 @@ _LOCAL_HEADER_BYTES: Final = 30
 
 
 def open_zip(
-    file: BinaryIO, most_bytes: int, refusal: Callable[[str], CogsplatError]
+    file: BinaryIO, max_bytes: int, refusal: Callable[[str], CogsplatError]
 ) -> zipfile.ZipFile:
     """Open a ZIP file for reading; refuse a large directory and overlapping entries.
 
@@ -24,7 +24,7 @@ def open_zip(
     ----------
     file : BinaryIO
         Seekable file open for reading.
-    most_bytes : int
+    max_bytes : int
         Read limit for the directory, bytes. An entry takes 46 bytes and its name; the search for
         the directory's end reads the last 64 KiB of the file twice.
     refusal : callable
@@ -39,7 +39,7 @@ def open_zip(
     Exception
         Errors of `zipfile.ZipFile` for a damaged file.
     """
-    limited = _LimitedFile(file, most_bytes, refusal)
+    limited = _LimitedFile(file, max_bytes, refusal)
     archive = zipfile.ZipFile(cast("BinaryIO", limited))
     limited.is_unlimited = True
     _check_overlaps(archive)
@@ -63,11 +63,11 @@ class _LimitedFile:
     """File with a limit on the bytes read in total, until `is_unlimited` is set."""
 
     def __init__(
-        self, file: BinaryIO, most_bytes: int, refusal: Callable[[str], CogsplatError]
+        self, file: BinaryIO, max_bytes: int, refusal: Callable[[str], CogsplatError]
     ) -> None:
         self._file = file
-        self._most = most_bytes
-        self._left = most_bytes
+        self._max_bytes = max_bytes
+        self._left = max_bytes
         self._refusal = refusal
         self.is_unlimited = False
         self.seek = file.seek
@@ -80,6 +80,6 @@ class _LimitedFile:
             return self._file.read(size)
         data = self._file.read(self._left + 1 if size < 0 else min(size, self._left + 1))
         if len(data) > self._left:
-            raise self._refusal(f"a ZIP directory of more than {self._most} bytes")
+            raise self._refusal(f"a ZIP directory of more than {self._max_bytes} bytes")
         self._left -= len(data)
         return data

@@ -450,13 +450,13 @@ def _pack(splats: Splats) -> tuple[dict[str, object], dict[str, U8]]:
 
 
 def _pack_means(means: F32) -> tuple[NDArray[np.uint16], list[float], list[float]]:
-    """Quantise means to 16 bits in the symmetric log of section 3.1.
+    """Quantise means to 16 bits, in the symmetric log of SOG (section 3.1).
 
     Returns
     -------
     codes : (N, 3) uint16
     low, high : list of float
-        Range of the codes on each axis.
+        Logs, on each axis, that codes 0 and 65535 stand for.
     """
     wide = means.astype(np.float64)
     logs = np.copysign(np.log1p(np.abs(wide)), wide)

@@ -69,18 +69,18 @@ def test_what_was_packed_comes_back(value):
 def test_lengths_at_which_headers_change(length):
     for content in ("x" * length, b"x" * length, [None] * length):
         value = {"": content}
-        assert unpack(pack(value), "here", most_values=1 << 18) == value
+        assert unpack(pack(value), "here", max_values=1 << 18) == value
     wide = {str(i): None for i in range(length)}
-    assert unpack(pack(wide), "here", most_values=1 << 18) == wide
+    assert unpack(pack(wide), "here", max_values=1 << 18) == wide
 
 
 def test_values_are_counted_with_their_keys():
     # The map, two keys, an array and its three elements, an empty map.
     value = {"a": [1, [], {}], "b": {"c": None}}
     data = pack(value)
-    assert unpack(data, "here", most_values=10) == value
+    assert unpack(data, "here", max_values=10) == value
     with pytest.raises(FormatError) as caught:
-        unpack(data, "here", most_values=9)
+        unpack(data, "here", max_values=9)
     assert caught.value.code == "msgpack-count"
     assert unpack(data, "here", allowed_bytes=10 * VALUE_BYTES) == value
     with pytest.raises(LimitError) as refused:
@@ -92,7 +92,7 @@ def test_values_take_no_more_memory_than_is_counted():
     count = 60_000
     data = pack({"names": [f"{i:06}.jpg" for i in range(count)], "numbers": [1.5] * count})
     start_tracing()
-    found = unpack(data, "here", most_values=1 << 18)
+    found = unpack(data, "here", max_values=1 << 18)
     used, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert len(found["names"]) == count
@@ -111,7 +111,7 @@ def test_floats_keep_their_bits():
 
 
 def oracle(data):
-    """What msgpack's own reader makes of it, None where our rules or its own refuse it."""
+    """Return the value that msgpack reads; None if msgpack or our rules refuse the bytes."""
 
     def pairs(items):
         if len({k for k, _ in items}) != len(items) or not all(
@@ -163,7 +163,7 @@ def test_nests_of_large_claims_allocate_nothing():
     data = b"\x81\xa1x" + b"\xdc\xff\xff" * 7 + bytes(1 << 16)
     start_tracing()
     with pytest.raises(FormatError) as caught:
-        unpack(data, "here", most_values=1 << 20)
+        unpack(data, "here", max_values=1 << 20)
     assert caught.value.code == "msgpack-truncated"
     assert code(data) == "msgpack-count"
     _, peak = tracemalloc.get_traced_memory()

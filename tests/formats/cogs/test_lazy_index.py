@@ -76,7 +76,7 @@ def test_what_later_pages_list_of_a_chunk_is_read(data):
             file.decode(chunks, sh_degree=0, refine=False),
             local.decode(chunks, sh_degree=0, refine=False),
         )
-        parts = list(file.decode_parts(chunks, most_splats=1))
+        parts = list(file.decode_parts(chunks, max_splats=1))
         assert_same(parts[2], local.decode(chunks[2:]))
         with file.stream(priority=lambda chunk: 1.0 if chunk == 7 else -1.0) as updates:
             assert_same(list(updates)[-1].splats, local.decode([7]))

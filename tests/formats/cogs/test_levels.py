@@ -23,7 +23,7 @@ def file():
 
 
 class Counting(BytesSource):
-    """Bytes that note what is read of them."""
+    """Source over bytes that records the range of each read."""
 
     def __init__(self, data):
         super().__init__(data)
@@ -94,7 +94,7 @@ def test_chunks_asked_for_by_number_are_given_though_they_ended(file):
     assert file.select() == [0, 3, 4, 5]
     assert file.select(splats=int(file.chunks.splats[:3].sum())) == [0, 1, 2]
     assert [len(part) for part in file.iter_chunks()] == file.chunks.splats[[0, 3, 4, 5]].tolist()
-    parts = list(file.decode_parts(most_splats=1))
+    parts = list(file.decode_parts(max_splats=1))
     assert sum(map(len, parts)) == len(file.decode())
 
 

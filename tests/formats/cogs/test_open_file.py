@@ -37,7 +37,7 @@ def test_a_url_gives_the_same_as_a_file(data, kernels):
         with cogsplat.open(server.url()) as file:
             assert_same(file.decode([2, 0]), cogsplat.open(data).decode([2, 0]))
             assert_same(cogsplat.open(data).decode(threads=2), whole)
-            parts = list(file.decode_parts(most_splats=1000))
+            parts = list(file.decode_parts(max_splats=1000))
             assert sum(len(part) for part in parts) == len(whole)
             assert_same(next(iter(file.iter_chunks())), parts[0], slice(500))
         with cogsplat.open(server.url(), size_bytes=len(data) // 2) as file:

@@ -29,7 +29,7 @@ def ends_of(file):
 
 
 class Counting(BytesSource):
-    """Remembers what was read."""
+    """Source over bytes that records the range of each read."""
 
     def __init__(self, data):
         super().__init__(data)
@@ -112,19 +112,19 @@ def test_chunks_in_random_order_are_rows_of_the_whole(data):
             assert_same(splats, whole, slice(ends[chunk], ends[chunk + 1]))
 
 
-@pytest.mark.parametrize("most_splats", [1, 150, 10_000])
-def test_parts_joined_are_the_whole(data, most_splats):
+@pytest.mark.parametrize("max_splats", [1, 150, 10_000])
+def test_parts_joined_are_the_whole(data, max_splats):
     with open_cogs(BytesSource(data)) as file:
         whole, calls = file.decode(), []
         parts = list(
-            file.decode_parts(most_splats=most_splats, progress=lambda *call: calls.append(call))
+            file.decode_parts(max_splats=max_splats, progress=lambda *call: calls.append(call))
         )
         assert_same(concatenate(parts), whole)
         largest = int(file.chunks.splats.max())
-        assert all(len(part) <= max(most_splats, largest) for part in parts)
+        assert all(len(part) <= max(max_splats, largest) for part in parts)
         assert len(calls) == len(parts)
         assert calls[-1] == ("decode", file.num_chunks, file.num_chunks)
-        some = list(file.decode_parts([1, 0], sh_degree=0, refine=False, most_splats=most_splats))
+        some = list(file.decode_parts([1, 0], sh_degree=0, refine=False, max_splats=max_splats))
         assert_same(concatenate(some), file.decode([1, 0], sh_degree=0, refine=False))
         assert list(file.decode_parts([])) == []
 
@@ -133,7 +133,7 @@ def test_a_file_that_is_too_large_as_a_whole_gives_no_part(data):
     with open_cogs(BytesSource(data), limits=Limits(splats=200)) as file:
         assert file.root.splats > 200
         with pytest.raises(LimitError) as refused:
-            next(file.decode_parts(most_splats=10))
+            next(file.decode_parts(max_splats=10))
     assert refused.value.code == "too-many-splats"
 
 
@@ -415,5 +415,5 @@ def test_parts_count_once_towards_loading_kernels(monkeypatch):
     counted = []
     monkeypatch.setattr(decoding_tiers, "load_if_worthwhile", counted.append)
     with open_cogs(BytesSource(file_of("transform"))) as file:
-        assert sum(map(len, file.decode_parts(most_splats=1))) == file.root.splats
+        assert sum(map(len, file.decode_parts(max_splats=1))) == file.root.splats
         assert counted == [file.root.splats]

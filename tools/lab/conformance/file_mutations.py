@@ -54,7 +54,7 @@ class Mutant:
     seed_file : str
         Name of the file that it was made from.
     change : str
-        What was done to it, in a few words.
+        Short description of the mutation.
     data : bytes
     partial : bool
         Whether it is read as the beginning of a file (SPEC 8.3).
@@ -84,7 +84,7 @@ class _Parts:
 
 
 def make_mutant(files: Sequence[tuple[str, bytes]], seed: int, number: int) -> Mutant:
-    """Return mutant `number` of a seeded run; it does not depend on the others.
+    """Return mutant `number` of a seeded run, independent of all further mutants.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def _mutate_payload(parts: _Parts, other: _Parts, rng: random.Random) -> str:
     payload = parts.payloads[index][row]
     kind = parts.kind(place)
     if kind in _MAP_KINDS and rng.random() < 0.9:
-        values = unpack(payload, "payload", most_values=131_072)
+        values = unpack(payload, "payload", max_values=131_072)
         rng.choice((_mutate_map, _mutate_column))(values, rng)
         parts.payloads[index][row] = pack(values)
         return "map of a payload"
