@@ -174,7 +174,7 @@ def open(
 
 
 def _show_in_notebooks() -> None:
-    """Have the notebook that runs this, if any, show open files."""
+    """Register the viewer of open files with the running notebook, if there is one."""
     # Outside notebooks nothing has imported IPython, and nothing is imported here.
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
@@ -185,7 +185,7 @@ def _show_in_notebooks() -> None:
 def _bundle(file: CogsFile) -> object:
     """Return the MIME bundle that a notebook shows for an open file, or None.
 
-    It comes from an entry point, since the viewer stands above this module, which cannot import it.
+    The viewer makes it, found by an entry point: this module must not import the tools.
     """
     for entry in entry_points(group="cogsplat.display"):
         return entry.load()(file)
@@ -221,7 +221,7 @@ def decode(
     size_bytes : int, optional
         Length, bytes, of the part of the file to decode; incomplete segments are ignored.
     objects : sequence of int, optional
-        The chunks of these objects alone, by label; `splats` counts theirs.
+        Labels of the objects whose chunks to decode; `splats` then counts in these chunks only.
     sh_degree : int, optional
         Highest SH degree to decode, 0 to 3.
     refine : bool
@@ -236,7 +236,7 @@ def decode(
     network : NetworkOptions, optional
         How a URL is read. A file that changes while it is read is read once more.
     threads : int
-        0 uses as many as pay.
+        Number of threads; 0 chooses.
     progress : Progress
 
     Returns

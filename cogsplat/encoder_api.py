@@ -247,7 +247,7 @@ def layers(
     force: bool = False,
     progress: Progress = silent,
 ) -> EncodeReport:
-    """Make a scene into levels for pictures of several sizes, in one COGS file.
+    """Train levels of detail of a scene, for several picture sizes, and write one COGS file.
 
     Parameters
     ----------
@@ -318,11 +318,12 @@ def compare(
     reference, other : Splats or path
         Scenes in memory, or files of any known format.
     cameras : sequence of Camera or path
-        Views to render, or a file for `read_cameras`; views off their path are added.
+        Views to render, or a file for `read_cameras`. For each, two more views off the capture
+        path are measured: one moved back, one rotated.
     threads : int
         Number of threads, 0 for all cores.
     progress : Progress
-        Called with the stages ``held-out`` and ``roam``.
+        Called with the stages ``held-out``, the given views, and ``roam``, the others.
 
     Examples
     --------
@@ -390,7 +391,7 @@ def score(
     cameras : sequence of Camera or path
         Views to score in, or a file for `read_cameras`.
     config : ScoreConfig, optional
-        Weights that count, jittered views, device.
+        Selection of blending weights, jittered copies of the views, device.
     progress : Progress
         Called with the stage ``score``.
 
@@ -414,14 +415,14 @@ def _require_scene(scene: object) -> None:
 
 
 def _require_output(path: _Path, force: bool, *inputs: object) -> None:
-    """Refuse an output that cannot be written, before minutes of work."""
+    """Refuse an output that exists without `force`, is an input, or cannot be written."""
     _require_scene(inputs[0])
     paths = [given for given in inputs if isinstance(given, str | os.PathLike)]
     check_output(path, force=force, inputs=paths)
 
 
 def _splats(scene: Splats | _Path, workspace: Workspace | None = None) -> Splats:
-    """Return a scene, read from its file where a path is given."""
+    """Return a scene, read from its file where a path is given; `workspace` stores its arrays."""
     if isinstance(scene, Splats):
         return scene
     if is_cogs(scene):

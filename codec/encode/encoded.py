@@ -248,7 +248,7 @@ class EncodedScene:
     compressed: bool = True
 
     def prefix_splats(self, chunks: int) -> Splats:
-        """Return the decoded splats that a prefix draws (SPEC 5.10).
+        """Return the refined splats of a prefix, without replaced chunks (SPEC 5.10).
 
         Parameters
         ----------

@@ -109,7 +109,7 @@ def compress_chunks(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> EncodedScene:
-    """Compress the planes of a scene that was encoded without compression.
+    """Compress the planes of a scene whose chunks were encoded uncompressed.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def _write_rows(rows: Splats, out: Splats) -> None:
 # Worker processes of an executor have a BLAS of their own.
 @one_blas_thread()
 def _encode_chunk(run: slice, plan: _Plan) -> tuple[Payloads, NDArray[np.float64], Splats]:
-    """Encode the rows of a chunk; return its payloads, the box it reaches and its decoded rows."""
+    """Encode the rows of a chunk; return its payloads, bounding box and decoded rows."""
     payloads = plan.planned.encode_chunk(run)
     rows = empty(plan.blank.sh_degree, run.stop - run.start, plan.blank.info)
     reach = _decode_chunk(payloads, plan.codebooks, rows)
@@ -215,7 +215,7 @@ def _chunk(
 def _decode_chunk(
     payloads: Payloads, codebooks: Mapping[int, Codebook], out: Splats
 ) -> NDArray[np.float64]:
-    """Decode a chunk into `out`; return the bounding box of its coarse and its refined splats."""
+    """Decode a chunk into `out`; return one bounding box around its coarse and refined splats."""
     head = memoryview(payloads.head)
     # The box must contain the coarse splats of the head as well: coarse steps move them.
     decode_head(head, codebooks, out, "chunk")

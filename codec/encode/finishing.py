@@ -37,7 +37,10 @@ _PLACEHOLDER_DB = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Finisher:
-    """Last step of an encode: adds to encoded chunks whatever is measured on decoded splats.
+    """Last step of an encode: additions to the chunks that need decoded splats.
+
+    They are the view table, preview splats, compensation and predicted quality. A search for a
+    target repeats the encode.
 
     Parameters
     ----------
@@ -57,7 +60,7 @@ class Finisher:
     preview : PreviewMaker or None
         Maker of preview splats; None for a file without a preview.
     size_of : callable or None
-        Size of a file in bytes; needed for a target size.
+        Returns the size of an encoded scene's file, bytes; needed for a target size.
     executor : Executor or None
         Runs the work of single views and chunks; None for threads of this process.
     progress : Progress

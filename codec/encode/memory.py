@@ -32,8 +32,8 @@ _WAITING: Final = 2 * 132
 # Bytes per splat that are never mapped: row numbers, energies, masks and payloads.
 _KEPT: Final = 60
 
-# Bytes per splat of the order by gain and the compensation fit: with a view on each core, and with
-# mapped files, where one view is rendered at a time.
+# Bytes per splat of the order by marginal gain and the compensation fit: with a view on each
+# core, and with mapped files, where one view is rendered at a time.
 _GAIN: Final = 400
 _GAIN_OUT_OF_CORE: Final = 110
 

@@ -151,7 +151,7 @@ def _without_pictures(splats: Splats, request: EncodeRequest, scored: ScoredView
 def _render_references(
     splats: Splats, request: EncodeRequest, scored: ScoredViews, progress: Progress
 ) -> ReferenceViews | None:
-    """Return the pictures that the order by gain and compensation compare prefixes with."""
+    """Return the ground-truth renders for the order by marginal gain and for compensation."""
     config, effort = request.config, request.effort
     compared = config.compensates or split_name(config.order)[0] == "gain"
     if not (compared and scored.views and len(splats)):

@@ -43,8 +43,8 @@ class Preset:
         Views at most in which the whole scene is measured and the nominal quality corrected. A mean
         over few views depends on the choice of views.
     reference_views : int
-        Cameras at most whose pictures the order by gain and compensation compare with; never more
-        than `reference_views.MAX_VIEWS`.
+        Ground-truth renders at most for the order by marginal gain and for compensation; never
+        more than `reference_views.MAX_VIEWS`.
     reference_share : float
         Pixels of a reference view at most, as a share of `reference_views.PICTURE_PIXELS`.
     reference_jitter : bool

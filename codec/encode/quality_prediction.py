@@ -34,10 +34,10 @@ _MAX_PREFIXES: Final = 8
 
 
 def _draw(
-    view: Camera, splats: Splats, *, config: RenderConfig, size: int | None = None
+    view: Camera, splats: Splats, *, config: RenderConfig, first: int | None = None
 ) -> NDArray[np.float32]:
-    """Render the compared pixels of a view, (P, 3), from all splats or from the first `size`."""
-    splats = splats.take(slice(0, size))
+    """Render the compared pixels of a view, (P, 3), from all splats or the `first` ones."""
+    splats = splats.take(slice(0, first))
     every = max(1, view.width * view.height // _MIN_PIXELS)
     return render_tiles(splats, view, every, config)
 
@@ -97,7 +97,7 @@ class PrefixEvaluator:
         return float(np.mean(self.views_db(splats)))
 
     def views_db(
-        self, splats: Splats, views: Sequence[int] | None = None, *, size: int | None = None
+        self, splats: Splats, views: Sequence[int] | None = None, *, first: int | None = None
     ) -> list[float]:
         """Return the PSNR of a scene in each test view, dB, at most 100.
 
@@ -107,13 +107,13 @@ class PrefixEvaluator:
             Scene to measure.
         views : sequence of int, optional
             Numbers of the test views to render; None for all.
-        size : int, optional
-            Number of first splats to render; None for all.
+        first : int, optional
+            Number of splats to render, from the first on; None for all.
         """
         numbers = range(len(self._views)) if views is None else views
 
         seen = [self._views[number] for number in numbers]
-        draw = partial(_draw, config=self._config, size=size)
+        draw = partial(_draw, config=self._config, first=first)
         found = self._executor.map(draw, seen, splats)
         return [
             float(psnr(self._expected[number], pixels))
@@ -127,8 +127,8 @@ class PrefixEvaluator:
         if any(chunk.until for chunk in encoded.chunks):
             return self.views_db(encoded.prefix_splats(chunks), views)
         # The same array for all prefixes: an executor sends it to its workers once.
-        size = sum(chunk.splats for chunk in encoded.chunks[:chunks])
-        return self.views_db(encoded.decoded, views, size=size)
+        first = sum(chunk.splats for chunk in encoded.chunks[:chunks])
+        return self.views_db(encoded.decoded, views, first=first)
 
     def prefixes_db(
         self,

@@ -122,10 +122,9 @@ def search_nominal(
 ) -> SearchResult:
     """Encode at a nominal quality; correct it if the measured PSNR is far off.
 
-    λ follows from the nominal quality and the energies of the scored views, calibrated on trained
-    scenes in their own cameras. Planned views may be nearer or further than visitors, so that the
-    PSNR is up to 12 dB above the nominal quality. After the correction it is within about
-    `NOMINAL_TOLERANCE_DB`.
+    The relation of nominal quality and PSNR was calibrated on trained scenes in their own cameras.
+    In planned views, at other distances, the PSNR is up to 12 dB above the nominal quality. The
+    correction brings it within about `NOMINAL_TOLERANCE_DB`.
 
     Parameters
     ----------
@@ -276,9 +275,9 @@ class _Goal:
     value : float
         Value aimed at.
     rise : float
-        Typical rise of the value per nominal dB.
+        Typical slope: rise of the value per nominal dB.
     start_db : float
-        First nominal quality, dB.
+        Nominal quality of the first trial, dB.
     is_enough : callable
         Tells whether a value is near enough to stop.
     is_better : callable

@@ -54,7 +54,7 @@ class EncodeRequest:
     Raises
     ------
     ValueError
-        An unknown preset; an order by gain with scores and no cameras; a target for the profile
+        An unknown preset; the order ``gain`` with scores and no cameras; a target for the profile
         `near-lossless`; an executor or a preview together with a memory limit.
 
     Examples

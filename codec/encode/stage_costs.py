@@ -33,13 +33,13 @@ _SCORE: Final = (1.4e-7, 1.1e-6)
 _REFERENCE: Final = (6e-8, 9e-7)
 _PREDICT: Final = (9.3e-7, 1.4e-6)
 # Share of reference views that remains without jittered copies, of which each view has two.
-_WITHOUT_COPIES: Final = 1 / 3
+_WITHOUT_JITTER: Final = 1 / 3
 # Costs with the preset `balanced`: fixed, and for each splat.
 _GAIN: Final = (5.5, 6e-5)
 _COMPENSATE: Final = (1.35, 3.7e-5)
 # Cost per view of a view table: for each pixel, and for each splat.
 _VIEW_TABLE: Final = (1.4e-7, 4e-7)
-# The first prefix of the order by gain, as a share of the scene.
+# The first prefix of the order by marginal gain, as a share of the scene.
 _FIRST_PREFIX: Final = 1 / 8000
 _PREVIEW: Final = 16.0
 _ORDER: Final = (1e-3, 7e-8)
@@ -94,8 +94,8 @@ def stage_costs(splats: int, request: EncodeRequest, *, scored: bool = False) ->
         costs.append(_scoring(splats, views, pixels, preset, jitter=jitter))
     if seen and (fits or order == "gain"):
         share = preset.reference_share
-        drawn = 1.0 if preset.reference_jitter else _WITHOUT_COPIES
-        costs.append(_references(splats, min(views, preset.reference_views), share * pixels, drawn))
+        ratio = 1.0 if preset.reference_jitter else _WITHOUT_JITTER
+        costs.append(_references(splats, min(views, preset.reference_views), share * pixels, ratio))
     if order == "gain":
         costs.append(_gain(splats, preset))
     costs.append(StageCost("order", _of_scene(_ORDER, splats)))
@@ -190,21 +190,21 @@ def _scoring(splats: int, views: int, pixels: float, preset: Preset, *, jitter: 
     return StageCost("score", _of_view(_SCORE, pixels, splats), steps)
 
 
-def _references(splats: int, views: int, pixels: float, drawn: float = 1.0) -> StageCost:
-    """Return the cost of rendering reference views."""
-    return StageCost("reference views", drawn * _of_view(_REFERENCE, pixels, splats), views)
+def _references(splats: int, views: int, pixels: float, ratio: float = 1.0) -> StageCost:
+    """Return the cost of rendering reference views, times the `ratio` that is rendered."""
+    return StageCost("reference views", ratio * _of_view(_REFERENCE, pixels, splats), views)
 
 
 def _gain(splats: int, preset: Preset) -> StageCost:
-    """Return the cost of the order by gain."""
-    work = _draws(preset.gain) / _draws(GainEffort())
+    """Return the cost of the order by marginal gain."""
+    work = _gain_renders(preset.gain) / _gain_renders(GainEffort())
     fixed, each = _GAIN
     fixed *= preset.reference_share
     return StageCost("gain", work * _of_scene((fixed, each), splats))
 
 
-def _draws(effort: GainEffort) -> float:
-    """Estimate the number of views rendered by the order by gain."""
+def _gain_renders(effort: GainEffort) -> float:
+    """Estimate the number of views that the order by marginal gain renders."""
     return effort.views * math.log(effort.until / _FIRST_PREFIX) / math.log1p(effort.growth)
 
 

@@ -33,9 +33,9 @@ _POLL_S: Final = 0.05
 # Queued tasks per worker thread, so that no thread is idle while the client reads results.
 _QUEUED_TASKS: Final = 2
 
-# A short map over small arrays is usually one of many, e.g. in the order by gain or in training.
-# There the scheduler's cost per task exceeds the gain of balancing single items, so a task gets up
-# to `_BATCH_ITEMS` items. With two workers this cut the processor time of client and scheduler from
+# A short map over small arrays is usually one of many, e.g. in training. There the
+# scheduler's cost per task exceeds the gain of balancing single items, so a task gets up to
+# `_BATCH_ITEMS` items. With two workers this cut the processor time of client and scheduler from
 # 13.3 s to 7.4 s. Larger arrays give larger results, of which a batch would take too much memory.
 _SHORT_MAP_ITEMS: Final = 32
 _BATCH_ITEMS: Final = 4
@@ -216,7 +216,10 @@ class DaskExecutor:
 
 
 def _batches(items: Iterable[Item], threads: int) -> Iterator[list[Item]]:
-    """Split items into the batches of single tasks; a long map has batches of one item."""
+    """Group the items of a map into tasks for a number of worker threads.
+
+    A long map has one item per task, for balance; a short one has several, to save overhead.
+    """
     if not isinstance(items, list) or len(items) > _SHORT_MAP_ITEMS:
         for item in items:
             yield [item]

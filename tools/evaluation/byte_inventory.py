@@ -191,7 +191,7 @@ def stored_sizes(file: CogsFile, *, by_stream: bool = True) -> list[StoredSize]:
         payload = file.read_segment(row)
         rest = len(payload)
         where = f"{file.name}: segment {row}"
-        for stream in records.unpack(payload, where, _rows(file, kind, owner)):
+        for stream in records.unpack(payload, where, _stream_rows(file, kind, owner)):
             found[name, stream.label] += stream.stored_bytes
             rest -= stream.stored_bytes
         found[_INDEX, "framing of segments"] += rest
@@ -213,8 +213,11 @@ def _segment_name(number: int) -> str:
     return SegmentKind(number).name.lower().replace("_", " ")
 
 
-def _rows(file: CogsFile, kind: SegmentKind, owner: int) -> int:
-    """Return the number of rows in a segment's streams: splats or codebook entries."""
+def _stream_rows(file: CogsFile, kind: SegmentKind, owner: int) -> int:
+    """Return the number of rows in a segment's streams.
+
+    These are the splats of chunk number `owner`, or the entries of codebook number `owner`.
+    """
     if kind in _CHUNK_KINDS:
         return int(file.chunks.splats[owner])
     return file.root.codebooks[owner].rows

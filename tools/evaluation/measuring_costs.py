@@ -43,7 +43,7 @@ def versions_cost(
     splats : int
         Number of splats of the largest version.
     cameras : sequence of Camera
-        Test views without roaming views, at least one.
+        Test views, at least one; the cost of roaming views is added here.
     versions : int
         Number of versions.
     renders : int
@@ -62,7 +62,7 @@ def references_cost(splats: int, cameras: Sequence[Camera]) -> float:
     splats : int
         Number of splats of the reference.
     cameras : sequence of Camera
-        Test views without roaming views, at least one.
+        Test views, at least one; the cost of roaming views is added here.
     """
     return (1 + _ROAMING_VIEWS) * _render_cost(splats, cameras)
 
@@ -84,7 +84,7 @@ def objects_cost(splats: int, cameras: Sequence[Camera], versions: int) -> float
 
 
 def _render_cost(splats: int, cameras: Sequence[Camera]) -> float:
-    """Return the cost of rendering some views once."""
+    """Return the cost of rendering each view once, in the unit of `stage_costs`."""
     from cogsplat.codec.encode.stage_costs import render_cost
 
     return render_cost(splats, cameras)

@@ -221,13 +221,13 @@ def _curves(inputs: ReportInput, predicted: Sequence[tuple[int, float]]) -> str:
 
     series = [
         Series("test views", points(lambda q: q.held_out_db)),
-        Series("roaming", points(lambda q: q.roam_db), look=2),
-        Series("worst view", points(lambda q: q.worst_db), look=1),
+        Series("roaming", points(lambda q: q.roam_db), style=2),
+        Series("worst view", points(lambda q: q.worst_db), style=1),
     ]
     if predicted:
-        series.append(Series("predicted", tuple((float(x), y) for x, y in predicted), look=6))
+        series.append(Series("predicted", tuple((float(x), y) for x, y in predicted), style=6))
     if inputs.photos:
-        series.append(Series("photos", points(lambda q: q.photos_db), look=3))
+        series.append(Series("photos", points(lambda q: q.photos_db), style=3))
     return line_chart(
         "PSNR after the first bytes", "bytes received", "PSNR, dB", series,
         x_text=lambda x: size_text(int(x)).replace(".0 ", " ").replace(".00 ", " "),
@@ -355,18 +355,18 @@ def _chunks(
 def _table(
     heads: Sequence[str], rows: Sequence[Sequence[str]], *, left: int, meter: bool = False
 ) -> str:
-    """Return an HTML table of escaped cells.
+    """Return an HTML table.
 
     Parameters
     ----------
     heads : sequence of str
-        Headings of the columns; all empty for no heading.
+        Headings of the columns, as HTML; all empty for no heading.
     rows : sequence of sequence of str
-        Cells, as HTML.
+        Cells, as HTML: the caller escapes text.
     left : int
         Number of left-aligned columns.
     meter : bool
-        Whether the last column has bars.
+        Whether the last column shows bars, and so is styled for them.
     """
 
     def tag(kind: str, column: int, text: str) -> str:

@@ -107,7 +107,7 @@ def object_findings(response: Response, name: str, size: int) -> Iterator[HostFi
         )
     yield from _origin_allowed(response, f"{name}: ")
     yield from _media_type(response, f"{name}: ")
-    yield from _caching(response, immutable=True, manifest=False, where=f"{name}: ")
+    yield from _caching(response, immutable=True, manifest=False, label=f"{name}: ")
 
 
 def _connection(response: Response, url: str) -> Iterator[HostFinding]:
@@ -134,7 +134,7 @@ def _connection(response: Response, url: str) -> Iterator[HostFinding]:
 
 
 def _ranges(probed: ProbeResult, *, manifest: bool) -> Iterator[HostFinding]:
-    """Check the responses to range requests."""
+    """Check the responses to range requests; `manifest` makes ignored ranges a mere note."""
     first = probed.first
     if first.status == 200:
         yield HostFinding(
@@ -232,20 +232,20 @@ def _validators(probed: ProbeResult) -> Iterator[HostFinding]:
         )
 
 
-def _origin_allowed(response: Response, where: str = "") -> Iterator[HostFinding]:
-    """Check that pages of all origins may read a response."""
+def _origin_allowed(response: Response, label: str = "") -> Iterator[HostFinding]:
+    """Check that pages of all origins may read a response; `label` begins each message."""
     allowed = response.headers.get("access-control-allow-origin", "").strip()
     if allowed not in ("*", ORIGIN):
         yield HostFinding(
             "cors-origin",
             WARNING,
-            f"{where}Access-Control-Allow-Origin {allowed or 'none'} for {ORIGIN}, expected *: "
+            f"{label}Access-Control-Allow-Origin {allowed or 'none'} for {ORIGIN}, expected *: "
             "pages of other origins cannot read it",
         )
 
 
 def _cross_origin(first: Response, preflight: Response) -> Iterator[HostFinding]:
-    """Check the CORS headers for pages of a foreign origin: the file, its headers, ranges."""
+    """Check by CORS that pages of another origin can read the file and headers, and send Range."""
     missing = list(_origin_allowed(first))
     yield from missing
     if missing:
@@ -272,24 +272,24 @@ def _cross_origin(first: Response, preflight: Response) -> Iterator[HostFinding]
         )
 
 
-def _media_type(response: Response, where: str = "") -> Iterator[HostFinding]:
-    """Check that the media type is binary."""
+def _media_type(response: Response, label: str = "") -> Iterator[HostFinding]:
+    """Check that the media type is binary; `label` begins each message."""
     found = response.media_type
     if found.startswith("text/") or found in ("application/json", "application/javascript"):
         yield HostFinding(
             "http-type",
             WARNING,
-            f"{where}Content-Type {found}, expected application/octet-stream: servers and "
+            f"{label}Content-Type {found}, expected application/octet-stream: servers and "
             "proxies compress text",
         )
     elif not found:
         yield HostFinding(
-            "http-type", NOTE, f"{where}no Content-Type, expected application/octet-stream"
+            "http-type", NOTE, f"{label}no Content-Type, expected application/octet-stream"
         )
 
 
 def _caching(
-    response: Response, *, immutable: bool, manifest: bool, where: str = ""
+    response: Response, *, immutable: bool, manifest: bool, label: str = ""
 ) -> Iterator[HostFinding]:
     """Check Cache-Control; `immutable` is for objects, whose names are hashes of their content."""
     stated = response.headers.get("cache-control", "").lower()
@@ -297,13 +297,13 @@ def _caching(
     age = next((int(r[8:20]) for r in rules if re.fullmatch(r"max-age=\d+", r)), None)
     if "no-store" in rules:
         yield HostFinding(
-            "cache-none", WARNING, f"{where}Cache-Control {stated}, expected one without no-store"
+            "cache-none", WARNING, f"{label}Cache-Control {stated}, expected one without no-store"
         )
     elif immutable and ("immutable" not in rules or (age or 0) < _YEAR):
         yield HostFinding(
             "cache-immutable",
             WARNING if age is None else NOTE,
-            f"{where}Cache-Control {stated or 'none'}, expected public, max-age={_YEAR}, "
+            f"{label}Cache-Control {stated or 'none'}, expected public, max-age={_YEAR}, "
             "immutable: an object named by the hash of its content never changes",
         )
     elif manifest and ("immutable" in rules or (age or 0) > _DAY):

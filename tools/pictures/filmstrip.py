@@ -105,7 +105,7 @@ def _font_px(size: float, width: int) -> int:
 
 
 def _line_height(size: float, width: int) -> int:
-    """Return the height of a line of text, px."""
+    """Return the height of a line of text, px; `size` is a fraction of the image's `width`."""
     return round(_LEADING * _font_px(size, width))
 
 

@@ -48,15 +48,15 @@ class Series:
         Name in the legend.
     points : tuple of (x, y)
         Points with x above 0.
-    look : int
-        Index of the colour and marker.
+    style : int
+        Number of the colour and marker shape.
     joined : bool
         Whether a line connects the points.
     """
 
     name: str
     points: tuple[tuple[float, float], ...]
-    look: int = 0
+    style: int = 0
     joined: bool = True
 
 
@@ -170,7 +170,7 @@ def _page(width: int, height: int) -> list[str]:
 
 def _draw(one: Series, at: Callable[[float, float], tuple[float, float]]) -> list[str]:
     """Return the line and the markers of a series; `at` maps a point to pixels."""
-    colour, shape = _look(one.look)
+    colour, shape = _style(one.style)
     pixels = [at(x, y) for x, y in one.points]
     parts: list[str] = []
     if one.joined and len(pixels) > 1:
@@ -185,16 +185,16 @@ def _draw(one: Series, at: Callable[[float, float], tuple[float, float]]) -> lis
 
 
 def _legend(one: Series, index: int) -> list[str]:
-    """Return the legend's entry of a series."""
-    colour, shape = _look(one.look)
+    """Return the legend's entry of a series, at row `index` of the legend."""
+    colour, shape = _style(one.style)
     x, y = _WIDTH - _RIGHT + 24, _TOP + 8 + 20 * index
     dash = _line(x - 9, y, x + 9, y, colour, 2) if one.joined else ""
     return [dash, _marker(x, y, shape, colour), _text(x + 16, y + 4, one.name, "start")]
 
 
-def _look(look: int) -> tuple[str, str]:
-    """Return the colour and the marker's path of a look."""
-    return _COLOURS[look % len(_COLOURS)], _SHAPES[look % len(_SHAPES)]
+def _style(number: int) -> tuple[str, str]:
+    """Return the colour of a series style and the SVG path of its marker, by number."""
+    return _COLOURS[number % len(_COLOURS)], _SHAPES[number % len(_SHAPES)]
 
 
 def _ticks(low: float, high: float) -> list[float]:

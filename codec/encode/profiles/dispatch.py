@@ -67,7 +67,7 @@ class Profile(Protocol):
 def _near_lossless(scene: ChunkedScene, quality_db: float, progress: Progress) -> PlannedScene:
     """Plan the profile `near-lossless`."""
     config = scene.config
-    bound = near_lossless.mean_bound(scene.source.scales[scene.rows], config.near_lossless)
+    bound = near_lossless.means_bound_of(scene.source.scales[scene.rows], config.near_lossless)
     return PlannedScene(
         encode_chunk=lambda run: near_lossless.encode_chunk(
             scene.part(run).without_extras(), bound, config.near_lossless, config.morton

@@ -60,8 +60,8 @@ class NearLosslessBounds:
             raise ValueError(f"bound quats {self.quats}, expected at least {_MIN_QUAT_BOUND}")
 
 
-def mean_bound(scales: F32, bounds: NearLosslessBounds) -> float:
-    """Return the error bound of means, scene units.
+def means_bound_of(scales: F32, bounds: NearLosslessBounds) -> float:
+    """Convert the error bound of means from median standard deviations to scene units.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def mean_bound(scales: F32, bounds: NearLosslessBounds) -> float:
 def encode_chunk(
     splats: Splats, means_bound: float, bounds: NearLosslessBounds, sort: bool
 ) -> Payloads:
-    """Encode a chunk into head and tail within error bounds, without compressing the planes.
+    """Encode a chunk into head and tail within error bounds, with planes still uncompressed.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def _quat_step(bound: float) -> float:
 def _means(means: F32, bound: float, sort: bool) -> tuple[NDArray[np.int64], Stream]:
     """Quantise means within a bound; store float32 where no grid is fine enough."""
     rows, stream, decoded = chunk_means(means, 2 * bound * _SLACK, sort)
-    if _largest(decoded, means[rows]) <= bound:
+    if _largest_difference(decoded, means[rows]) <= bound:
         return rows, stream
     # Coordinates too large for the bound on any grid: as they are.
     rows = np.arange(len(means), dtype=np.int64)
@@ -150,9 +150,9 @@ def _opacities(values: F32, bound: float) -> Stream:
 
 def _error(values: F32, grid: grids.Grid) -> float:
     """Return the largest quantisation error of an array."""
-    return _largest(grid.dequantise(grid.quantise(values)), values)
+    return _largest_difference(grid.dequantise(grid.quantise(values)), values)
 
 
-def _largest(decoded: F32, values: F32) -> float:
-    """Return the largest difference of two arrays."""
+def _largest_difference(decoded: F32, values: F32) -> float:
+    """Return the largest absolute difference between two arrays."""
     return float(np.abs(decoded.astype(np.float64) - values).max(initial=0))

@@ -44,9 +44,10 @@ class TransformPlan:
     Parameters
     ----------
     lagrangian : float
-        λ, the value of ``cost · step²`` for every stored value.
+        λ, from which each quantiser step follows: ``cost · step² = λ``.
     costs_of : callable
-        Returns the costs of a range of rows.
+        Returns the `Costs` of a range of rows: squared error of the picture per squared error of
+        each stored value.
     basis : ColourBasis or None
         Basis of shN; None at SH degree 0.
     basis_payloads : tuple of bytes
@@ -54,7 +55,7 @@ class TransformPlan:
     ablation : Ablation
         Techniques that are switched off.
     coarseness : mapping of int to HeadCoarseness
-        Coarseness of heads by the first row of their chunk; other heads are fine.
+        Coarseness of each coarse head, by the first row of its chunk; the other heads are fine.
     """
 
     lagrangian: float
@@ -77,7 +78,7 @@ def plan(
     contribution: F64 | None = None,
     missing_all: float = segment_order.MISSING_ALL,
 ) -> TransformPlan:
-    """Plan the basis of shN and the coarseness of heads for an ordered scene.
+    """Fit the basis of shN and choose the coarseness of each head of an ordered scene.
 
     Parameters
     ----------
@@ -86,10 +87,10 @@ def plan(
     coefficients_of : callable
         Returns the SH coefficients of a range of rows (`colour_transform.fit`).
     costs_of : callable
-        Returns the costs of a range of rows. Costs of a whole scene take three times the memory of
-        its splats, so they are computed chunk by chunk.
+        Returns the `Costs` of a range of rows. Costs of a whole scene take three times the memory
+        of its splats, so they are computed chunk by chunk.
     energy : (N,) float64
-        Energy of each row in these costs.
+        `Costs.energy` of each row: the cost of its colour.
     basis_spread : (15, 15) float64
         `Scores.basis_spread`.
     lagrangian : float
@@ -99,9 +100,10 @@ def plan(
     ablation : Ablation
         Techniques that are switched off.
     contribution : (N,) float64, optional
-        Contribution of each row, for coarse heads with refinements; None for fine heads.
+        Contribution of each row, which decides the coarseness of heads. None makes all heads fine,
+        without refinements.
     missing_all : float
-        Picture error without any chunk (`head_coarseness`).
+        Squared error of an empty picture (`head_coarseness`).
     """
     coarseness = {}
     if contribution is not None:
@@ -122,7 +124,7 @@ def plan(
 
 
 def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> Payloads:
-    """Encode a chunk into head, refinement and tail, without compressing the planes.
+    """Encode a chunk into head, refinement and tail, with planes still uncompressed.
 
     Parameters
     ----------

@@ -246,7 +246,7 @@ def plan(
 
 
 def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton: bool) -> Payloads:
-    """Encode a chunk into head and tail, without compressing the planes.
+    """Encode a chunk into head and tail, with planes still uncompressed.
 
     Parameters
     ----------
@@ -315,7 +315,10 @@ def _indices(
 
 
 def _bands(coefficients: F32, step: float, *, escape: bool = False) -> list[Stream]:
-    """Return one scalar stream per SH band of (n, K-1, 3) coefficients."""
+    """Quantise (n, K-1, 3) SH coefficients into one stream per band.
+
+    With `escape` the streams hold the splats that use no codebook row.
+    """
     out: list[Stream] = []
     for band, attribute in enumerate(SH_BANDS, start=1):
         first, last = band * band - 1, (band + 1) * (band + 1) - 1

@@ -199,7 +199,7 @@ def charts(steps: Sequence[Step]) -> dict[str, str]:
             Series(
                 what,
                 tuple((step.splats, value(step)) for step in steps if step.what == what),
-                look=number,
+                style=number,
             )
             for number, what in enumerate(kinds)
         ]

@@ -195,9 +195,9 @@ def chart(found: Sequence[Judged], width: int) -> str:
         Series(
             f"{one.model.way} 1/{one.model.scale}",
             tuple((width / scale, figures.psnr_db) for scale, figures in one.figures.items()),
-            look=look,
+            style=style,
         )
-        for look, one in enumerate(found)
+        for style, one in enumerate(found)
     ]
     return line_chart("Quality at display sizes", "width of the picture, px", "PSNR, dB", series)
 
