@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from cogsplat.codec.encode.profiles.near_lossless import (
     NearLosslessBounds,
     encode_chunk,
-    mean_bound,
+    means_bound_of,
 )
 from cogsplat.codec.splats import empty
 from cogsplat.codec.streams import records
@@ -33,7 +33,7 @@ def quat_error(source, decoded):
 def check(splats, bounds=None, step=None):
     """Encode one chunk in the given order and compare every attribute with its bound."""
     bounds = bounds or NearLosslessBounds()
-    step = mean_bound(splats.scales, bounds) if step is None else step
+    step = means_bound_of(splats.scales, bounds) if step is None else step
     payloads = encode_chunk(splats, step, bounds, False)
     assert (payloads.head_needs, payloads.tail_needs) == ((), ())
     assert (payloads.tail is None) == (splats.sh_degree == 0)
@@ -184,8 +184,8 @@ def test_sorting_moves_rows_whole():
 def test_the_bound_of_means_is_relative_to_the_median_size():
     splats = empty(0, 3)
     splats.scales[:] = np.log([[1, 1, 1], [0.5, 0.5, 0.5], [8, 8, 0.5]])
-    assert mean_bound(splats.scales, NearLosslessBounds(means=0.02)) == pytest.approx(0.02)
-    assert mean_bound(empty(0).scales, NearLosslessBounds(means=0.02)) == 0.02
+    assert means_bound_of(splats.scales, NearLosslessBounds(means=0.02)) == pytest.approx(0.02)
+    assert means_bound_of(empty(0).scales, NearLosslessBounds(means=0.02)) == 0.02
 
 
 @pytest.mark.parametrize("name", ["means", "scales", "quats", "opacities", "sh0", "shN"])
