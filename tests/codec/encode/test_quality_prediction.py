@@ -137,9 +137,9 @@ def test_a_whole_that_was_measured_for_a_target_is_not_drawn_again(monkeypatch):
     drawn = []
     draw = evaluator.views_db
 
-    def counted(splats, views=None, size=None):
-        drawn.append(len(splats) if size is None else size)
-        return draw(splats, views, size=size)
+    def counted(splats, views=None, first=None):
+        drawn.append(len(splats) if first is None else first)
+        return draw(splats, views, first=first)
 
     monkeypatch.setattr(evaluator, "views_db", counted)
     found = predict_quality(once, evaluator)
