@@ -162,8 +162,8 @@ def compare(
         figures = {name: {"psnr_db": p, "ssim": s} for name, (p, s) in rows.items()}
         print_json(
             {
-                "reference": _side(reference, first),
-                "other": _side(other, second),
+                "reference": _scene_report(reference, first),
+                "other": _scene_report(other, second),
                 "test_views": {"from": what, "count": len(views)},
                 "background": list(background),
                 "ssim_border": ssim_border,
@@ -201,7 +201,7 @@ def compare(
         print_facts(("drawn", drawn), ("time", stages.summary()))
 
 
-def _side(path: Path, scene: LoadedScene) -> dict[str, object]:
+def _scene_report(path: Path, scene: LoadedScene) -> dict[str, object]:
     """Return the JSON object of one of the two scenes."""
     return {
         "source": display_name(path),

@@ -467,7 +467,7 @@ def _encode(options: EncodeOptions) -> None:
         with stages.stage("read"):
             views = scoring_cameras(options.cameras, options.eval_every)
             given = read_any(options.scene, threads=options.threads, zeros=workspace.zeros)
-            splats = _edited(options, given.splats, stages)
+            splats = _prepare_scene(options, given.splats, stages)
             if views is not None:
                 views = [options.edits.camera(view) for view in views]
             evaluation = _evaluation(options, splats)
@@ -492,7 +492,7 @@ def _encode(options: EncodeOptions) -> None:
         )
 
 
-def _edited(options: EncodeOptions, splats: Splats, progress: Progress) -> Splats:
+def _prepare_scene(options: EncodeOptions, splats: Splats, progress: Progress) -> Splats:
     """Return the scene with labels from masks, after the edits, without extras if so chosen."""
     labelled = options.choice.with_labels(
         splats, options.cameras, threads=options.threads, progress=progress

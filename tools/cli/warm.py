@@ -23,7 +23,15 @@ _TRAINING: Final = tuple(
 
 
 def every_kernel(*, planned: bool, training: bool = False) -> list[DeclaredKernel]:
-    """Return the kernels of all commands, with planning of views and training as chosen."""
+    """Return the kernels of the encoder and of commands.
+
+    Parameters
+    ----------
+    planned : bool
+        Whether kernels that plan views are included.
+    training : bool
+        Whether kernels that train are included.
+    """
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.needed_kernels import needed_kernels
 
@@ -38,9 +46,8 @@ def every_kernel(*, planned: bool, training: bool = False) -> list[DeclaredKerne
 def warm(threads: int, quiet: bool, as_json: bool) -> None:
     """Compile the kernels of all commands.
 
-    Without it, each command compiles the kernels it needs at its first run. The machine code is
-    kept in the folder NUMBA_CACHE_DIR or, without it, in the installed package or the user's cache
-    folder.
+    Otherwise, each command compiles the kernels it needs at its first run. The machine code is kept
+    in the folder NUMBA_CACHE_DIR, else in the installed package or the user's cache folder.
     """
     with Stages(shown=not (quiet or as_json)) as stages:
         kernels = every_kernel(planned=True, training=True)

@@ -86,6 +86,7 @@ def _names(text: str, known: Sequence[str]) -> tuple[str, ...]:
 
 
 def _key(name: str) -> str:
+    """Return a name in the form in which names are compared."""
     return "".join(character for character in name.lower() if character.isalnum())
 
 

@@ -290,7 +290,7 @@ def simulate(
             )
         bits = _bits_for(simulation, walked, bandwidth, as_large_as)
         link = Link(bits, latency / 1000.0)
-        film = _Film(moments if strip_path is not None else 0)
+        film = _StripPictures(moments if strip_path is not None else 0)
         measured = simulation.run_trace(
             walked, link, chosen, moments, stages, film.add, budget_splats=budget or 0
         )
@@ -411,8 +411,14 @@ def _share(size: int | None, simulation: Simulation) -> str:
     return "" if size is None else f"{size / simulation.units.size_bytes.sum():.0%}"
 
 
-class _Film:
-    """Pictures of some moments, evenly spaced up to the last."""
+class _StripPictures:
+    """Pictures for the film strip: some moments of each policy, evenly spaced up to the last.
+
+    Parameters
+    ----------
+    moments : int
+        Number of moments along the trace; 0 to keep no picture.
+    """
 
     def __init__(self, moments: int) -> None:
         kept = min(moments, _STRIP_PICTURES)
@@ -428,7 +434,7 @@ class _Film:
             self.pictures.setdefault(policy, []).append(picture)
 
     def kept_moments(self, along: dict[str, list[Moment]]) -> dict[str, list[Moment]]:
-        """Return the moments of the pictures."""
+        """Return the moments whose pictures are kept, by policy."""
         return {name: [seen[number] for number in self._kept] for name, seen in along.items()}
 
 
