@@ -1,1 +1,1 @@
-"""Benchmarks: COGS against other formats, and each technique of the encoder on its own."""
+"""Benchmarks of COGS: comparison with other formats, ablations, network and decode speed."""

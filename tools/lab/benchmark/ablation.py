@@ -1,4 +1,4 @@
-"""Ablation of the encoder: bytes at equal PSNR with one technique at a time switched off."""
+"""Ablation of the encoder: bytes at equal PSNR with one technique at a time disabled."""
 
 from __future__ import annotations
 
@@ -24,28 +24,29 @@ if TYPE_CHECKING:
 
 Change = Callable[["EncodeConfig"], "EncodeConfig"]
 
-# Without each technique three files are measured. The second lies this far beyond the aim, so that
-# two enclose it.
-_BEYOND_DB: Final = (0.0, 0.3, 0.0)
+# Overshoot of the three measurements per technique. The second overshoots the target, so that two
+# measurements bracket it.
+_OVERSHOOT_DB: Final = (0.0, 0.3, 0.0)
 
 
 @dataclass(frozen=True)
-class Without:
+class AblationRow:
     """Bytes and PSNR of the encoder without one technique.
 
     Parameters
     ----------
     technique : str
+        Disabled technique.
     bytes_per_splat : float
-        At the held-out PSNR of the whole encoder, interpolated; per splat of the source.
+        Bytes per source splat at the held-out PSNR of the full encoder, interpolated.
     more : float
-        Bytes over those of the whole encoder, less one.
+        Relative increase of the bytes over the full encoder.
     roam_db : float
-        At that size, interpolated.
+        PSNR of roaming views at that size, interpolated.
     encode_s : float
-        Fastest of the encodes, without scoring.
+        Shortest encoding time, without scoring, s.
     nearest_db : float
-        How far the nearest measurement is from that PSNR.
+        Distance of the nearest measurement from the target PSNR.
     """
 
     technique: str
@@ -56,7 +57,7 @@ class Without:
     nearest_db: float
 
     def report(self) -> dict[str, object]:
-        """Return the figures as CSV and JSON have them."""
+        """Return the figures for CSV and JSON output."""
         return asdict(self)
 
 
@@ -67,13 +68,13 @@ class AblationTable:
     Parameters
     ----------
     held_out_db : float
-        PSNR that all bytes are given at.
-    rows : tuple of Without
-        The whole encoder first.
+        Held-out PSNR at which all sizes are compared.
+    rows : tuple of AblationRow
+        Results, the full encoder first.
     """
 
     held_out_db: float
-    rows: tuple[Without, ...]
+    rows: tuple[AblationRow, ...]
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ class _Point:
 
 
 def changes(sh_degree: int) -> dict[str, Change]:
-    """Return the configurations with one technique off, by name, for a scene of an SH degree."""
+    """Return by technique the function that disables it in a configuration."""
     from cogsplat.codec.encode.config import Ablation
 
     def without(**flags: bool) -> Change:
@@ -120,12 +121,14 @@ def changes(sh_degree: int) -> dict[str, Change]:
 
 
 def stage_cost(splats: int, sh_degree: int, cameras: Sequence[Camera]) -> StageCost:
-    """Return what `run` will cost, as `codec.encode.stage_costs` counts.
+    """Estimate the cost of `run` in the unit of `codec.encode.stage_costs`.
 
     Parameters
     ----------
-    splats, sh_degree : int
-        Of the scene.
+    splats : int
+        Splats of the scene.
+    sh_degree : int
+        SH degree of the scene.
     cameras : sequence of Camera
         Test views; at least one.
     """
@@ -135,9 +138,9 @@ def stage_cost(splats: int, sh_degree: int, cameras: Sequence[Camera]) -> StageC
 
     config = EncodeConfig(compensate=False, order="contribution")
     encode = stage_costs(splats, EncodeRequest(config=config), scored=True)
-    # Test views, and two of each away from the path.
+    # Each test view, and two roaming views for each.
     once = sum(cost.total() for cost in encode) + 3 * render_cost(splats, cameras)
-    return StageCost("ablation", len(_BEYOND_DB) * once, len(changes(sh_degree)) + 1)
+    return StageCost("ablation", len(_OVERSHOOT_DB) * once, len(changes(sh_degree)) + 1)
 
 
 def run(given: BenchInput, *, quality_db: float, progress: Progress = silent) -> AblationTable:
@@ -146,11 +149,11 @@ def run(given: BenchInput, *, quality_db: float, progress: Progress = silent) ->
     Parameters
     ----------
     given : BenchInput
-        Its background is not used: all is measured on black.
+        Input; its background is ignored, all views are rendered on black.
     quality_db : float
-        Nominal; the whole encoder's PSNR there is what all are compared at.
+        Nominal quality whose held-out PSNR with the full encoder is the target.
     progress : Progress
-        Called with ``ablation``, encoders done and all.
+        Called with the stage ``ablation``.
 
     Returns
     -------
@@ -159,7 +162,7 @@ def run(given: BenchInput, *, quality_db: float, progress: Progress = silent) ->
     Raises
     ------
     DataError
-        ``no-cameras``.
+        ``no-cameras``: there are no test views.
     """
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.prepared import prepare
@@ -174,10 +177,12 @@ def run(given: BenchInput, *, quality_db: float, progress: Progress = silent) ->
     start = time.perf_counter()
     prepared = prepare(given.splats, given.scores, whole, views=given.scored_on)
     ordered_s = time.perf_counter() - start
-    measure = _measurer(given, prepared, evaluators, ordered_s)
+    measure = _measurement(given, prepared, evaluators, ordered_s)
     base = measure(quality_db)
     per_splat = 1 / len(given.splats)
-    rows = [Without("nothing", base.file_bytes * per_splat, 0.0, base.roam_db, base.encode_s, 0.0)]
+    rows = [
+        AblationRow("nothing", base.file_bytes * per_splat, 0.0, base.roam_db, base.encode_s, 0.0)
+    ]
     progress("ablation", 1, len(named) + 1)
     for name, change in named.items():
         changed = replace(prepared, config=change(whole))
@@ -186,13 +191,13 @@ def run(given: BenchInput, *, quality_db: float, progress: Progress = silent) ->
             start = time.perf_counter()
             changed = prepare(given.splats, given.scores, changed.config)
             prepare_s = time.perf_counter() - start
-        measure = _measurer(given, changed, evaluators, prepare_s)
-        points = _around(measure, quality_db, base.held_out_db)
+        measure = _measurement(given, changed, evaluators, prepare_s)
+        points = _measure_near(measure, quality_db, base.held_out_db)
         size, roam_db = equal_quality(
             [(p.held_out_db, p.file_bytes, p.roam_db) for p in points], base.held_out_db
         )
         rows.append(
-            Without(
+            AblationRow(
                 name,
                 size * per_splat,
                 size / base.file_bytes - 1,
@@ -205,12 +210,13 @@ def run(given: BenchInput, *, quality_db: float, progress: Progress = silent) ->
     return AblationTable(base.held_out_db, tuple(rows))
 
 
-def _measurer(
+def _measurement(
     given: BenchInput,
     prepared: PreparedScene,
     evaluators: tuple[PrefixEvaluator, PrefixEvaluator],
     prepare_s: float,
 ) -> Callable[[float], _Point]:
+    """Return the function that encodes at a nominal quality and measures the result."""
     from cogsplat.codec.encode.encoder import encode_chunks
     from cogsplat.formats.cogs import scene_writer
 
@@ -225,50 +231,51 @@ def _measurer(
     return measure
 
 
-def _around(
-    measure: Callable[[float], _Point], quality_db: float, wanted_db: float
+def _measure_near(
+    measure: Callable[[float], _Point], quality_db: float, target_db: float
 ) -> list[_Point]:
-    """Return three measurements; linear guesses bring the last two near the wanted PSNR."""
+    """Measure at three nominal qualities that approach a target PSNR by linear steps."""
     points: list[_Point] = []
     at = quality_db
-    for beyond in _BEYOND_DB:
-        points.append(measure(_legal(at)))
-        missing = wanted_db - points[-1].held_out_db
-        at += missing + math.copysign(beyond, missing)
+    for overshoot in _OVERSHOOT_DB:
+        points.append(measure(_clamp(at)))
+        missing = target_db - points[-1].held_out_db
+        at += missing + math.copysign(overshoot, missing)
     return points
 
 
-def _legal(quality_db: float) -> float:
+def _clamp(quality_db: float) -> float:
+    """Clamp a nominal quality to the valid range."""
     from cogsplat.codec.encode.config import MAX_QUALITY_DB, MIN_QUALITY_DB
 
     return min(max(quality_db, MIN_QUALITY_DB), MAX_QUALITY_DB)
 
 
 def equal_quality(
-    points: Sequence[tuple[float, float, float]], wanted_db: float
+    points: Sequence[tuple[float, float, float]], target_db: float
 ) -> tuple[float, float]:
-    """Return bytes and roaming PSNR, interpolated at a held-out PSNR.
+    """Interpolate bytes and roaming PSNR at a held-out PSNR.
 
     Parameters
     ----------
     points : sequence of (held-out dB, bytes, roam dB)
-        At least two of different PSNR; the two on either side of the wanted one count, or the
-        nearest two where it is beyond all.
-    wanted_db : float
+        Measurements. The two that bracket the target are used, or else the nearest two.
+    target_db : float
+        Held-out PSNR.
 
     Returns
     -------
     tuple of float
-        The logarithm of the bytes and the roam PSNR are taken as straight between them.
+        Bytes, interpolated in their logarithm, and roaming PSNR, dB.
     """
     table = np.unique(np.array(points, np.float64), axis=0)
     quality, sizes, roam = table.T
     if len(quality) == 1:
         return float(sizes[0]), float(roam[0])
-    upper = int(np.clip(np.searchsorted(quality, wanted_db), 1, len(quality) - 1))
+    upper = int(np.clip(np.searchsorted(quality, target_db), 1, len(quality) - 1))
     lower = upper - 1
     span = quality[upper] - quality[lower]
-    share = (wanted_db - quality[lower]) / span if span > 0 else 0.0
+    share = (target_db - quality[lower]) / span if span > 0 else 0.0
     logs = np.log(sizes)
     size = math.exp(float(logs[lower] + share * (logs[upper] - logs[lower])))
     return size, float(roam[lower] + share * (roam[upper] - roam[lower]))

@@ -1,8 +1,8 @@
-"""The npz format of Niedermayr et al. 2024, written from their description, to compare with.
+"""The npz format of Niedermayr et al. 2024, implemented from the paper for comparison.
 
-All splats in one Morton-ordered archive: means in half precision, opacity, scale factor and
-codebook rows in 8 bit with one range for the scene; sensitive vectors stay out of the clustering.
-The fine-tuning on photos that their figures include is not done.
+One archive in Morton order: means in half precision; opacity, scale factor and codebook rows in
+8 bits with one range per scene. Vectors of high sensitivity are stored without clustering. The
+fine-tuning on photos in the paper's results is left out.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ I32 = NDArray[np.int32]
 
 CODEBOOK_ROWS: Final = 4096  # section 3.2, both codebooks
 
-# Colours of more than this sensitivity are kept: 0.6e-6 in the published settings, made for scenes
-# of 3.36 million splats on average. A sensitivity is a share of the picture, so it goes with 1 / N.
-_KEPT_COLOUR: Final = 0.6e-6 * 3.36e6
+# Colours above this sensitivity × N are not clustered. The published threshold is 0.6e-6 for scenes
+# of 3.36 million splats on average; sensitivity is a share of the picture, so it scales with 1 / N.
+_MIN_KEPT_SENSITIVITY: Final = 0.6e-6 * 3.36e6
 
 _HALF_MAX: Final = 65504.0
 _TRAINING: Final = TrainingConfig(iterations=8)
 
 
 def write(splats: Splats, scores: Scores, path: Path, *, threads: int = 0) -> None:
-    """Write a scene as an npz archive; an existing file is replaced.
+    """Write a scene as an npz archive, replacing an existing file.
 
     Parameters
     ----------
     splats : Splats
         Valid rows, at least one.
     scores : Scores
-        Scores of the splats. Codebooks are trained by sensitivity, and splats without contribution
-        are dropped. The sensitivity of shapes is `Scores.sensitivities` of the log scales. As many
-        shapes are kept as colours.
+        Scores of the splats. Sensitivities weight the codebook training; splats without
+        contribution to any view are dropped. Shapes use `Scores.sensitivities`, with respect to
+        the log scales. The number of unclustered shapes equals that of unclustered colours.
     path : Path
     threads : int
         0 for all cores; the bytes do not depend on it.
@@ -56,7 +56,8 @@ def write(splats: Splats, scores: Scores, path: Path, *, threads: int = 0) -> No
     Raises
     ------
     DataError
-        ``value-range``: a mean beyond half precision; ``no-scores``: nothing contributes to a view.
+        ``value-range``: a mean exceeds half precision; ``no-scores``: no splat contributes to a
+        view.
     """
     seen = scores.colour_sensitivity > 0
     if not seen.any():
@@ -70,9 +71,11 @@ def write(splats: Splats, scores: Scores, path: Path, *, threads: int = 0) -> No
     splats, scores = vq.clip_outliers(splats.take(order)), scores.take(order)
     colours = np.concatenate([splats.sh0, splats.shN.reshape(len(splats), -1)], axis=1)
     weights = scores.colour_sensitivity
-    kept = weights * len(weights) > _KEPT_COLOUR
-    colour_rows, colour_indices = _clustered(colours, weights, kept, threads)
-    scales, quats, shape_indices, factors = _shapes(splats, scores, int(kept.sum()), threads)
+    kept = weights * len(weights) > _MIN_KEPT_SENSITIVITY
+    colour_rows, colour_indices = _cluster(colours, weights, kept, threads)
+    scales, quats, shape_indices, factors = _cluster_shapes(
+        splats, scores, int(kept.sum()), threads
+    )
     opacities_unit = 1 / (1 + np.exp(-splats.opacities.astype(np.float64)))
     arrays: dict[str, NDArray[np.generic]] = {
         "xyz": splats.means.astype(np.float16),
@@ -99,7 +102,7 @@ def write(splats: Splats, scores: Scores, path: Path, *, threads: int = 0) -> No
 
 
 def read(path: Path, info: SceneInfo | None = None) -> Splats:
-    """Read an npz archive from `write`, without validity checks.
+    """Read an npz archive made by `write`; the content is not validated.
 
     Parameters
     ----------
@@ -133,6 +136,7 @@ def read(path: Path, info: SceneInfo | None = None) -> Splats:
 
 
 def _morton_order(means: F32) -> NDArray[np.int64]:
+    """Return the Morton order of positions within their bounding box."""
     low = means.min(axis=0).astype(np.float64)
     span = np.maximum(means.max(axis=0) - low, 1e-30)
     codes = (means - low) / span * (morton.MAX_LEVELS - 1)
@@ -140,10 +144,8 @@ def _morton_order(means: F32) -> NDArray[np.int64]:
     return np.argsort(keys, kind="stable").astype(np.int64)
 
 
-def _clustered(
-    vectors: F32, weights: F64, kept: NDArray[np.bool_], threads: int
-) -> tuple[F32, I32]:
-    """Return codebook rows followed by the vectors left out of it, and the row of every vector."""
+def _cluster(vectors: F32, weights: F64, kept: NDArray[np.bool_], threads: int) -> tuple[F32, I32]:
+    """Return codebook rows followed by the unclustered vectors, and the row of each vector."""
     rows = np.zeros((0, vectors.shape[1]), np.float32)
     indices = np.zeros(len(vectors), np.int32)
     if not kept.all():
@@ -153,8 +155,10 @@ def _clustered(
     return np.concatenate([rows, vectors[kept]]), indices
 
 
-def _shapes(splats: Splats, scores: Scores, keep: int, threads: int) -> tuple[F32, F32, I32, F32]:
-    """Return log scales and quats of the rows, every splat's row, and log scale factors."""
+def _cluster_shapes(
+    splats: Splats, scores: Scores, keep: int, threads: int
+) -> tuple[F32, F32, I32, F32]:
+    """Return log scales and quats of codebook rows, row of each splat, log scale factors."""
     quats = rotations.unit(splats.quats)
     factors = covariance.scale_factor(splats.scales)
     found = scores.sensitivities
@@ -162,9 +166,7 @@ def _shapes(splats: Splats, scores: Scores, keep: int, threads: int) -> tuple[F3
     weights = np.sqrt(squared)
     kept = np.zeros(len(splats), np.bool_)
     kept[np.argsort(-weights, kind="stable")[:keep]] = True
-    rows, indices = _clustered(
-        covariance.shape_vectors(quats, splats.scales), weights, kept, threads
-    )
+    rows, indices = _cluster(covariance.shape_vectors(quats, splats.scales), weights, kept, threads)
     clustered = len(rows) - keep
     row_quats, row_scales = covariance.quats_and_scales(rows[:clustered])
     own_scales = splats.scales[kept] - factors[kept, None]
@@ -182,6 +184,7 @@ def _to_int8(values: F64) -> tuple[I8, float, int]:
 
 
 def _from_int8(stored: np.lib.npyio.NpzFile, name: str) -> F64:
+    """Dequantise an array of the archive."""
     offset = stored[name].astype(np.float64) - float(stored[f"{name}_zero_point"])
     values: F64 = offset * float(stored[f"{name}_scale"])
     return values

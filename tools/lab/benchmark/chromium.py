@@ -1,4 +1,4 @@
-"""Headless Chromium, as benchmarks and tests start it."""
+"""Headless Chromium for benchmarks and tests."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
 
-# Scenes come over links of less than a Mbit/s.
-_PATIENCE_MS: Final = 300_000
+# Timeout of page calls: scenes are loaded over links of less than 1 Mbit/s.
+_TIMEOUT_MS: Final = 300_000
 
 
 def executable() -> str | None:
-    """Return Chromium's path: what COGSPLAT_CHROMIUM says, or what is installed; None without."""
+    """Return the path of Chromium: COGSPLAT_CHROMIUM, else the installed one, else None."""
     given = os.environ.get("COGSPLAT_CHROMIUM")
     return given or shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 @contextmanager
 def chromium(arguments: Sequence[str] = ()) -> Iterator[Browser]:
-    """Start a browser, and end it with the block.
+    """Start a browser for the duration of the block.
 
     Parameters
     ----------
     arguments : sequence of str
-        Of its command line, beyond those that Playwright gives.
+        Command-line arguments in addition to Playwright's.
 
     Yields
     ------
     Browser
-        That of `executable`, or Playwright's own where there is none.
+        Browser of `executable`, else the one that Playwright provides.
     """
     from playwright.sync_api import sync_playwright
 
@@ -51,22 +51,23 @@ def chromium(arguments: Sequence[str] = ()) -> Iterator[Browser]:
 
 @contextmanager
 def opened_page(url: str, ready: str) -> Iterator[Page]:
-    """Open a page in a browser of its own.
+    """Open a page in a new browser and wait until it is ready.
 
     Parameters
     ----------
     url : str
+        Address of the page.
     ready : str
-        JavaScript expression that holds once the page can be used.
+        JavaScript expression that is true when the page is ready.
 
     Yields
     ------
     Page
-        Its calls wait for up to five minutes.
+        Page whose calls time out after five minutes.
     """
     with chromium() as browser:
         page = browser.new_page()
-        page.set_default_timeout(_PATIENCE_MS)
+        page.set_default_timeout(_TIMEOUT_MS)
         page.goto(url)
         page.wait_for_function(f"() => {ready}")
         yield page

@@ -1,8 +1,8 @@
 """Decoding speed: full decodes timed against copies of the decoded arrays.
 
 Run ``python -m cogsplat.tools.lab.benchmark.decode_speed FILE.cogs ... [--synth 1000000]``. With
-``--spz NODE_MODULES``, after ``npm install @adobe/spz`` in that folder's parent, SPZ's own library
-loads the same splats beside it: C++ compiled to WebAssembly.
+``--spz NODE_MODULES``, after ``npm install @adobe/spz`` in that folder's parent, the SPZ library
+(C++ compiled to WebAssembly) loads the same splats for comparison.
 """
 
 from __future__ import annotations
@@ -65,14 +65,14 @@ console.log(JSON.stringify(seconds));
 
 @dataclass(frozen=True)
 class Way:
-    """How a file is decoded.
+    """Decoder configuration.
 
     Parameters
     ----------
     kernels : bool
-        Whether compiled kernels do it, or numpy alone.
+        Whether to use compiled kernels instead of numpy.
     threads : int
-        0 for as many as pay.
+        Number of threads; 0 for the default.
     """
 
     kernels: bool
@@ -80,7 +80,7 @@ class Way:
 
     @property
     def label(self) -> str:
-        """Names it in tables."""
+        """Label for tables."""
         threads = f"{self.threads} thread" + "s" * (self.threads != 1)
         by = "kernels" if self.kernels else "numpy"
         return f"{by}, {threads if self.threads else 'plain'}"
@@ -88,16 +88,20 @@ class Way:
 
 @dataclass(frozen=True)
 class Timing:
-    """Seconds of decodes in one way and of copies, measured in interleaved pairs.
+    """Decode and copy times of one file, measured in interleaved pairs.
 
     Parameters
     ----------
     name : str
+        Name of the file.
     splats, sh_degree, file_bytes, decoded_bytes : int
-    decode_s, copy_s : tuple of float
-        Seconds of each pair: open, checks and all arrays allocated; a fresh copy of each array.
+        Size of the scene, of the file and of the decoded arrays.
+    decode_s : tuple of float
+        Time of each full decode, from open to arrays, s.
+    copy_s : tuple of float
+        Time of each copy of all arrays to new memory, s.
     way : str
-        Names what decoded.
+        Label of the decoder.
     """
 
     name: str
@@ -116,12 +120,12 @@ class Timing:
 
     @property
     def median_ratio(self) -> float:
-        """Median over the pairs of the ratio of decode to copy."""
+        """Median over the pairs of decode time over copy time."""
         pairs = zip(self.decode_s, self.copy_s, strict=True)
         return statistics.median(decode / copy for decode, copy in pairs)
 
     def report(self) -> dict[str, object]:
-        """Return the figures as JSON output has them."""
+        """Return the figures for JSON output."""
         return {
             "name": self.name,
             "way": self.way,
@@ -139,29 +143,28 @@ class Timing:
 def measure(
     path: Path, name: str, *, pairs: int, ways: Sequence[Way], spz: Path | None = None
 ) -> list[Timing]:
-    """Time decodes of a file against copies of its arrays, one after the other in turn.
+    """Time decodes of a file and copies of its arrays, interleaved.
 
     Parameters
     ----------
     path : Path
-        A COGS file; it is read once before, so that the disk is not measured.
+        COGS file. A first decode, which reads it from disk, is not timed.
     name : str
-        What to call it.
+        Name for the results.
     pairs : int
-        At least 1.
+        Number of repetitions, at least 1.
     ways : sequence of Way
-        In each pair the file is decoded in every one of them. Copies run on one thread, as
-        `numpy.copy` does.
+        Decoder configurations, all timed in each repetition. Copies use one thread (`numpy.copy`).
     spz : Path, optional
-        Folder of node modules with SPZ's library, which then loads the same splats as often.
+        Folder of node modules with the SPZ library, to time it on the same splats.
 
     Returns
     -------
     list of Timing
-        Of each way, and of SPZ's library where it is given.
+        One for each configuration, and one for the SPZ library if given.
     """
     for way in ways:
-        # Kernels are loaded, or compiled, before the clock starts.
+        # Warm-up: loads or compiles the kernels.
         decoding_tiers.use_compiled(way.kernels)
         splats = cogsplat.decode(path, threads=way.threads)
     decode_s: list[list[float]] = [[] for _ in ways]
@@ -172,7 +175,7 @@ def measure(
             start = time.perf_counter()
             decoded = cogsplat.decode(path, threads=way.threads)
             seconds.append(time.perf_counter() - start)
-            # Freed before the next is made: all find the same memory to allocate from.
+            # Freed before the next allocation, so that all runs find the same free memory.
             del decoded
         start = time.perf_counter()
         copies = [np.copy(getattr(splats, field)) for field in _ARRAYS]
@@ -187,7 +190,7 @@ def measure(
             other = Path(folder) / "same.spz"
             cogsplat.write(splats, other, spz_precision="usual")
             seconds = load_spz(spz, other, pairs)
-            found.append((other.stat().st_size, "SPZ's library, WebAssembly", seconds))
+            found.append((other.stat().st_size, "SPZ library, WebAssembly", seconds))
     return [
         Timing(
             name=name,
@@ -204,7 +207,7 @@ def measure(
 
 
 def load_spz(modules: Path, path: Path, loads: int) -> list[float]:
-    """Return the seconds that SPZ's own library takes to load a file from memory, each time.
+    """Time repeated loads of a file from memory by the SPZ library, s.
 
     Raises
     ------
@@ -224,15 +227,17 @@ def load_spz(modules: Path, path: Path, loads: int) -> list[float]:
 
 
 def encode_synth(path: Path, splats: int, sh_degree: int, views: int) -> None:
-    """Encode a synthetic scene as `cogsplat encode` would, scored on few, small views.
+    """Encode a synthetic scene without pruning, scored on few small views.
 
     Parameters
     ----------
     path : Path
-    splats, sh_degree : int
-        Of the scene.
+    splats : int
+        Splats of the scene.
+    sh_degree : int
+        SH degree of the scene.
     views : int
-        Of the scene's own cameras; nothing is pruned, so that the decoder has all splats to do.
+        Number of training views.
     """
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.request import EncodeRequest
@@ -248,7 +253,7 @@ def encode_synth(path: Path, splats: int, sh_degree: int, views: int) -> None:
 
 
 def machine() -> dict[str, object]:
-    """Return the machine's description: processor, cores, versions."""
+    """Describe the machine: platform, processor, cores, versions."""
     return {
         "platform": platform.platform(),
         "processor": platform.processor() or platform.machine(),
@@ -260,7 +265,7 @@ def machine() -> dict[str, object]:
 
 
 def numba_in_use() -> bool:
-    """Tell whether decoding in this process can go through compiled kernels."""
+    """Whether numba is loaded in this process."""
     return sys.modules.get("numba") is not None
 
 
@@ -274,16 +279,16 @@ def numba_in_use() -> bool:
     "synth_splats",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Also synthetic scenes of N splats at SH 0 and SH 3, encoded here (takes the extra).",
+    help="Also time synthetic scenes of N splats with SH 0 and SH 3 (needs the extra).",
 )
 @click.option("--views", type=click.IntRange(min=1), default=4, show_default=True, metavar="N")
 @click.option("--pairs", type=click.IntRange(min=1), default=15, show_default=True, metavar="N")
-@click.option("--core", is_flag=True, help="Decode as an install without the extra does, only.")
+@click.option("--core", is_flag=True, help="Only decode like an install without the extra.")
 @click.option(
     "--spz",
     type=PATH,
     metavar="NODE_MODULES",
-    help="Also SPZ's own library, from @adobe/spz in this folder.",
+    help="Also time the SPZ library, from @adobe/spz in this folder.",
 )
 @threads_option
 @json_option
@@ -301,17 +306,17 @@ def main(
     if not files and synth_splats is None:
         raise click.UsageError("nothing to time, expected COGS files or --synth N")
     if core:
-        # As if it were not installed: importing it fails from here on.
+        # Simulates that numba is not installed: later imports fail.
         sys.modules["numba"] = None  # type: ignore[assignment]
     ways = [Way(kernels=False, threads=threads)]
     if decoding_tiers.use_compiled(True):
-        # A plain decode, and beside it what each number of threads gives.
+        # The default, one thread and two threads.
         ways += [Way(kernels=True, threads=count) for count in sorted({threads, 1, 2})]
     subjects = [(path, display_name(path)) for path in files]
     with tempfile.TemporaryDirectory() as folder:
         for degree in (0, 3) if synth_splats else ():
             path = Path(folder) / f"sh{degree}.cogs"
-            # In a process of its own, because encoding imports numba in any case.
+            # In a separate process, because encoding always imports numba.
             with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
                 pool.submit(encode_synth, path, synth_splats or 0, degree, views).result()
             subjects.append((path, f"synth {synth_splats:,} SH {degree}"))

@@ -1,12 +1,15 @@
-"""Levels of one file against models of one size, of all sizes, cuts, and the scene drawn small.
+"""Comparison of detail levels with single-scale, multi-scale and untrained models.
 
 Run ``python -m cogsplat.tools.lab.benchmark.level_peers SCENE --cameras CAMERAS --eval-every
-8``. Of every model it prints what is fetched and how its pictures of the held-out views compare
-with the scene's full pictures averaged to the size that it is made for, then the PSNR at all
-sizes. Models are the levels of one file; a file for each size that was trained for pictures of
-this size alone, from as many splats; as many splats that contribute most, stored without
-training; one file that was trained on pictures of all sizes; and the scene itself, which no
-file holds.
+8``. For every model it prints the bytes fetched and the quality in held-out views at the model's
+own picture size, then the PSNR at all sizes. The ground truth is the scene's full-size picture,
+downscaled. The models are:
+
+- the levels of one file;
+- per level, a file of the same number of splats trained for this picture size alone;
+- per level, the same number of splats of largest contribution, without training;
+- one file trained on pictures of all sizes;
+- the scene itself, not stored.
 """
 
 from __future__ import annotations
@@ -41,18 +44,20 @@ Row = tuple[str, ...]
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """What pictures are drawn from.
+    """A model for one picture size.
 
     Parameters
     ----------
     way : str
-        How it was made.
+        Training method.
     scale : int
-        By what the pictures that it is made for are divided in width and height.
+        Downscaling factor of the pictures that the model is made for.
     splats : Splats
-        As they are decoded.
-    bytes_fetched, opacity_bytes : int
-        What is fetched, and how much of this are opacities of the level; 0 of the scene itself.
+        Decoded splats.
+    bytes_fetched : int
+        Bytes fetched for the model; 0 for the scene itself.
+    opacity_bytes : int
+        Part of `bytes_fetched` for opacities of the level.
     """
 
     way: str
@@ -63,15 +68,15 @@ class Model:
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
-    """A model, and how its pictures compare at each scale of the configuration."""
+class ModelQuality:
+    """A model with its picture quality at each scale."""
 
     model: Model
     figures: dict[int, PictureFigures]
 
 
 def _stored(levels: LevelledSplats, cameras: Sequence[Camera], way: str) -> list[Model]:
-    """Return each level as a reader of its file decodes it."""
+    """Encode levels to a file and return each level as decoded."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "levels.cogs"
         cogs.save(encode_levels(levels, cameras), path, writer="benchmark")
@@ -89,13 +94,13 @@ def _stored(levels: LevelledSplats, cameras: Sequence[Camera], way: str) -> list
 
 
 def models(splats: Splats, cameras: Sequence[Camera], config: LevelsConfig) -> list[Model]:
-    """Return all models of a scene, the levels first.
+    """Train the models of a scene, the levels first.
 
     Parameters
     ----------
     splats : Splats
     cameras : sequence of Camera
-        To train in.
+        Training views.
     config : LevelsConfig
     """
     found = _stored(train_levels(splats, cameras, config), cameras, "level")
@@ -108,23 +113,24 @@ def models(splats: Splats, cameras: Sequence[Camera], config: LevelsConfig) -> l
     return [*found, Model("the scene", config.scales[-1], splats)]
 
 
-def judged(
+def measure_quality(
     splats: Splats,
     of: Sequence[Model],
     tests: Sequence[Camera],
     config: LevelsConfig,
     *,
     lpips: Lpips | None = None,
-) -> list[Judged]:
-    """Return how the pictures of models compare with the scene's full pictures, averaged.
+) -> list[ModelQuality]:
+    """Measure models at every scale against downscaled full-size pictures of the scene.
 
     Parameters
     ----------
     splats : Splats
         The scene.
     of : sequence of Model
+        Models to measure.
     tests : sequence of Camera
-        To judge in, of the full pictures.
+        Test views at full size.
     config : LevelsConfig
     lpips : Lpips, optional
     """
@@ -138,7 +144,7 @@ def judged(
         scale: [downscale_picture(picture, scale) for picture in full] for scale in config.scales
     }
     return [
-        Judged(
+        ModelQuality(
             model,
             {
                 scale: picture_figures(model.splats, small[scale], targets[scale], lpips=lpips)
@@ -149,8 +155,8 @@ def judged(
     ]
 
 
-def own_rows(found: Sequence[Judged]) -> list[Row]:
-    """Return a row for each model, at the size that it is made for."""
+def own_rows(found: Sequence[ModelQuality]) -> list[Row]:
+    """Return a table row per model with the quality at its own picture size."""
     rows: list[Row] = []
     for one in found:
         model, figures = one.model, one.figures[one.model.scale]
@@ -170,8 +176,8 @@ def own_rows(found: Sequence[Judged]) -> list[Row]:
     return rows
 
 
-def size_rows(found: Sequence[Judged]) -> list[Row]:
-    """Return a row for each model with its mean PSNR, dB, at every size."""
+def size_rows(found: Sequence[ModelQuality]) -> list[Row]:
+    """Return a table row per model with the mean PSNR at every size, dB."""
     return [
         (
             f"1/{one.model.scale}",
@@ -182,14 +188,14 @@ def size_rows(found: Sequence[Judged]) -> list[Row]:
     ]
 
 
-def chart(found: Sequence[Judged], width: int) -> str:
-    """Return an SVG chart of PSNR by the width of the pictures, a line for each model.
+def chart(found: Sequence[ModelQuality], width: int) -> str:
+    """Return an SVG chart of PSNR by picture width, one line per model.
 
     Parameters
     ----------
-    found : sequence of Judged
+    found : sequence of ModelQuality
     width : int
-        Of the full pictures, px.
+        Width of the full-size pictures, px.
     """
     series = [
         Series(
@@ -208,9 +214,11 @@ def main() -> None:
     parser.add_argument("scene", type=Path)
     parser.add_argument("--cameras", type=Path, required=True)
     parser.add_argument("--eval-every", type=int, default=8)
-    parser.add_argument("--scales", default="8,4,2,1", help="what the sizes are divided by")
+    parser.add_argument("--scales", default="8,4,2,1", help="downscaling factor of each level")
     parser.add_argument("--shares", default="8%,25%,60%,100%", help="splats of each level")
-    parser.add_argument("--smaller", type=int, default=1, help="divide all pictures by this first")
+    parser.add_argument(
+        "--smaller", type=int, default=1, help="downscale all pictures by this factor first"
+    )
     parser.add_argument("--steps", type=int, default=400)
     parser.add_argument("--lpips-weights", type=Path, help="also print LPIPS, with these weights")
     parser.add_argument("--chart", type=Path, help="write PSNR by size as SVG")
@@ -229,7 +237,9 @@ def main() -> None:
         threads=given.threads,
     )
     lpips = None if given.lpips_weights is None else read_lpips(given.lpips_weights)
-    found = judged(splats, models(splats, train, config), tests or train, config, lpips=lpips)
+    found = measure_quality(
+        splats, models(splats, train, config), tests or train, config, lpips=lpips
+    )
     print_line(f"{given.scene}: {len(tests or train)} views, {given.steps} steps a level")
     heads = (
         "pictures", "drawn from", "splats", "fetched B", "opacities B", "PSNR", "worst", "SSIM",

@@ -1,7 +1,7 @@
-"""Reading over a network: a large file, a slow link, and many readers of one server.
+"""Network benchmarks: random access to a large file, a slow link, and concurrent readers.
 
 Run ``python -m cogsplat.tools.lab.benchmark.network large``, ``link SCENE.cogs`` or
-``readers SCENE.cogs``. Servers run in processes of their own on this machine.
+``readers SCENE.cogs``. Each server runs in a separate process on this machine.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from cogsplat.tools.terminal.standard_streams import PATH
 _STATUS: Final = "/proc/{}/status"
 _RANGE_BYTES: Final = 65536
 
-# What a chunk of a large file takes, nearly: 100,000 of them are a gigabyte.
+# Approximate size of a chunk of the large file: 100,000 chunks are a gigabyte.
 _CHUNK_BYTES: Final = 10_000
 
 _CODEBOOKS: Final = (
@@ -51,16 +51,18 @@ _CODEBOOKS: Final = (
 
 @dataclass(frozen=True)
 class LargeFile:
-    """What a large file took to open, and to get single chunks of.
+    """Cost of opening a large file and of reading single chunks.
 
     Parameters
     ----------
     file_bytes, chunks, pages : int
+        Size of the file, number of its chunks and of its index pages.
     opening_requests, opening_bytes : int
+        Requests and bytes for opening the file.
     chunk_requests, chunk_bytes : int
-        The most that any of the chunks took that were tried, each in a file newly opened.
+        Maximum of requests and bytes for one chunk, each in a newly opened file.
     memory_bytes : int
-        By how much the process grew, from before the first was opened to its peak.
+        Growth of the process's resident memory to its peak.
     """
 
     file_bytes: int
@@ -74,21 +76,21 @@ class LargeFile:
 
 
 @dataclass(frozen=True)
-class OverLink:
-    """What a scene took over a slow link.
+class SlowLink:
+    """Traffic and times of loading a scene over a slow link.
 
     Parameters
     ----------
     file_bytes, received_bytes, requests : int
+        Size of the file, bytes received and requests when streaming.
     link_seconds : float
-        What the bytes of the file take on the link, without latency.
+        Transfer time of the file's bytes at the link's bandwidth, without latency.
     fetched_seconds : float
-        From the beginning to the last byte, where nothing is decoded.
+        Time of a download without decoding.
     opened_seconds, first_chunk_seconds, last_chunk_seconds : float
-        From the beginning to the index, to the first chunk that can be drawn, and to the whole,
-        where chunks are decoded as they come.
+        Time until the index, the first and the last chunk when streaming.
     decoded_seconds : float
-        From the beginning to all splats, by `cogsplat.decode`.
+        Time of `cogsplat.decode` of the address.
     """
 
     file_bytes: int
@@ -104,14 +106,16 @@ class OverLink:
 
 @dataclass(frozen=True)
 class Readers:
-    """What many readers of one server got.
+    """Responses and server memory under concurrent readers.
 
     Parameters
     ----------
     readers : int
+        Number of concurrent clients.
     seconds : float
+        Duration of the test.
     answers, wrong, errors : int
-        Answers that were right to the byte, those that were not, and requests that failed.
+        Number of correct responses, of responses with wrong bytes, and of failed requests.
     memory_first_bytes, memory_last_bytes, memory_peak_bytes : int
         Resident memory of the server after a tenth of the time, at the end, and its peak.
     """
@@ -145,7 +149,7 @@ def served(path: Path, *options: str) -> Iterator[tuple[str, int]]:
 
 
 def make_large(path: Path, chunks: int) -> None:
-    """Write a file of many chunks, all copies of one chunk of an encoded scene of SH degree 3."""
+    """Write a file of many chunks, all copies of one chunk of a scene of SH degree 3."""
     with tempfile.TemporaryDirectory() as folder:
         small = Path(folder) / "small.cogs"
         cogsplat.encode(synth(6000), small, cameras=synth_cameras(6, 120, 90), preset="fast")
@@ -155,7 +159,7 @@ def make_large(path: Path, chunks: int) -> None:
 
 
 def _copies(file: CogsFile, chunks: int) -> tuple[Root, list[Segment]]:
-    """Return root and segments of a file whose chunks are all copies of a chunk of another."""
+    """Return root and segments of a file that repeats one chunk of another file."""
     whole = [c for c in range(file.num_chunks) if None not in _parts(file, c)]
     size = {c: sum(int(file.segments.length[row or 0]) for row in _parts(file, c)) for c in whole}
     chosen = min(whole, key=lambda chunk: abs(size[chunk] - _CHUNK_BYTES))
@@ -173,11 +177,13 @@ def _copies(file: CogsFile, chunks: int) -> tuple[Root, list[Segment]]:
 
 
 def _parts(file: CogsFile, chunk: int) -> tuple[int | None, ...]:
+    """Return the segments of a chunk: head, refinement, tail."""
     rows = file.chunk_rows(chunk)
     return rows.head, rows.refinement, rows.tail
 
 
 def _segment(file: CogsFile, row: int, owner: int) -> Segment:
+    """Copy a segment of a file with another owner."""
     needs = int(file.segments.needs[row])
     return Segment(
         int(file.segments.kind[row]),
@@ -188,25 +194,28 @@ def _segment(file: CogsFile, row: int, owner: int) -> Segment:
 
 
 def make_folder(path: Path, folder: Path) -> None:
-    """Write a large file as a folder."""
+    """Unpack a file into a folder of objects."""
     with cogsplat.open(path) as file:
         unpack_cogs(file, folder)
 
 
 def large_file(path: Path, tries: int, seed: int = 1, place: Path | None = None) -> LargeFile:
-    """Open a large file over a server on this machine, and get some of its chunks.
+    """Open a large file from a local server and read random chunks.
 
     Parameters
     ----------
     path : Path
+        The file.
     tries : int
+        Number of random chunks, besides the first and the last.
     seed : int
+        Seed of the random choice.
     place : Path, optional
-        The folder that stands for the file, to be read in its place.
+        Folder of objects to serve instead of the file.
     """
     chosen = random.Random(seed)
     with served(place or path) as (url, _):
-        # What importing and decoding take at first is no part of it.
+        # Warm-up: imports and the first decode are not measured.
         with cogsplat.open(path, size_bytes=1 << 20) as file:
             file.decode([0])
         before = _resident_bytes()
@@ -229,13 +238,13 @@ def large_file(path: Path, tries: int, seed: int = 1, place: Path | None = None)
     )
 
 
-def over_link(path: Path, bits_per_second: float, latency_ms: float) -> OverLink:
-    """Fetch a scene over a slow link, chunk by chunk."""
+def load_over_link(path: Path, bits_per_second: float, latency_ms: float) -> SlowLink:
+    """Download, stream and decode a scene over a slow link."""
     options = ["--throttle", f"{bits_per_second:.0f}", "--latency", str(latency_ms)]
     with cogsplat.open(path) as file:
         file.decode([0])
     with served(path, *options) as (url, _):
-        # What importing takes at first is no part of it.
+        # Warm-up: imports are not measured.
         cogsplat.open(url).close()
         start = time.perf_counter()
         with tempfile.TemporaryDirectory() as folder:
@@ -255,7 +264,7 @@ def over_link(path: Path, bits_per_second: float, latency_ms: float) -> OverLink
         cogsplat.decode(url)
         decoded = time.perf_counter() - start
     size = path.stat().st_size
-    return OverLink(
+    return SlowLink(
         size,
         traffic.received_bytes,
         traffic.requests,
@@ -269,7 +278,7 @@ def over_link(path: Path, bits_per_second: float, latency_ms: float) -> OverLink
 
 
 def many_readers(path: Path, readers: int, seconds: float) -> Readers:
-    """Have many clients read ranges of a file, each on a connection of its own."""
+    """Read random ranges of a file by concurrent clients, each with its own connection."""
     with served(path) as (url, process):
         return asyncio.run(_read(path.read_bytes(), url, process, readers, seconds))
 
@@ -284,7 +293,7 @@ async def _read(data: bytes, url: str, process: int, readers: int, seconds: floa
     async def reader(number: int) -> None:
         nonlocal answers, wrong, errors
         chosen = random.Random(number)
-        # Reading certificates for each of them would take longer than what is measured.
+        # Loading certificates for each client would take longer than the test.
         async with httpx.AsyncClient(timeout=30, verify=False) as client:
             while time.monotonic() < stop:
                 first = chosen.randrange(len(data))
@@ -317,7 +326,7 @@ async def _read(data: bytes, url: str, process: int, readers: int, seconds: floa
 
 
 def _resident_bytes(process: int | str = "self") -> int:
-    """Return the memory that a process has resident."""
+    """Return the resident memory of a process, bytes."""
     for line in Path(_STATUS.format(process)).read_text(encoding="ascii").splitlines():
         if line.startswith("VmRSS"):
             return int(line.split()[1]) * 1024
@@ -328,7 +337,8 @@ def _peak_bytes() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def _tell(found: object, as_json: bool) -> None:
+def _print(found: object, as_json: bool) -> None:
+    """Print a result as a table or as JSON."""
     values = asdict(found)  # type: ignore[call-overload]
     if as_json:
         print_json(values)
@@ -349,13 +359,15 @@ def main() -> None:
 @main.command()
 @click.option("--chunks", type=click.IntRange(min=1), default=100_000, show_default=True)
 @click.option("--tries", type=click.IntRange(min=0), default=20, show_default=True)
-@click.option("--folder", "as_folder", is_flag=True, help="As a folder of objects.")
+@click.option(
+    "--folder", "as_folder", is_flag=True, help="Serve a folder of objects instead of the file."
+)
 @json_option
 def large(chunks: int, tries: int, as_folder: bool, as_json: bool) -> None:
-    """Open a file of many chunks, and get single ones."""
+    """Open a file of many chunks and read single chunks."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "large.cogs"
-        # In a process of its own: what making it takes is not measured.
+        # In a separate process, so that its memory is not measured.
         command = "import sys; from pathlib import Path; "
         command += "from cogsplat.tools.lab.benchmark.network import make_folder, make_large; "
         command += "make_large(Path(sys.argv[1]), int(sys.argv[2])); "
@@ -363,17 +375,17 @@ def large(chunks: int, tries: int, as_folder: bool, as_json: bool) -> None:
         place = [Path(folder) / "large"] if as_folder else []
         arguments = [str(x) for x in (path, chunks, *place)]
         subprocess.run([sys.executable, "-c", command, *arguments], check=True)
-        _tell(large_file(path, tries, place=place[0] if place else None), as_json)
+        _print(large_file(path, tries, place=place[0] if place else None), as_json)
 
 
 @main.command()
 @click.argument("scene", type=PATH)
-@click.option("--bits", type=float, default=10e6, show_default=True, help="Bits a second.")
-@click.option("--latency", type=float, default=50.0, show_default=True, help="Milliseconds.")
+@click.option("--bits", type=float, default=10e6, show_default=True, help="Bandwidth, bit/s.")
+@click.option("--latency", type=float, default=50.0, show_default=True, help="Latency, ms.")
 @json_option
 def link(scene: Path, bits: float, latency: float, as_json: bool) -> None:
-    """Fetch a scene over a slow link."""
-    _tell(over_link(scene, bits, latency), as_json)
+    """Load a scene over a slow link."""
+    _print(load_over_link(scene, bits, latency), as_json)
 
 
 @main.command()
@@ -382,8 +394,8 @@ def link(scene: Path, bits: float, latency: float, as_json: bool) -> None:
 @click.option("--seconds", type=click.FloatRange(min=1), default=60.0, show_default=True)
 @json_option
 def readers(scene: Path, readers: int, seconds: float, as_json: bool) -> None:
-    """Have many readers get ranges from one server."""
-    _tell(many_readers(scene, readers, seconds), as_json)
+    """Read ranges from one server by many concurrent readers."""
+    _print(many_readers(scene, readers, seconds), as_json)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,12 @@
-"""How long others' encoders take, how many bytes they write, and what COGS needs for that quality.
+"""Comparison with other encoders: time, size, and the size of COGS at equal PSNR.
 
 Run ``python -m cogsplat.tools.lab.benchmark.other_encoders SCENE --cameras PATH --out DIR``
 after, in ``tools/web``, ``npm install --no-save @playcanvas/splat-transform@2``. PlayCanvas'
-converter writes SOG, Streamed SOG, SPZ and compressed PLY from the PLY, on the processor;
-Niedermayr et al.'s npz is ours, written from their description (`c3dgs_npz`). Every file is
-read back and compared with the source in views that no encoder was given. Then ``cogsplat
-encode`` aims at the PSNR of each.
+converter writes SOG, Streamed SOG, SPZ and compressed PLY on the CPU. The npz of Niedermayr et al.
+is written by `c3dgs_npz`. Every file is decoded and compared with the source in held-out views.
+Then ``cogsplat encode`` targets the PSNR of each file.
 
-All are timed as whole processes, from a PLY to a closed file, one after the other, in one run.
+Times are those of complete processes, from a PLY to a closed file, run one after the other.
 """
 
 from __future__ import annotations
@@ -39,28 +38,29 @@ from cogsplat.tools.terminal.standard_streams import PATH
 _MODULES: Final = Path(__file__).resolve().parents[2] / "web" / "node_modules"
 _MODULE: Final = "cogsplat.tools.lab.benchmark.other_encoders"
 _HELD_OUT: Final = 8
-# Streamed SOG holds the scene in levels of detail; these shares of the splats are its usual three.
+# Splats in each level of Streamed SOG, percent: the usual three levels.
 _LEVELS: Final = (100, 50, 25)
 
 PRESETS: Final = ("fast", "balanced")
-"""Presets of ``cogsplat encode`` that aim at the quality of every other file."""
+"""Presets of ``cogsplat encode`` that are compared at the PSNR of every other file."""
 
 
 @dataclass(frozen=True)
-class Written:
-    """A file that an encoder wrote, and how good it is.
+class EncodeResult:
+    """Time, size and quality of an encoded scene.
 
     Parameters
     ----------
     name : str
+        Encoder.
     seconds : float
-        From the start of the process to its end.
+        Duration of the process.
     size_bytes : int
-        Of all files written; of Streamed SOG this counts every level.
+        Size of all files; for Streamed SOG all levels.
     held_out_db : float
         Mean PSNR of the held-out views against renders of the source.
     like : str
-        The file whose PSNR was aimed at; empty for those of other encoders.
+        Encoder whose PSNR was the target; empty for other encoders.
     """
 
     name: str
@@ -72,17 +72,18 @@ class Written:
 
 @dataclass(frozen=True)
 class Encoder:
-    """A command that encodes a scene, and what reads the files it leaves.
+    """An encoder: its command line and a reader of its output.
 
     Parameters
     ----------
     name : str
+        Name for the results.
     command : callable
-        Gives the command line, from the PLY, the cameras and the file to write.
+        Returns the command line for a PLY, cameras and the output file.
     target : str
-        Name of that file in a folder of its own.
+        Name of the output file in an empty folder.
     read : callable
-        Reads the scene back from that folder.
+        Reads the scene from that folder.
     """
 
     name: str
@@ -92,14 +93,14 @@ class Encoder:
 
 
 def encoders(node_modules: Path, sh_iterations: int = 10) -> list[Encoder]:
-    """Return the encoders that are compared with.
+    """Return the encoders for comparison.
 
     Parameters
     ----------
     node_modules : Path
-        Where ``@playcanvas/splat-transform`` is installed; without it only our npz is written.
+        Folder with ``@playcanvas/splat-transform``; without it only the npz encoder is returned.
     sh_iterations : int
-        Of the clustering of SH in SOG; the converter's own default is 10.
+        Iterations of SH clustering in SOG; the converter's default is 10.
     """
     found = [Encoder("c3dgs-style npz", _npz_command, "scene.npz", _read_npz)]
     if not converter.is_installed(node_modules):
@@ -142,17 +143,17 @@ def _read_only_file(folder: Path) -> Splats:
 
 
 def _read_finest_level(folder: Path) -> Splats:
-    """Join the parts of level 0, which lie in folders named LEVEL_PART."""
+    """Read and concatenate the parts of level 0, in folders named LEVEL_PART."""
     return concatenate([cogsplat.read(part / "meta.json") for part in sorted(folder.glob("0_*"))])
 
 
-def timed(command: list[str]) -> float:
-    """Run a command and return its seconds.
+def run_timed(command: list[str]) -> float:
+    """Run a command and return its duration, s.
 
     Raises
     ------
     click.ClickException
-        It failed; the message ends with what it said.
+        The command failed; the message ends with its output.
     """
     start = time.perf_counter()
     converter.run(command)
@@ -165,25 +166,25 @@ def compare(
     quality_db: Callable[[Splats], float],
     others: Sequence[Encoder],
     presets: Sequence[str] = PRESETS,
-) -> Iterator[Written]:
-    """Encode a scene with others' encoders and, aiming at the PSNR of each, with ours.
+) -> Iterator[EncodeResult]:
+    """Encode a scene by other encoders, then by COGS at the PSNR of each.
 
     Parameters
     ----------
     scene : Path
-        A PLY.
+        Path of a PLY.
     cameras : Path
-        Views for encoders that take any, none of those that are judged.
+        Training views, without the held-out ones.
     quality_db : callable
-        Gives the mean PSNR of a scene in held-out views.
+        Returns the mean PSNR of a scene in held-out views.
     others : sequence of Encoder
     presets : sequence of str
-        Of ``cogsplat encode``.
+        Presets of ``cogsplat encode``.
 
     Yields
     ------
-    Written
-        Of each encoder, then of each preset that aimed at its PSNR.
+    EncodeResult
+        Result of each encoder, followed by those of the presets at its PSNR.
 
     Raises
     ------
@@ -194,17 +195,19 @@ def compare(
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name) / "made"
             folder.mkdir()
-            seconds = timed(other.command(scene, cameras, folder / other.target))
+            seconds = run_timed(other.command(scene, cameras, folder / other.target))
             size = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-            found = Written(other.name, seconds, size, quality_db(other.read(folder)))
+            found = EncodeResult(other.name, seconds, size, quality_db(other.read(folder)))
             yield found
             for preset in presets:
                 path = Path(name) / f"{preset}.cogs"
                 start = [sys.executable, "-m", "cogsplat.tools.main", "encode", "--quiet"]
                 aim = ["--preset", preset, "--target-psnr", f"{found.held_out_db:.2f}"]
-                seconds = timed([*start, str(scene), str(path), "--cameras", str(cameras), *aim])
+                seconds = run_timed(
+                    [*start, str(scene), str(path), "--cameras", str(cameras), *aim]
+                )
                 size, db = path.stat().st_size, quality_db(cogsplat.decode(path))
-                yield Written(f"COGS {preset}", seconds, size, db, like=other.name)
+                yield EncodeResult(f"COGS {preset}", seconds, size, db, like=other.name)
 
 
 def _write_npz(scene: Path, cameras: Path, target: Path) -> None:
@@ -220,16 +223,18 @@ def _write_npz(scene: Path, cameras: Path, target: Path) -> None:
 @click.command()
 @click.argument("scene", type=PATH)
 @click.option("--cameras", type=PATH, required=True)
-@click.option("--out", type=PATH, help="Folder for figures.")
-@click.option("--node-modules", type=PATH, default=_MODULES, help="Where splat-transform is.")
-@click.option("--only", default="", help="Names of encoders, separated by commas.")
-@click.option("--sh-iterations", default=10, show_default=True, help="Of SOG's clustering.")
+@click.option("--out", type=PATH, help="Folder for a CSV table.")
+@click.option("--node-modules", type=PATH, default=_MODULES, help="Folder with splat-transform.")
+@click.option("--only", default="", help="Encoders to run, separated by commas.")
+@click.option(
+    "--sh-iterations", default=10, show_default=True, help="Iterations of SH clustering in SOG."
+)
 @click.option("--write-npz", type=PATH, hidden=True)
 def main(
     scene: Path, cameras: Path, out: Path | None, node_modules: Path, only: str,
     sh_iterations: int, write_npz: Path | None,
 ) -> None:  # fmt: skip
-    """Compare others' encoders of SCENE with ours: seconds, and bytes at equal PSNR."""
+    """Compare encoders of SCENE: time, and bytes at equal PSNR."""
     if write_npz is not None:
         _write_npz(scene, cameras, write_npz)
         return
@@ -239,8 +244,10 @@ def main(
     wanted = [name.strip() for name in only.split(",") if name.strip()]
     others = [other for other in others if not wanted or other.name in wanted]
     if not others:
-        raise click.BadParameter(f"{only!r}, none of these is there", param_hint="--only")
-    rows: list[Written] = []
+        raise click.BadParameter(
+            f"{only!r}, expected names of available encoders", param_hint="--only"
+        )
+    rows: list[EncodeResult] = []
 
     def quality_db(splats: Splats) -> float:
         return mean_psnr_db(view_qualities(source, splats, held_out))

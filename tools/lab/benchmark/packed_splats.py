@@ -1,4 +1,4 @@
-"""The packed splats of browsers as arrays: what Spark and the npm package ``cogsplat`` upload."""
+"""Decoder of the packed splats that Spark and the npm package ``cogsplat`` upload to the GPU."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from cogsplat.codec.splats import SceneInfo, Splats
 U32 = NDArray[np.uint32]
 F32 = NDArray[np.float32]
 
-# Words, bits and values of a splat in each band (tools/web/src/scene/packed_splats.ts).
+# Words per splat, bits per value and values per splat of each band, as in
+# tools/web/src/scene/packed_splats.ts.
 _BANDS: Final = ((2, 7, 9), (4, 8, 15), (4, 6, 21))
 _LOG_SCALE_MIN: Final = -12.0
 _LOG_SCALE_STEP: Final = 21.0 / 254.0
-# A code of 0 is a scale of 0: e^-30 as Spark has it.
+# Log scale of code 0, which Spark treats as a scale of 0.
 _LOG_SCALE_ZERO: Final = -30.0
 
 
@@ -29,18 +30,18 @@ def unpack(
     sh_max: Sequence[float],
     info: SceneInfo,
 ) -> Splats:
-    """Return the splats that packed words stand for, without those that are fully transparent.
+    """Decode packed splats; fully transparent splats are dropped.
 
     Parameters
     ----------
     words : (N, 4) uint32
-        As ``PackedSplats`` of tools/web/src/scene/packed_splats.ts describes them.
+        Packed words (``PackedSplats`` of tools/web/src/scene/packed_splats.ts).
     bands : sequence of (N, 2), (N, 4), (N, 4) uint32
-        SH bands 1, 2, 3, as many as there are.
+        Packed SH bands 1, 2 and 3; higher bands may be absent.
     colours : tuple of float
         DC colours of codes 0 and 255.
     sh_max : sequence of float
-        What the largest code of each band stands for.
+        SH coefficient of the largest code, per band.
     info : SceneInfo
         Frame of the means.
 
@@ -75,12 +76,12 @@ def unpack(
 
 
 def words_of_band(degree: int) -> int:
-    """Return how many words a splat has in a band."""
+    """Return the number of words per splat in an SH band."""
     return _BANDS[degree - 1][0]
 
 
 def _band(words: U32, bits: int, values: int) -> F32:
-    """Take numbers in two's complement, without gaps from bit 0, out of (N, W) words."""
+    """Unpack contiguous two's complement values, from bit 0 on, of (N, W) words."""
     flat = np.unpackbits(words.view(np.uint8), axis=1, bitorder="little")[:, : bits * values]
     digits = flat.reshape(-1, values, bits).astype(np.int32)
     unsigned = digits @ (1 << np.arange(bits, dtype=np.int32))
@@ -90,7 +91,7 @@ def _band(words: U32, bits: int, values: int) -> F32:
 
 
 def _rotations(u: NDArray[np.uint8], v: NDArray[np.uint8], angle: NDArray[np.uint8]) -> F32:
-    """Return wxyz from an axis on an octahedron and an angle in π/255."""
+    """Decode wxyz quaternions from an octahedral axis and an angle in units of π/255."""
     x, y = (code.astype(np.float32) / 127.5 - 1.0 for code in (u, v))
     z = 1.0 - np.abs(x) - np.abs(y)
     fold = np.maximum(-z, 0.0)

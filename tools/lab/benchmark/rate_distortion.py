@@ -1,4 +1,4 @@
-"""Rate-distortion benchmark: bytes, seconds and PSNR of COGS profiles and of foreign formats."""
+"""Rate-distortion benchmark: bytes, seconds and PSNR of COGS profiles and other formats."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ BASELINE: Final = "c3dgs-style npz"
 """Name of the comparison with Niedermayr et al. (`baseline_npz`)."""
 
 FOREIGN: Final = (*(format_.name for format_ in FORMATS if format_.write), BASELINE)
-"""What can be compared with."""
+"""Names of the other formats."""
 
-# Nominal qualities where none are asked for, dB. `vq` and `near-lossless` are for comparison.
+# Default nominal qualities of each profile, dB. `vq` is for comparison.
 QUALITIES: Final = {
     "transform": (30.0, 34.0, 38.0, 42.0, 46.0, 50.0),
     "vq": (26.0, 34.0, 42.0),
@@ -41,10 +41,10 @@ QUALITIES: Final = {
 
 _FIRST_PREFIX: Final = 32 << 10
 
-# Prefixes of a file that are expected: up to 512 KiB.
+# Number of prefixes assumed in cost estimates: 32 KiB to 512 KiB.
 _PREFIXES: Final = 5
 
-# Reads are timed so often, and the fastest counts: the first one loads code.
+# Number of timed reads; the fastest counts, because the first one loads code.
 _READS: Final = 2
 
 
@@ -57,16 +57,17 @@ class BenchInput:
     splats : Splats
         Valid rows, at least one.
     scores : Scores
-        From other views than those that are measured in.
+        Scores from the training views.
     score_s : float
-        Seconds that scoring took; part of what our encoder and the baseline take.
+        Scoring time, s; counted in the encoding time of COGS and of the baseline.
     cameras : sequence of Camera
-        Test views, to measure in.
+        Test views.
     scored_on : sequence of Camera
-        Given or planned.
+        Training views, given or planned.
     photos : Photos or None
-        Of the test views.
+        Photos of the test views.
     background : tuple of float
+        RGB behind the splats.
     threads : int
     """
 
@@ -93,19 +94,20 @@ class Row:
     method : str
         Profile or foreign format.
     quality_db : float or None
-        Nominal, where the profile has one.
+        Nominal quality; None if the profile has none.
     refused : str
-        Reason code, where the format cannot hold the scene; the figures are zeros then.
+        Reason code if the format cannot store the scene; all figures are 0 then.
     file_bytes : int
     bytes_per_splat : float
         Per splat of the source, pruned ones included.
     held_out_db, worst_db, roam_db : float
         PSNR against the source's own renders, at most 100.
     held_out_ssim, worst_ssim, roam_ssim : float
+        SSIM of the same views.
     photos_db, photo_loss_db : float or None
-        PSNR against the photos of the held-out views, and how much less that is than the source's.
+        PSNR against photos of the held-out views, and its loss against that of the source.
     encode_s, decode_s : float
-        Seconds from arrays to a file, scoring included, and back.
+        Time from arrays to a file, with scoring, and from the file to arrays, s.
     """
 
     method: str
@@ -130,24 +132,24 @@ class Row:
         return _label(self.method, self.quality_db)
 
     @property
-    def is_ours(self) -> bool:
+    def is_cogs(self) -> bool:
         """Whether the method is a profile of COGS."""
         return self.method not in FOREIGN
 
     @property
     def is_identical(self) -> bool:
-        """Whether every held-out view is rendered identically."""
+        """Whether all held-out views equal those of the source."""
         return self.held_out_db >= PSNR_CAP_DB
 
     def report(self) -> dict[str, object]:
-        """Return the figures as CSV and JSON have them."""
+        """Return the figures for CSV and JSON output."""
         figures = asdict(self)
         return {"bytes" if name == "file_bytes" else name: x for name, x in figures.items()}
 
 
 @dataclass(frozen=True)
 class BenchPrefix:
-    """PSNR of the first bytes of a file.
+    """PSNR of one prefix of a file.
 
     Parameters
     ----------
@@ -170,23 +172,23 @@ class BenchPrefix:
         return _label(self.method, self.quality_db)
 
     def report(self) -> dict[str, object]:
-        """Return the figures as CSV and JSON have them."""
+        """Return the figures for CSV and JSON output."""
         figures = asdict(self)
         return {"bytes" if name == "prefix_bytes" else name: x for name, x in figures.items()}
 
 
 @dataclass(frozen=True)
 class StageTime:
-    """What one stage of one encode took, scoring left out.
+    """Duration of one stage of an encode, without scoring.
 
     Parameters
     ----------
     method : str
     quality_db : float or None
     stage : str
-        As `cogsplat.encode` reports it.
+        Name of the stage in `EncodeReport`.
     wall_s, cpu_s : float
-        Seconds by the clock, and of processors, all threads together.
+        Wall-clock time, and processor time of all threads.
     """
 
     method: str
@@ -201,7 +203,7 @@ class StageTime:
         return _label(self.method, self.quality_db)
 
     def report(self) -> dict[str, object]:
-        """Return the figures as JSON has them."""
+        """Return the figures for JSON output."""
         return asdict(self)
 
 
@@ -213,9 +215,9 @@ class Bench:
     ----------
     rows : tuple of Row
     prefixes : tuple of BenchPrefix
-        Of one file of each profile, the one in the middle of its qualities.
+        Prefixes of one file per profile, that of the middle quality.
     stages : tuple of StageTime
-        Of the encode of the same files, in the order of the stages.
+        Stages of the encodes of these files, in order.
     """
 
     rows: tuple[Row, ...]
@@ -245,16 +247,22 @@ def stage_cost(
     qualities: Sequence[float] | None,
     formats: Sequence[str],
 ) -> StageCost:
-    """Return what `run` will cost, as `codec.encode.stage_costs` counts.
+    """Estimate the cost of `run` in the unit of `codec.encode.stage_costs`.
 
     Parameters
     ----------
     splats : int
-        Of the scene.
-    scored_on, cameras : sequence of Camera
-        Views that it is scored in, and test views; at least one of each.
-    profiles, qualities, formats
-        As in `run`.
+        Splats of the scene.
+    scored_on : sequence of Camera
+        Training views, at least one.
+    cameras : sequence of Camera
+        Test views, at least one.
+    profiles : sequence of str
+        Profiles of `EncodeConfig.profile`.
+    qualities : sequence of float or None
+        Nominal qualities, dB; None for `QUALITIES`.
+    formats : sequence of str
+        Formats in `FOREIGN`.
     """
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.request import EncodeRequest
@@ -267,8 +275,8 @@ def stage_cost(
         encode = stage_costs(splats, request, scored=True)
         steps = _steps(profile, qualities)
         for index in range(len(steps)):
-            cut = _is_cut(profile, index, len(steps))
-            prefixes = _PREFIXES * compared[0].cost if cut else 0.0
+            has_prefixes = _measures_prefixes(profile, index, len(steps))
+            prefixes = _PREFIXES * compared[0].cost if has_prefixes else 0.0
             files.append((*encode, *compared, StageCost("prefixes", prefixes)))
     files += [tuple(compared)] * len(formats)
     return StageCost("files", 0.0, parts=tuple(files))
@@ -283,34 +291,38 @@ def run(
     formats: Sequence[str],
     progress: Progress = silent,
 ) -> Bench:
-    """Write a scene by every method, read it back and compare with the original.
+    """Write a scene by every method, read the file and compare it with the source.
 
     Parameters
     ----------
     given : BenchInput
     folder : Path
-        For the files, which stay there.
+        Folder for the files, which are kept.
     profiles : sequence of str
-        Of `EncodeConfig.profile`.
+        Profiles of `EncodeConfig.profile`.
     qualities : sequence of float or None
-        Nominal, dB, for each profile that has them; None for `QUALITIES`.
+        Nominal qualities of each profile that has them, dB; None for `QUALITIES`.
     formats : sequence of str
-        Of `FOREIGN`.
+        Formats in `FOREIGN`.
     progress : Progress
-        Called with ``files``, those done and all, and with the stages of each: those of encoding,
-        ``held-out``, ``roam`` and ``prefixes``.
+        Called with ``files``, and with the stages of each file: those of encoding, ``held-out``,
+        ``roam`` and ``prefixes``.
 
     Returns
     -------
     Bench
-        Rows in the order of the parameters; formats that refuse the scene have their reason.
+        Rows of the profiles, then of the formats. A format that cannot store the scene has its
+        reason code.
 
     Raises
     ------
     DataError
-        As `view_quality.compare`.
+        Errors of `view_quality.compare`.
     """
-    methods = [*_ours(given, profiles, qualities, progress), *_foreign(given, formats)]
+    methods = [
+        *_cogs_methods(given, profiles, qualities, progress),
+        *_foreign_methods(given, formats),
+    ]
     rows: list[Row] = []
     prefixes: list[BenchPrefix] = []
     stages: list[StageTime] = []
@@ -328,21 +340,22 @@ def run(
 
 
 def _steps(profile: str, qualities: Sequence[float] | None) -> Sequence[float | None]:
-    """Return the nominal qualities that a profile is measured at."""
+    """Return the nominal qualities at which a profile is measured."""
     return sorted(qualities or QUALITIES[profile]) if profile in QUALITIES else [None]
 
 
-def _is_cut(profile: str, index: int, count: int) -> bool:
-    """Whether prefixes of the file of one of a profile's qualities are measured."""
+def _measures_prefixes(profile: str, index: int, count: int) -> bool:
+    """Whether prefixes are measured at a quality: the middle one of a profile."""
     return index == count // 2 and profile in QUALITIES
 
 
-def _ours(
+def _cogs_methods(
     given: BenchInput,
     profiles: Sequence[str],
     qualities: Sequence[float] | None,
     progress: Progress,
 ) -> list[_Method]:
+    """Return a method for each profile and quality of COGS."""
     from cogsplat.codec.encode.config import EncodeConfig
 
     methods: list[_Method] = []
@@ -360,7 +373,7 @@ def _ours(
                     _encoder(given, config, progress),
                     lambda path: cogsplat.decode(path, threads=given.threads),
                     scored=True,
-                    prefixes=_is_cut(profile, index, len(steps)),
+                    prefixes=_measures_prefixes(profile, index, len(steps)),
                 )
             )
     return methods
@@ -384,7 +397,8 @@ def _encoder(
     return write
 
 
-def _foreign(given: BenchInput, names: Sequence[str]) -> list[_Method]:
+def _foreign_methods(given: BenchInput, names: Sequence[str]) -> list[_Method]:
+    """Return a method for each other format."""
     from . import c3dgs_npz
 
     methods: list[_Method] = []
@@ -432,7 +446,7 @@ def _stages(method: _Method, report: EncodeReport) -> list[StageTime]:
 def _measure(
     given: BenchInput, method: _Method, path: Path, progress: Progress
 ) -> tuple[Row, EncodeReport | None]:
-    """Return the figures of a method and, where it is one of ours, how its file was encoded."""
+    """Measure a method; return its figures and, for COGS, the report of the encoder."""
     set_display_name(path, _label(method.name, method.quality_db))
     start = time.perf_counter()
     try:
@@ -478,7 +492,7 @@ def _measure(
 
 
 def prefix_sizes(file_bytes: int) -> list[int]:
-    """Return 32 KiB, doubled while it is below a file's size, and that size."""
+    """Return 32 KiB, its doublings below the file size, and the file size."""
     doublings = max(int(np.ceil(np.log2(max(file_bytes, 1) / _FIRST_PREFIX))), 0)
     return [*(_FIRST_PREFIX << k for k in range(doublings)), file_bytes]
 
@@ -486,6 +500,7 @@ def prefix_sizes(file_bytes: int) -> list[int]:
 def _prefixes(
     given: BenchInput, method: _Method, path: Path, progress: Progress
 ) -> list[BenchPrefix]:
+    """Measure prefixes of a file."""
     prefixes: list[BenchPrefix] = []
     sizes = prefix_sizes(path.stat().st_size)
     progress("prefixes", 0, len(sizes))

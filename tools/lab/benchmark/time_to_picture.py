@@ -1,13 +1,12 @@
-"""How soon a scene can be seen: seconds until a browser has decoded a picture, format by format.
+"""Time until a browser has decoded a picture of given quality, by format.
 
 Run ``python -m cogsplat.tools.lab.benchmark.time_to_picture SCENE --cameras PATH --out DIR`` from a
 checkout, after ``npm ci && npm run build`` in ``tools/web``.
 
-Headless Chromium fetches each file over one and the same slow link and decodes it: COGS with
-``tools/web``, other formats with the decoders of Spark, ``.splat`` also row by row. What has been
-decoded at each moment is drawn afterwards, by our renderer, in views that the encoder was not
-given, and compared with renders of the source: the speed of this machine's software WebGL does not
-count. Programs are loaded and warm before the clock starts.
+Headless Chromium fetches each file over the same slow link and decodes it: COGS with ``tools/web``,
+other formats with the decoders of Spark, ``.splat`` also progressively by rows. The splats decoded
+at each time are rendered afterwards by the Python renderer in held-out views, so software WebGL
+does not affect the result. Programs are loaded and warmed up before the measurement.
 """
 
 from __future__ import annotations
@@ -52,10 +51,10 @@ _TITLES: Final = {"sog": "SOG", "compressed ply": "compressed PLY", "splat": ".s
 # Spark 2.2 does not read version 4.
 _SPZ_VERSION: Final = 3
 _SPLAT_BYTES: Final = 32
-"""A row of a .splat file."""
+"""Bytes per splat of a .splat file."""
 
-# Recognisable; good (PSNR against the source, dB).
-_MARKS_DB: Final = (24.0, 30.0)
+# PSNR thresholds whose times are reported: recognisable and good, dB.
+_THRESHOLDS_DB: Final = (24.0, 30.0)
 _LATENCY_SECONDS: Final = 0.04
 _HELD_OUT: Final = 8
 
@@ -68,16 +67,18 @@ _PAGE: Final = b"""<!doctype html><title>arrivals</title>
 
 @dataclass(frozen=True)
 class Contender:
-    """A file, and the way in which a browser opens it.
+    """A file and the decoder that a browser uses for it.
 
     Parameters
     ----------
     name : str
+        Format.
     way : str
-        ``cogs``, ``spark`` or ``bytes``: a key of ``WAYS`` in ``tools/web/scripts/arrivals.js``.
+        Decoder: ``cogs``, ``spark`` or ``bytes``, a key of ``WAYS`` in
+        ``tools/web/scripts/arrivals.js``.
     path : Path
     axes : str
-        Of the values as the decoder gives them.
+        Axes of the decoder's output.
     """
 
     name: str
@@ -88,18 +89,20 @@ class Contender:
 
 @dataclass(frozen=True)
 class Arrival:
-    """How a file arrived over one link.
+    """Quality over time while one file is loaded over one link.
 
     Parameters
     ----------
     name : str
+        Format.
     mbit : float
-        Of the link, 10⁶ bits per second.
+        Bandwidth of the link, Mbit/s.
     size_bytes : int
+        Size of the file.
     seconds : tuple of float
-        When there was something new to draw, from the request on.
+        Times since the request at which new splats were decoded.
     quality_db : tuple of float
-        What its picture was then: mean PSNR of the views, against renders of the source.
+        Mean PSNR of the views at these times, against renders of the source.
     """
 
     name: str
@@ -109,7 +112,7 @@ class Arrival:
     quality_db: tuple[float, ...]
 
     def seconds_to(self, least_db: float) -> float | None:
-        """Return when pictures first were as good as that, None where they never are."""
+        """Return the time at which a PSNR is first reached; None if it is not."""
         found = (at for at, db in zip(self.seconds, self.quality_db, strict=True) if db >= least_db)
         return next(found, None)
 
@@ -120,22 +123,22 @@ class Arrival:
             "mbit": self.mbit,
             "bytes": self.size_bytes,
             "first_s": self.seconds[0],
-            **{f"to_{db:g}_db_s": self.seconds_to(db) for db in _MARKS_DB},
+            **{f"to_{db:g}_db_s": self.seconds_to(db) for db in _THRESHOLDS_DB},
             "last_s": self.seconds[-1],
             "final_db": self.quality_db[-1],
         }
 
 
 def contenders(splats: Splats, ours: Path, folder: Path) -> list[Contender]:
-    """Write a scene in the other formats.
+    """Write a scene in all compared formats except COGS.
 
     Parameters
     ----------
     splats : Splats
     ours : Path
-        The scene as COGS.
+        Path of the scene as COGS.
     folder : Path
-        Where files go.
+        Output folder.
     """
     found = [Contender("COGS", "cogs", ours)]
     for name in _PEERS:
@@ -153,18 +156,20 @@ def contenders(splats: Splats, ours: Path, folder: Path) -> list[Contender]:
     return [*found, Contender(".splat by rows", "bytes", rows.path)]
 
 
-class Judge:
-    """Measures pictures of a scene against those of its source.
+class PictureComparison:
+    """Comparison of scenes with a source in fixed views.
 
     Parameters
     ----------
     source : Splats
+        Scene of the reference pictures.
     cameras : sequence of Camera
+        Views.
     """
 
     def __init__(self, source: Splats, cameras: Sequence[Camera]) -> None:
         self._cameras = list(cameras)
-        self._wanted = self._draw(source)
+        self._references = self._draw(source)
 
     def _draw(self, splats: Splats) -> list[NDArray[np.float32]]:
         from cogsplat.codec.render.rasteriser import render_views
@@ -173,17 +178,17 @@ class Judge:
 
     def quality_db(self, splats: Splats) -> float:
         """Return the mean PSNR of the views."""
-        pairs = zip(self._draw(splats), self._wanted, strict=True)
-        return statistics.fmean(psnr(picture, wanted) for picture, wanted in pairs)
+        pairs = zip(self._draw(splats), self._references, strict=True)
+        return statistics.fmean(psnr(picture, reference) for picture, reference in pairs)
 
 
-def arrive(page: Page, server: SlowServer, contender: Contender, runs: int) -> list[float]:
-    """Load a file several times, and stay with what the run of the median time gave.
+def load_median(page: Page, server: SlowServer, contender: Contender, runs: int) -> list[float]:
+    """Load a file several times until the last run is near the median time.
 
     Returns
     -------
     list of float
-        Seconds of each copy that the page holds now.
+        Times of the snapshots that the page keeps of the last run, s.
     """
     ends: list[float] = []
     for _ in range(runs):
@@ -196,6 +201,7 @@ def arrive(page: Page, server: SlowServer, contender: Contender, runs: int) -> l
 
 
 def _load(page: Page, server: SlowServer, contender: Contender) -> list[float]:
+    """Load a file once; return the times of its snapshots, s."""
     name = f"scene/{contender.path.name}"
     server.files[name] = contender.path.read_bytes()
     copies = page.evaluate("([way, url]) => window.arrive(way, url)", [contender.way, f"/{name}"])
@@ -203,24 +209,29 @@ def _load(page: Page, server: SlowServer, contender: Contender) -> list[float]:
 
 
 def measure(
-    page: Page, server: SlowServer, contender: Contender, judge: Judge, mbit: float, runs: int
+    page: Page,
+    server: SlowServer,
+    contender: Contender,
+    comparison: PictureComparison,
+    mbit: float,
+    runs: int,
 ) -> Arrival:
-    """Load a file over the server's link and judge what the page had of it at each moment."""
-    seconds = arrive(page, server, contender, runs)
-    kept = _kept(seconds) if contender.way == "bytes" else range(len(seconds))
-    qualities = [judge.quality_db(_copy(page, contender, number)) for number in kept]
+    """Load a file over the server's link and measure the quality of each snapshot."""
+    seconds = load_median(page, server, contender, runs)
+    kept = _sample_snapshots(seconds) if contender.way == "bytes" else range(len(seconds))
+    qualities = [comparison.quality_db(_snapshot(page, contender, number)) for number in kept]
     size = contender.path.stat().st_size
     times = tuple(round(seconds[number], 4) for number in kept)
     return Arrival(contender.name, mbit, size, times, tuple(round(db, 3) for db in qualities))
 
 
-def _kept(seconds: Sequence[float], count: int = 24) -> list[int]:
-    """Choose copies at even distances, the last among them: a part of rows comes every moment."""
+def _sample_snapshots(seconds: Sequence[float], count: int = 24) -> list[int]:
+    """Choose evenly spaced snapshots including the last; loading by rows produces very many."""
     return sorted({round(i * (len(seconds) - 1) / count) for i in range(1, count + 1)})
 
 
-def _copy(page: Page, contender: Contender, number: int) -> Splats:
-    """Return what the page had decoded at one moment."""
+def _snapshot(page: Page, contender: Contender, number: int) -> Splats:
+    """Return the splats of one snapshot of the page."""
     if contender.way == "bytes":
         size = page.evaluate("(number) => window.bytes(number)", number)
         return _first_rows(contender.path, int(size) // _SPLAT_BYTES)
@@ -237,6 +248,7 @@ def _copy(page: Page, contender: Contender, number: int) -> Splats:
 
 
 def _first_rows(path: Path, rows: int) -> Splats:
+    """Read the first rows of a .splat file."""
     with tempfile.TemporaryDirectory() as folder:
         part = Path(folder) / path.name
         part.write_bytes(path.read_bytes()[: rows * _SPLAT_BYTES])
@@ -244,12 +256,12 @@ def _first_rows(path: Path, rows: int) -> Splats:
 
 
 def page_files(node_modules: Path) -> dict[str, bytes]:
-    """Return the files of the page that loads scenes.
+    """Return the files of the test page by name.
 
     Parameters
     ----------
     node_modules : Path
-        Where ``@sparkjsdev/spark`` and ``three`` are installed; without them COGS alone is loaded.
+        Folder with ``@sparkjsdev/spark`` and ``three``; without it only COGS can be loaded.
     """
     files = {"index.html": _PAGE, "arrivals.js": (_WEB / "scripts" / "arrivals.js").read_bytes()}
     for name in ("cogsplat.js", "worker.js"):
@@ -277,19 +289,20 @@ def run(
     Parameters
     ----------
     source : Splats
-        What pictures are compared with.
+        Scene of the reference pictures.
     files : sequence of Contender
     cameras : sequence of Camera
-        Views that are judged.
+        Test views.
     rates_mbit : sequence of float
-        Of the links, 10⁶ bits per second.
+        Bandwidths of the links, Mbit/s.
     node_modules : Path
+        Folder with ``@sparkjsdev/spark`` and ``three``.
     runs : int
-        How often each file is loaded; the run of the median time counts.
+        Loads of each file; the run of the median time counts.
     """
-    judge = Judge(source, cameras)
+    comparison = PictureComparison(source, cameras)
     arrivals = []
-    # Programs are kept by the browser, so that links carry nothing but scenes.
+    # The browser caches programs, so that the links only carry scenes.
     programs = page_files(node_modules)
     with (
         running(SlowServer(programs, cached=programs)) as server,
@@ -301,20 +314,20 @@ def run(
         for mbit in rates_mbit:
             server.link.bits_per_second = 1e6 * mbit
             for contender in files:
-                arrivals.append(measure(page, server, contender, judge, mbit, runs))
+                arrivals.append(measure(page, server, contender, comparison, mbit, runs))
                 click.echo(json.dumps(arrivals[-1].report()))
     return arrivals
 
 
 def chart(arrivals: Sequence[Arrival], what: str) -> str:
-    """Draw quality over time for one link, as SVG.
+    """Return an SVG chart of quality over time for one link.
 
     Parameters
     ----------
     arrivals : sequence of Arrival
-        Of one link.
+        Results of one link.
     what : str
-        The scene, in words.
+        Description of the scene.
     """
     series = []
     for look, arrival in enumerate(arrivals):
@@ -322,7 +335,7 @@ def chart(arrivals: Sequence[Arrival], what: str) -> str:
         name = f"{arrival.name}, {arrival.size_bytes / 1e6:.1f} MB"
         series.append(Series(name, tuple(points), look))
     return line_chart(
-        f"Until a picture is there, {arrivals[0].mbit:g} Mbit/s",
+        f"Time to picture, {arrivals[0].mbit:g} Mbit/s",
         "seconds from the request",
         "PSNR, dB",
         series,
@@ -336,22 +349,22 @@ def chart(arrivals: Sequence[Arrival], what: str) -> str:
 @click.option(
     "--cogs",
     type=click.Path(path_type=Path, exists=True),
-    help="The scene as COGS; otherwise it is encoded, without every eighth camera.",
+    help="The scene as COGS; by default it is encoded with every eighth camera held out.",
 )
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for figures.")
-@click.option("--mbit", default="5,20", show_default=True, help="Rates of the links.")
+@click.option("--mbit", default="5,20", show_default=True, help="Bandwidths of the links, Mbit/s.")
 @click.option("--runs", default=3, show_default=True, help="Loads of each file.")
 @click.option(
     "--node-modules",
     type=click.Path(path_type=Path),
     default=_WEB / "node_modules",
-    help="Where @sparkjsdev/spark and three are.  [default: tools/web/node_modules]",
+    help="Folder with @sparkjsdev/spark and three.  [default: tools/web/node_modules]",
 )
 def main(
     scene: Path, cameras: Path, cogs: Path | None, out: Path, mbit: str, runs: int,
     node_modules: Path,
 ) -> None:  # fmt: skip
-    """Measure how soon SCENE can be seen, in COGS and in other formats."""
+    """Measure the time until SCENE is visible, in COGS and other formats."""
     source = cogsplat.read(scene)
     given, held_out = hold_out(read_cameras(cameras), _HELD_OUT)
     out.mkdir(parents=True, exist_ok=True)

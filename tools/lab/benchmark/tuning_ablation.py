@@ -1,10 +1,9 @@
-"""What each part of tuning brings: scenes tuned to one size without it.
+"""Ablation of tuning: scenes tuned to one size without each of its parts.
 
 Run ``python -m cogsplat.tools.lab.benchmark.tuning_ablation SCENE --cameras CAMERAS --size
-60KB``, or without a scene for a synthetic one. For each variant it prints how many splats and
-bytes the stored scene has, and how its pictures in held-out views, and in copies that step back
-and turn away, compare with those of the source; with ``--images``, with the photos as well.
-``--only``, which may be given several times, names a variant to run.
+60KB``, or without a scene for a synthetic one. For each variant it prints the splats and bytes of
+the file, and the PSNR in held-out and roaming views against the source, with ``--images`` also
+against photos. ``--only`` names a variant to run and may be repeated.
 """
 
 from __future__ import annotations
@@ -42,16 +41,18 @@ Row = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Variant:
-    """One way to tune.
+    """One variant of tuning.
 
     Parameters
     ----------
     name : str
+        Name for the table.
     config : TuneConfig
+        Tuning parameters.
     photos : bool
-        Whether photos teach in the given views, and not the source's renders.
+        Whether the ground truth are photos instead of renders of the source.
     views_share : float
-        Share of the cameras that are trained in.
+        Share of the cameras used as training views.
     """
 
     name: str
@@ -61,16 +62,16 @@ class Variant:
 
 
 def variants(config: TuneConfig, share: float, *, photos: bool) -> list[Variant]:
-    """Return tuning as it is, and without each of its parts.
+    """Return the default variant and one for each part left out.
 
     Parameters
     ----------
     config : TuneConfig
-        Of tuning as it is; without `TuneConfig.keep` and `TuneConfig.seconds`.
+        Default parameters, without `TuneConfig.keep` and `TuneConfig.seconds`.
     share : float
-        Of the splats that it keeps.
+        Share of the splats that the default variant keeps.
     photos : bool
-        Whether there are photos.
+        Whether photos are available.
     """
     train = config.train
     rounds = max(1, math.ceil(math.log(share) / math.log(config.round_keep)))
@@ -121,23 +122,26 @@ def measure(
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     only: Sequence[str] = (),
 ) -> list[Row]:
-    """Return a row for each variant.
+    """Tune every variant to one file size and return a table row for each.
 
     Parameters
     ----------
     splats : Splats
-    cameras, tests : sequence of Camera
-        To train in, and to judge in.
+        Source scene.
+    cameras : sequence of Camera
+        Training views.
+    tests : sequence of Camera
+        Test views.
     size_bytes : int
-        Of every file.
+        Target size of every file.
     config : TuneConfig
-        Of tuning as it is.
+        Default parameters.
     photos : tuple of sequences of (H, W, 3) float32, optional
-        0 to 1, of the cameras and of the test views.
+        Photos of the training and of the test views, 0 to 1.
     background : tuple of float
-        RGB behind the splats, in training and in what is compared.
+        RGB behind the splats, in training and in measurements.
     only : sequence of str
-        Names of variants; all where none are given.
+        Names of the variants to run; empty for all.
     """
     info = splats.info
     drawing = RenderConfig(
@@ -166,12 +170,12 @@ def measure(
             range(len(cameras)), max(2, round(variant.views_share * len(cameras)))
         )
         views = [cameras[number] for number in numbers]
-        taught = None
+        ground_truth = None
         if variant.photos and photos is not None:
-            taught = [photos[0][number] for number in numbers]
+            ground_truth = [photos[0][number] for number in numbers]
         threads = variant.config.train.threads
         training_views = make_training_views(
-            splats, views, photos=taught, background=background, threads=threads
+            splats, views, photos=ground_truth, background=background, threads=threads
         )
         made = tune(
             splats,
@@ -213,7 +217,12 @@ def main() -> None:
     parser.add_argument("--only", action="append", default=[], help="name of a variant to run")
     parser.add_argument("--size", default="40KB")
     parser.add_argument("--eval-every", type=int, default=8)
-    parser.add_argument("--steps", type=int, default=100, help="of a round; others in proportion")
+    parser.add_argument(
+        "--steps",
+        type=int,
+        default=100,
+        help="training steps per round; other stages in proportion",
+    )
     parser.add_argument("--threads", type=int, default=0)
     given = parser.parse_args()
     if (given.scene is None) != (given.cameras is None):
@@ -253,7 +262,7 @@ def main() -> None:
     print_line(
         f"{of}: {len(splats):,} splats, {len(tests)} held-out views, {given.steps} steps a round"
     )
-    heads = ["tuned", "splats", "bytes", "held-out", "worst", "roam"]
+    heads = ["variant", "splats", "bytes", "held-out", "worst", "roam"]
     print_table([*heads, "photos"] if photos else heads, rows, left=1)
 
 

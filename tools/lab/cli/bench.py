@@ -517,7 +517,7 @@ def _received(measured: Bench, title: str) -> str:
     series += [
         Series(row.label, ((row.file_bytes, row.held_out_db),), _style(row.method), joined=False)
         for row in measured.rows
-        if not (row.is_ours or row.refused or row.is_identical)
+        if not (row.is_cogs or row.refused or row.is_identical)
     ]
     return line_chart(
         f"{title}: quality by bytes received",

@@ -1,4 +1,4 @@
-// What a browser has of a scene at given moments while a visitor goes along a path: the page of tools/lab/benchmark/visits.py.
+// Page of tools/lab/benchmark/visit_validation.py: records the decoded chunks of a scene at given times along a camera path.
 import { DecoderPool, StreamedScene } from "./cogsplat.js";
 import { Visit } from "./visit.js";
 

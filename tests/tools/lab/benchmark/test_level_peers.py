@@ -1,4 +1,4 @@
-"""The comparison of levels with models of one size: every model at every size."""
+"""Comparison of detail levels with other models."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from cogsplat.codec.fit.level_training import LevelsConfig
 from cogsplat.tools.lab.benchmark.level_peers import (
     Model,
     chart,
-    judged,
+    measure_quality,
     models,
     own_rows,
     size_rows,
@@ -18,7 +18,7 @@ CONFIG = LevelsConfig(scales=(2, 1), shares=(0.4, 1.0), steps=4, threads=1)
 
 
 class Brightness:
-    """Stands for the network of LPIPS: its distance is that of mean brightness."""
+    """Substitute for the LPIPS network: distance of mean brightness."""
 
     name = "brightness"
     smallest_side = 40
@@ -36,7 +36,7 @@ def scene():
 
 
 @pytest.mark.slow
-def test_each_model_is_judged_at_each_size(scene):
+def test_each_model_is_measured_at_each_size(scene):
     splats, cameras = scene
     of = models(splats, cameras[:3], CONFIG)
     ways = [(model.way, model.scale) for model in of]
@@ -52,8 +52,8 @@ def test_each_model_is_judged_at_each_size(scene):
     ]
     assert of[0].bytes_fetched < of[1].bytes_fetched
     assert of[0].opacity_bytes == 0 < of[1].opacity_bytes
-    found = judged(splats, of, cameras[3:], CONFIG, lpips=Brightness())
-    # Nothing is as the scene's full pictures but the scene itself.
+    found = measure_quality(splats, of, cameras[3:], CONFIG, lpips=Brightness())
+    # At full size the scene itself has the highest PSNR.
     assert found[-1].figures[1].psnr_db > max(one.figures[1].psnr_db for one in found[:-1])
     rows = own_rows(found)
     # Pictures of 32 x 24 pixels are too small for this network.
@@ -65,7 +65,7 @@ def test_each_model_is_judged_at_each_size(scene):
 def test_a_chart_has_a_line_for_each_model(scene):
     splats, cameras = scene
     of = [Model("the scene", 1, splats), Model("half of it", 2, splats.take(slice(0, 200)))]
-    found = judged(splats, of, cameras[:1], CONFIG)
+    found = measure_quality(splats, of, cameras[:1], CONFIG)
     assert found[0].figures[2].lpips is None
     drawn = chart(found, 64)
     assert drawn.startswith("<svg")

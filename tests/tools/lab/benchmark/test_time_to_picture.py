@@ -1,4 +1,4 @@
-"""What a browser has of a scene at each moment, and when that was good enough."""
+"""Quality over time while a browser loads a scene."""
 
 from pathlib import Path
 from xml.etree import ElementTree
@@ -15,7 +15,7 @@ from cogsplat.tools.lab.benchmark.time_to_picture import Arrival, Contender, cha
 ARRIVAL = Arrival("COGS", 5.0, 1000, (0.1, 0.5, 0.9), (20.0, 30.0, 41.0))
 
 
-def test_when_a_picture_is_good_enough() -> None:
+def test_times_to_thresholds() -> None:
     assert ARRIVAL.seconds_to(15.0) == 0.1
     assert ARRIVAL.seconds_to(30.0) == 0.5
     assert ARRIVAL.seconds_to(50.0) is None
@@ -30,7 +30,7 @@ def test_chart_names_every_file_and_its_size() -> None:
         node.text for node in ElementTree.fromstring(chart([ARRIVAL, other], "a scene")).iter()
     }
     assert {"COGS, 0.0 MB", "SPZ, 2.0 MB"} <= texts
-    assert "Until a picture is there, 5 Mbit/s" in texts
+    assert "Time to picture, 5 Mbit/s" in texts
 
 
 @pytest.mark.filterwarnings("ignore::cogsplat.codec.errors.CogsplatWarning")

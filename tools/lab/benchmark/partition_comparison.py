@@ -1,6 +1,6 @@
-"""Partitions of space into cells: what views fetch over what they see, and what finding them takes.
+"""Comparison of partitions into cells: fetched over visible splats, and computing time.
 
-Run ``python -m cogsplat.tools.lab.benchmark.partitions scene.ply --cameras scene.cameras.json``.
+Run ``python -m cogsplat.tools.lab.benchmark.partition_comparison scene.ply --cameras PATH``.
 """
 
 from __future__ import annotations
@@ -27,20 +27,21 @@ from cogsplat.tools.terminal.standard_streams import PATH
 
 
 @dataclass(frozen=True)
-class Partitioned:
-    """What one way to cut space comes to.
+class MethodResult:
+    """Result of one partitioning method.
 
     Parameters
     ----------
     way : str
+        Name of the method.
     cells : int
-        Boxes that hold splats.
+        Number of non-empty boxes.
     cost : float
-        By SGSS' measure (`box_costs`).
+        Cost by the measure of SGSS (`box_costs`).
     waste : float
-        Splats that a view fetches over those that it sees, mean of the views.
+        Fetched over visible splats, mean over the views.
     cpu_seconds : float
-        Of finding the boxes, once costs are known.
+        Processor time of the method, without computing the costs.
     """
 
     way: str
@@ -51,34 +52,34 @@ class Partitioned:
 
 
 @dataclass(frozen=True)
-class Compared:
-    """Partitions of one scene.
+class PartitionComparison:
+    """Partitions of one scene by several methods.
 
     Parameters
     ----------
     shape : tuple of int
-        Basic cuboids along each axis.
+        Number of basic cuboids along each axis.
     filled : int
-        Those of them that hold splats.
+        Number of non-empty cuboids.
     bound : float
-        No partition of this grid costs less.
+        Lower bound of the cost of any partition of the grid.
     whole_waste : float
-        Waste of the scene as one cell.
-    ways : list of Partitioned
-        The cheapest partition, the cheapest by straight cuts, and trees of as many cells.
+        Fetched over visible splats for the scene as one cell.
+    ways : list of MethodResult
+        Integer program, guillotine cuts, and trees of the same number of cells.
     """
 
     shape: tuple[int, int, int]
     filled: int
     bound: float
     whole_waste: float
-    ways: list[Partitioned]
+    ways: list[MethodResult]
 
 
 def compare(
     splats: Splats, cameras: Sequence[Camera], cuboids: int, seconds: float = 60.0
-) -> Compared:
-    """Cut a scene's space in four ways.
+) -> PartitionComparison:
+    """Partition a scene by four methods.
 
     Parameters
     ----------
@@ -86,9 +87,9 @@ def compare(
     cameras : sequence of Camera
         Views of the scene, in the frame of the means.
     cuboids : int
-        Basic cuboids, at most.
+        Number of basic cuboids at most.
     seconds : float
-        Most time for the integer program.
+        Time limit of the integer program.
     """
     grid = basic_cuboids(splats.means.astype(np.float64), cameras, cuboids)
     costs = box_costs(grid)
@@ -105,15 +106,16 @@ def compare(
         ways.append(_measured(name, grid, costs, find(), began))
     i, j, k = grid.splats.shape
     whole = waste(grid, [(0, 0, 0, i, j, k)])
-    return Compared((i, j, k), int((grid.splats > 0).sum()), solution.bound, whole, ways)
+    return PartitionComparison((i, j, k), int((grid.splats > 0).sum()), solution.bound, whole, ways)
 
 
 def _measured(
     way: str, grid: BasicCuboids, costs: BoxCosts, boxes: list[Box], began: float
-) -> Partitioned:
-    taken = time.process_time() - began
+) -> MethodResult:
+    """Return the result of a method that started at processor time `began`."""
+    cpu_seconds = time.process_time() - began
     cells = sum(1 for box in boxes if costs.splats[costs.index(box)])
-    return Partitioned(way, cells, costs.total(boxes), waste(grid, boxes), taken)
+    return MethodResult(way, cells, costs.total(boxes), waste(grid, boxes), cpu_seconds)
 
 
 @click.command()
@@ -124,14 +126,14 @@ def _measured(
     type=click.IntRange(1, 5000),
     default=300,
     show_default=True,
-    help="Basic cuboids, at most.",
+    help="Basic cuboids at most.",
 )
 @click.option(
     "--seconds",
     type=click.FloatRange(0.0, min_open=True),
     default=60.0,
     show_default=True,
-    help="Most time for the integer program.",
+    help="Time limit of the integer program.",
 )
 @json_option
 def main(scene: Path, cameras: Path, cuboids: int, seconds: float, as_json: bool) -> None:
@@ -142,8 +144,8 @@ def main(scene: Path, cameras: Path, cuboids: int, seconds: float, as_json: bool
         return
     i, j, k = found.shape
     print_line(
-        f"{i} x {j} x {k} basic cuboids, {found.filled} of them hold splats; "
-        f"as one cell, views fetch {found.whole_waste:.2f} times what they see"
+        f"{i} x {j} x {k} basic cuboids, {found.filled} of them not empty; "
+        f"as one cell, fetched / visible is {found.whole_waste:.2f}"
     )
     rows = [
         (
@@ -155,8 +157,8 @@ def main(scene: Path, cameras: Path, cuboids: int, seconds: float, as_json: bool
         )
         for way in found.ways
     ]
-    print_table(("", "cells", "cost", "fetched / seen", "processor s"), rows)
-    print_line(f"no partition costs less than {found.bound:.4f}")
+    print_table(("", "cells", "cost", "fetched / visible", "processor s"), rows)
+    print_line(f"lower bound of the cost: {found.bound:.4f}")
 
 
 if __name__ == "__main__":

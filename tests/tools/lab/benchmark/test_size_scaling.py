@@ -5,18 +5,18 @@ from xml.etree import ElementTree
 import pytest
 from click.testing import CliRunner
 
-from cogsplat.tools.lab.benchmark.growth import Step, charts, line_through, main
+from cogsplat.tools.lab.benchmark.size_scaling import Step, charts, fit_line, main
 
 
 def test_a_line_is_found_and_its_deviation_said() -> None:
-    line = line_through([1000, 2000, 5000], [30.0, 40.0, 70.0])
+    line = fit_line([1000, 2000, 5000], [30.0, 40.0, 70.0])
     assert line.fixed == pytest.approx(20.0)
     assert line.per_splat == pytest.approx(0.01)
     assert line.largest_deviation == pytest.approx(0.0, abs=1e-12)
-    bent = line_through([1000, 2000, 5000], [30.0, 60.0, 70.0])
+    bent = fit_line([1000, 2000, 5000], [30.0, 60.0, 70.0])
     assert 0.1 < bent.largest_deviation < 0.5
     with pytest.raises(ValueError, match="at least two sizes"):
-        line_through([1000, 1000], [1.0, 2.0])
+        fit_line([1000, 1000], [1.0, 2.0])
 
 
 def test_charts_have_a_point_for_each_step() -> None:

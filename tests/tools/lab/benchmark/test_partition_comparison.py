@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 import cogsplat
 from cogsplat.formats.cameras.inria import write_cameras_json
-from cogsplat.tools.lab.benchmark.partitions import main
+from cogsplat.tools.lab.benchmark.partition_comparison import main
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, synth_rooms
 
 

@@ -1,12 +1,12 @@
-"""A visit in a real browser beside its simulation: what is seen at moments along a path.
+"""Validation of the simulated `visit` policy against a real browser.
 
-Run ``python -m cogsplat.tools.lab.benchmark.visits SCENE.cogs --cameras PATH --trace
+Run ``python -m cogsplat.tools.lab.benchmark.visit_validation SCENE.cogs --cameras PATH --trace
 WALK.json`` from a checkout, after ``npm ci && npm run build`` in ``tools/web``.
 
-Headless Chromium visits the scene with the npm package over a slow link; which chunks it has
-decoded at each moment is noted, and drawn afterwards by our renderer, as is what
-``cogsplat lab simulate --policy visit`` predicts: the speed of this machine's software WebGL does
-not count. The simulation makes its first request and starts to decode when the browser did.
+Headless Chromium follows the path with the npm package over a slow link and records which chunks
+it has decoded at given times. The recorded and the simulated chunks are rendered afterwards by the
+Python renderer, so software WebGL does not affect the result. The simulation uses the browser's
+measured start times of the first request and of decoding.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ from .chromium import opened_page
 
 _WEB: Final = Path(__file__).resolve().parents[2] / "web"
 _PAGE: Final = b'<!doctype html><title>visit</title><script type="module" src="visits.js"></script>'
-_LOOK_SECONDS: Final = 1 / 30
-"""Between two pictures of a browser."""
+_FRAME_SECONDS: Final = 1 / 30
+"""Time between two poses sent to the page."""
 
 
-class Noted(TypedDict):
-    """What the page had at a moment.
+class PageState(TypedDict):
+    """Chunks that the page had decoded at one time.
 
-    A chunk is its number, whether it is refined, and whether it has its tail.
+    A chunk is a tuple of its index, whether it is refined, and whether it has its tail.
     """
 
     seconds: float
@@ -54,18 +54,18 @@ class Noted(TypedDict):
 
 @dataclass(frozen=True)
 class Comparison:
-    """A moment of a visit.
+    """Browser and simulation compared at one time.
 
     Parameters
     ----------
     seconds : float
-        From the opening of the scene on.
+        Time since the scene was opened.
     splats, simulated_splats : int
-        That were in memory.
+        Splats in memory, in the browser and in the simulation.
     size_bytes, simulated_bytes : int
-        Of the chunks that were in memory.
+        Bytes of the chunks in memory, in the browser and in the simulation.
     psnr_db, simulated_db : float
-        Of the picture from the visitor's pose, against that of the whole scene.
+        PSNR of both pictures against the full scene at the pose.
     """
 
     seconds: float
@@ -77,15 +77,15 @@ class Comparison:
     simulated_db: float
 
 
-def in_browser(
+def run_browser(
     scene: Path,
     trace: Trace,
     link: Link,
     moments: list[float],
     budget_splats: int,
     splats_per_second: float,
-) -> tuple[Browser, list[Noted]]:
-    """Visit a scene in Chromium: what that adds to the link's times, and what it had at moments.
+) -> tuple[Browser, list[PageState]]:
+    """Run a visit in Chromium; return its start delays and its chunks at given times.
 
     Parameters
     ----------
@@ -93,24 +93,24 @@ def in_browser(
     trace : Trace
     link : Link
     moments : list of float
-        Seconds from the opening of the scene on.
+        Times since the scene was opened, s.
     budget_splats : int
-        Most splats in memory; 0 for any number.
+        Memory limit, splats; 0 for no limit.
     splats_per_second : float
-        That this machine's workers decode.
+        Decoding throughput of this machine's workers.
 
     Returns
     -------
-    tuple of Browser and list of Noted
+    tuple of Browser and list of PageState
     """
     files = {"index.html": _PAGE, "visits.js": (_WEB / "scripts" / "visits.js").read_bytes()}
     for name in ("cogsplat.js", "worker.js", "visit.js"):
         files[name] = (_WEB / "dist" / name).read_bytes()
-    times = np.arange(0.0, trace.seconds + _LOOK_SECONDS, _LOOK_SECONDS)
+    times = np.arange(0.0, trace.seconds + _FRAME_SECONDS, _FRAME_SECONDS)
     visit = {
         "url": "/scene.cogs",
         "poses": [_pose(Pose.from_camera(trace.camera_at(float(seconds)))) for seconds in times],
-        "interval": _LOOK_SECONDS,
+        "interval": _FRAME_SECONDS,
         "budget": budget_splats,
         "moments": moments,
     }
@@ -120,7 +120,7 @@ def in_browser(
         running(SlowServer(files, cached=programs)) as server,
         opened_page(server.url, "window.visit !== undefined") as page,
     ):
-        # Once without a link: programs are compiled, and workers have been started.
+        # Warm-up without a slow link: compiles the programs and starts the workers.
         page.evaluate("(visit) => window.visit(visit)", {**visit, "moments": [0.5]})
         server.link = slow_server.Link(link.bits_per_second, link.latency)
         result = page.evaluate("(visit) => window.visit(visit)", visit)
@@ -129,6 +129,7 @@ def in_browser(
 
 
 def _pose(pose: Pose) -> dict[str, object]:
+    """Convert a pose to the JSON of the page."""
     return {
         "position": pose.position.tolist(),
         "rotation": np.asarray(pose.rotation).ravel().tolist(),
@@ -137,13 +138,13 @@ def _pose(pose: Pose) -> dict[str, object]:
     }
 
 
-def units_there(units: Units, chunks: list[tuple[int, bool, bool]]) -> list[int]:
-    """Return the units of chunks as a page noted them."""
+def units_of_chunks(units: Units, chunks: list[tuple[int, bool, bool]]) -> list[int]:
+    """Return the units that a page had of its decoded chunks."""
     found = []
     for chunk, refined, tail in chunks:
         kinds = {SegmentKind.HEAD: True, SegmentKind.REFINEMENT: refined, SegmentKind.TAIL: tail}
-        wanted = [kind for kind, is_there in kinds.items() if is_there]
-        found += np.flatnonzero((units.chunk == chunk) & np.isin(units.kind, wanted)).tolist()
+        present = [kind for kind, is_present in kinds.items() if is_present]
+        found += np.flatnonzero((units.chunk == chunk) & np.isin(units.kind, present)).tolist()
     return found
 
 
@@ -151,11 +152,14 @@ def compare(
     simulation: Simulation,
     trace: Trace,
     link: Link,
-    noted: list[Noted],
+    noted: list[PageState],
     budget_splats: int,
     browser: Browser,
 ) -> tuple[list[Comparison], dict[str, list[np.ndarray]]]:
-    """Return moments of a visit beside their simulation, and the pictures, by what they show."""
+    """Compare a browser with the simulation; return rows and pictures by source.
+
+    The key of the reference pictures is empty.
+    """
     client = simulation.client("visit")
     arrivals = simulation.arrivals(
         "visit", client, trace, link, budget_splats=budget_splats, browser=browser
@@ -165,12 +169,12 @@ def compare(
     for entry in noted:
         seconds = entry["seconds"]
         camera = trace.camera_at(seconds)
-        whole = simulation.picture(camera)
-        held = [units_there(simulation.units, entry["chunks"]), arrivals.present_at(seconds)]
+        reference = simulation.picture(camera)
+        held = [units_of_chunks(simulation.units, entry["chunks"]), arrivals.present_at(seconds)]
         of_chunks = np.where(simulation.units.chunk >= 0, simulation.units.size_bytes, 0)
-        sizes = [int(of_chunks[there].sum()) for there in held]
-        drawn = [client.splats_of(there, camera) for there in held]
-        shown = [simulation.picture(camera, splats) for splats in drawn]
+        sizes = [int(of_chunks[present].sum()) for present in held]
+        drawn = [client.splats_of(present, camera) for present in held]
+        pair = [simulation.picture(camera, splats) for splats in drawn]
         rows.append(
             Comparison(
                 seconds,
@@ -178,11 +182,11 @@ def compare(
                 len(drawn[1]),
                 sizes[0],
                 sizes[1],
-                psnr(shown[0], whole),
-                psnr(shown[1], whole),
+                psnr(pair[0], reference),
+                psnr(pair[1], reference),
             )
         )
-        for name, picture in zip(pictures, (whole, *shown), strict=True):
+        for name, picture in zip(pictures, (reference, *pair), strict=True):
             pictures[name].append(picture)
     return rows, pictures
 
@@ -192,18 +196,24 @@ def compare(
 @click.option("--cameras", type=click.Path(exists=True, path_type=Path), required=True)
 @click.option("--trace", type=click.Path(exists=True, path_type=Path), required=True)
 @click.option("--pose-seconds", default=0.5, show_default=True)
-@click.option("--mbit", default=2.0, show_default=True, help="Of the link, 10⁶ bits a second.")
-@click.option("--latency", default=20.0, show_default=True, help="Milliseconds.")
-@click.option("--budget", default=0, show_default=True, help="Most splats; 0 for any number.")
+@click.option("--mbit", default=2.0, show_default=True, help="Bandwidth of the link, Mbit/s.")
+@click.option("--latency", default=20.0, show_default=True, help="Latency of the link, ms.")
+@click.option(
+    "--budget", default=0, show_default=True, help="Memory limit, splats; 0 for no limit."
+)
 @click.option("--moments", default=12, show_default=True)
-@click.option("--seconds", type=float, help="Of the trace that are walked; all by default.")
+@click.option("--seconds", type=float, help="Part of the trace to follow; by default all of it.")
 @click.option(
     "--splats-per-second",
     default=2e6,
     show_default=True,
-    help="That this machine's workers decode.",
+    help="Decoding throughput of this machine's workers.",
 )
-@click.option("--pictures", type=click.Path(path_type=Path), help="PNG of up to six moments.")
+@click.option(
+    "--pictures",
+    type=click.Path(path_type=Path),
+    help="Write pictures of up to six moments as PNG.",
+)
 @click.option("--json", "as_json", is_flag=True)
 def main(
     scene: Path,
@@ -225,7 +235,7 @@ def main(
     end = min(seconds or walked.seconds, walked.seconds)
     times = [end * (k + 1) / moments for k in range(moments)]
     link = Link(1e6 * mbit, latency / 1000.0)
-    browser, noted = in_browser(scene, walked, link, times, budget, splats_per_second)
+    browser, noted = run_browser(scene, walked, link, times, budget, splats_per_second)
     with cogsplat.open(scene) as file:
         simulation = Simulation(file, known, compensate=True)
     rows, shown = compare(simulation, walked, link, noted, budget, browser)
@@ -253,7 +263,7 @@ def main(
     starts = [round(1000.0 * s) for s in (browser.start_seconds, browser.decoder_seconds)]
     click.echo(f"first request after {starts[0]} ms, first worker after {starts[1]} ms")
     away = np.array([abs(row.psnr_db - row.simulated_db) for row in rows])
-    click.echo(f"apart by {away.mean():.2f} dB on average, {away.max():.2f} at most")
+    click.echo(f"differences: {away.mean():.2f} dB on average, {away.max():.2f} at most")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A visit in a browser beside its simulation."""
+"""Visits in a browser compared with their simulation."""
 
 from pathlib import Path
 
@@ -9,8 +9,8 @@ from chromium import executable
 import cogsplat
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.formats.cogs.layout import SegmentKind
-from cogsplat.tools.lab.benchmark import visits
-from cogsplat.tools.lab.benchmark.visits import compare, in_browser, units_there
+from cogsplat.tools.lab.benchmark import visit_validation
+from cogsplat.tools.lab.benchmark.visit_validation import compare, run_browser, units_of_chunks
 from cogsplat.tools.lab.streaming.client import Link, units_of
 from cogsplat.tools.lab.streaming.comparison import Simulation
 from cogsplat.tools.lab.streaming.traces import recorded_trace
@@ -26,10 +26,10 @@ def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_units_are_those_that_the_page_noted(house: Path) -> None:
+def test_units_follow_from_the_recorded_chunks(house: Path) -> None:
     with cogsplat.open(house) as file:
         units = units_of(file)
-    found = units_there(units, [(0, False, False), (2, True, True)])
+    found = units_of_chunks(units, [(0, False, False), (2, True, True)])
     kinds = [(int(units.chunk[unit]), int(units.kind[unit])) for unit in found]
     assert (0, SegmentKind.HEAD) in kinds
     assert (0, SegmentKind.REFINEMENT) not in kinds
@@ -37,20 +37,20 @@ def test_units_are_those_that_the_page_noted(house: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_browser_comes_to_what_is_simulated(
+def test_browser_and_simulation_end_with_the_same_splats(
     house: Path, monkeypatch: pytest.MonkeyPatch, web_package: Path
 ) -> None:
     monkeypatch.setenv("COGSPLAT_CHROMIUM", executable())
-    monkeypatch.setattr(visits, "_WEB", web_package)
+    monkeypatch.setattr(visit_validation, "_WEB", web_package)
     with cogsplat.open(house) as file:
         simulation = Simulation(file, rooms_cameras(4, views=2), threads=1)
         total = int(file.chunks.splats.sum())
     walked = recorded_trace(rooms_walk(4)[:4], 0.5)
     link = Link(4e6, 0.02)
-    # Much later than all can have come, however busy the machine is. What a budget holds depends on
-    # the order in which things came.
+    # Late enough for the download on a busy machine. The chunks within a budget depend on the
+    # order of arrival, so only their number is checked.
     for budget in (0, total // 2):
-        browser, noted = in_browser(house, walked, link, [8.0], budget, 2e6)
+        browser, noted = run_browser(house, walked, link, [8.0], budget, 2e6)
         rows, pictures = compare(simulation, walked, link, noted, budget, browser)
         assert 0.0 <= browser.start_seconds < browser.decoder_seconds < 8.0
         (row,) = rows

@@ -1,6 +1,6 @@
-"""Growth: what encoding and decoding take in time and memory as scenes become larger.
+"""Time and memory of encoding and decoding as a function of scene size.
 
-Run ``python -m cogsplat.tools.lab.benchmark.growth --splats 100000,300000,1000000 --out growth``.
+Run ``python -m cogsplat.tools.lab.benchmark.size_scaling --splats 100000,1000000 --out scaling``.
 """
 
 from __future__ import annotations
@@ -32,26 +32,28 @@ from cogsplat.tools.terminal.values import number_of_bytes
 
 _STATUS: Final = Path("/proc/self/status")
 
-_TIME_CHART: Final = "growth-time.svg"
-_MEMORY_CHART: Final = "growth-memory.svg"
+_TIME_CHART: Final = "scaling-time.svg"
+_MEMORY_CHART: Final = "scaling-memory.svg"
 
 
 @dataclass(frozen=True)
 class Step:
-    """What one piece of work took, in a process of its own.
+    """Time and memory of one operation, run in a separate process.
 
     Parameters
     ----------
     what : str
-        ``synth``, ``encode`` or ``decode``.
+        Operation: ``synth``, ``encode`` or ``decode``.
     splats : int
-        Of the scene.
-    seconds, cpu_seconds : float
-        By the clock, and of all threads together.
+        Splats of the scene.
+    seconds : float
+        Wall-clock time.
+    cpu_seconds : float
+        Processor time of all threads.
     peak_bytes : int
-        Most resident memory that the process had.
+        Peak resident memory of the process.
     written_bytes : int
-        Of the file that it wrote.
+        Size of the output file.
     """
 
     what: str
@@ -64,14 +66,16 @@ class Step:
 
 @dataclass(frozen=True)
 class Line:
-    """A straight line through what steps of one kind took.
+    """Linear model of a cost by number of splats.
 
     Parameters
     ----------
-    fixed, per_splat : float
-        In the unit of what was measured.
+    fixed : float
+        Cost at 0 splats, in the unit of the measurements.
+    per_splat : float
+        Cost per splat.
     largest_deviation : float
-        Of a measurement from the line, as a share of the measurement.
+        Largest relative deviation of a measurement from the line.
     """
 
     fixed: float
@@ -79,19 +83,19 @@ class Line:
     largest_deviation: float
 
 
-def line_through(splats: Sequence[int], values: Sequence[float]) -> Line:
-    """Return the line of least squared relative deviation.
+def fit_line(splats: Sequence[int], values: Sequence[float]) -> Line:
+    """Fit a line by least squares of the relative deviations.
 
     Parameters
     ----------
     splats : sequence of int
-        At least two that differ.
+        Scene sizes, at least two different ones.
     values : sequence of float
-        Above 0.
+        Measured costs, above 0.
 
     Examples
     --------
-    >>> line = line_through([1000, 3000], [5.0, 7.0])
+    >>> line = fit_line([1000, 3000], [5.0, 7.0])
     >>> round(line.fixed, 6), round(line.per_splat, 6)
     (4.0, 0.001)
     """
@@ -107,43 +111,45 @@ def line_through(splats: Sequence[int], values: Sequence[float]) -> Line:
 def measure(
     splats: int, folder: Path, *, views: int, preset: str, memory: int | None, threads: int
 ) -> list[Step]:
-    """Make a synthetic scene of SH degree 3, encode it and decode it to a PLY.
+    """Generate a synthetic scene of SH degree 3, encode it, and decode it to a PLY.
 
     Parameters
     ----------
     splats : int
     folder : Path
-        Where the files go; they are gone when this returns.
+        Folder for temporary files, which are deleted at the end.
     views : int
-        Of the scene's own cameras, 200x150 px.
+        Number of synthetic training views, 200x150 px.
     preset : str
         One of `codec.encode.presets.PRESETS`.
     memory : int or None
-        Cap of the encode, bytes.
+        Memory limit of the encode, bytes.
     threads : int
         0 for all cores.
 
     Returns
     -------
     list of Step
-        Of ``synth``, ``encode`` and ``decode``.
+        Steps ``synth``, ``encode`` and ``decode``.
     """
-    scene, cogs, decoded = (folder / f"growth{end}" for end in (".ply", ".cogs", ".decoded.ply"))
+    scene, cogs, decoded = (folder / f"scaling{end}" for end in (".ply", ".cogs", ".decoded.ply"))
     try:
         return [
-            _apart("synth", splats, scene, _make, splats, scene),
-            _apart("encode", splats, cogs, _encode, scene, cogs, views, preset, memory, threads),
-            _apart("decode", splats, decoded, _decode, cogs, decoded, threads),
+            _measure_in_process("synth", splats, scene, _synthesise, splats, scene),
+            _measure_in_process(
+                "encode", splats, cogs, _encode, scene, cogs, views, preset, memory, threads
+            ),
+            _measure_in_process("decode", splats, decoded, _decode, cogs, decoded, threads),
         ]
     finally:
         for path in (scene, cogs, decoded):
             path.unlink(missing_ok=True)
 
 
-def _apart(
+def _measure_in_process(
     what: str, splats: int, out: Path, work: Callable[..., None], *arguments: object
 ) -> Step:
-    """Do a piece of work in a fresh process, whose memory is its own."""
+    """Run an operation in a new process, so that its peak memory is measured alone."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         seconds, cpu, peak = pool.submit(_timed, work, *arguments).result()
     with storage_errors(out):
@@ -151,13 +157,14 @@ def _apart(
 
 
 def _timed(work: Callable[..., None], *arguments: object) -> tuple[float, float, int]:
+    """Return wall-clock time, processor time and peak memory of an operation."""
     start, cpu = time.perf_counter(), time.process_time()
     work(*arguments)
     return time.perf_counter() - start, time.process_time() - cpu, _peak_bytes()
 
 
 def _peak_bytes() -> int:
-    """Return the most memory that this process had resident."""
+    """Return the peak resident memory of this process."""
     if _STATUS.exists():
         for line in _STATUS.read_text(encoding="ascii").splitlines():
             if line.startswith("VmHWM"):
@@ -165,7 +172,7 @@ def _peak_bytes() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
-def _make(splats: int, scene: Path) -> None:
+def _synthesise(splats: int, scene: Path) -> None:
     cogsplat.write(synth(splats), scene, force=True)
 
 
@@ -191,7 +198,7 @@ def _decode(cogs: Path, out: Path, threads: int) -> None:
 
 
 def charts(steps: Sequence[Step]) -> dict[str, str]:
-    """Return SVG charts by file name: processor time and memory for each splat, over splats."""
+    """Return SVG charts by file name: processor time and memory per splat, by scene size."""
     kinds = list(dict.fromkeys(step.what for step in steps))
 
     def drawn(title: str, unit: str, value: Callable[[Step], float]) -> str:
@@ -207,12 +214,12 @@ def charts(steps: Sequence[Step]) -> dict[str, str]:
 
     return {
         _TIME_CHART: drawn(
-            "Processor time for each splat",
+            "Processor time per splat",
             "µs per splat",
             lambda step: 1e6 * step.cpu_seconds / step.splats,
         ),
         _MEMORY_CHART: drawn(
-            "Most memory for each splat",
+            "Peak memory per splat",
             "kB per splat",
             lambda step: step.peak_bytes / step.splats / 1e3,
         ),
@@ -220,6 +227,7 @@ def charts(steps: Sequence[Step]) -> dict[str, str]:
 
 
 def _counts(text: str) -> list[int]:
+    """Parse the value of --splats."""
     try:
         counts = sorted({int(part) for part in text.split(",")})
     except ValueError:
@@ -231,7 +239,7 @@ def _counts(text: str) -> list[int]:
 
 @click.command(
     epilog="\b\nExample:\n"
-    "  python -m cogsplat.tools.lab.benchmark.growth --splats 100000,1000000 --out growth"
+    "  python -m cogsplat.tools.lab.benchmark.size_scaling --splats 100000,1000000 --out scaling"
 )
 @click.option(
     "--splats", "counts", type=_counts, default="100000,300000,1000000", show_default=True
@@ -243,8 +251,8 @@ def _counts(text: str) -> list[int]:
     default="fast",
     show_default=True,
 )
-@click.option("--memory", type=number_of_bytes, metavar="SIZE", help="Cap of each encode.")
-@click.option("--out", type=PATH, metavar="DIR", help="Where two charts go.")
+@click.option("--memory", type=number_of_bytes, metavar="SIZE", help="Memory limit of each encode.")
+@click.option("--out", type=PATH, metavar="DIR", help="Folder for two charts.")
 @threads_option
 @force_option
 @json_option
@@ -258,7 +266,7 @@ def main(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Measure time and memory of synthetic scenes of SH degree 3, larger and larger."""
+    """Measure time and memory of synthetic scenes of SH degree 3 and several sizes."""
     if out is not None:
         with storage_errors(out):
             out.mkdir(parents=True, exist_ok=True)
@@ -280,12 +288,14 @@ def main(
             some = [step for step in steps if step.what == what]
             sizes = [step.splats for step in some]
             lines[what] = {
-                "cpu_seconds": line_through(sizes, [step.cpu_seconds for step in some]),
-                "peak_bytes": line_through(sizes, [step.peak_bytes for step in some]),
+                "cpu_seconds": fit_line(sizes, [step.cpu_seconds for step in some]),
+                "peak_bytes": fit_line(sizes, [step.peak_bytes for step in some]),
             }
     if as_json:
-        told = {what: {key: asdict(line) for key, line in of.items()} for what, of in lines.items()}
-        print_json({"steps": [asdict(step) for step in steps], "lines": told})
+        models = {
+            what: {key: asdict(line) for key, line in of.items()} for what, of in lines.items()
+        }
+        print_json({"steps": [asdict(step) for step in steps], "lines": models})
         return
     rows = [
         (
