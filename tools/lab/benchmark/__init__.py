@@ -1,1 +1,1 @@
-"""Benchmarks of COGS: comparison with other formats, ablations, network and decode speed."""
+"""Benchmarks of COGS: formats, encoders, ablations, network and decode speed."""

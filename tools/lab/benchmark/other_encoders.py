@@ -1,4 +1,4 @@
-"""Comparison with other encoders: time, size, and the size of COGS at equal PSNR.
+"""Comparison with third-party encoders: time, size, and the size of COGS at equal PSNR.
 
 Run ``python -m cogsplat.tools.lab.benchmark.other_encoders SCENE --cameras PATH --out DIR``
 after, in ``tools/web``, ``npm install --no-save @playcanvas/splat-transform@2``. PlayCanvas'
@@ -167,7 +167,7 @@ def compare(
     others: Sequence[Encoder],
     presets: Sequence[str] = PRESETS,
 ) -> Iterator[EncodeResult]:
-    """Encode a scene by other encoders, then by COGS at the PSNR of each.
+    """Encode a scene by third-party encoders, then by COGS at equal PSNR.
 
     Parameters
     ----------

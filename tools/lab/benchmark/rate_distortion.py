@@ -1,4 +1,4 @@
-"""Rate-distortion benchmark: bytes, seconds and PSNR of COGS profiles and other formats."""
+"""Rate-distortion benchmark: bytes, seconds and PSNR of COGS profiles and foreign formats."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ BASELINE: Final = "c3dgs-style npz"
 """Name of the comparison with Niedermayr et al. (`baseline_npz`)."""
 
 FOREIGN: Final = (*(format_.name for format_ in FORMATS if format_.write), BASELINE)
-"""Names of the other formats."""
+"""Names of the formats that COGS is compared with."""
 
 # Default nominal qualities of each profile, dB. `vq` is for comparison.
 QUALITIES: Final = {
@@ -398,7 +398,7 @@ def _encoder(
 
 
 def _foreign_methods(given: BenchInput, names: Sequence[str]) -> list[_Method]:
-    """Return a method for each other format."""
+    """Return a method for each foreign format."""
     from . import c3dgs_npz
 
     methods: list[_Method] = []

@@ -41,9 +41,9 @@ from cogsplat.tools.lab.evaluation.tables import (
     STRIPS,
     EvaluationInput,
     picture_names,
+    print_results,
     report,
-    tell,
-    written_pages,
+    result_files,
 )
 from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.option_groups import GroupedCommand
@@ -380,13 +380,13 @@ def evaluate(
                 )
             if pairs:
                 stages("codecs", len(pairs), len(pairs))
-        pages = written_pages(given, points, by, of_objects)
+        pages = result_files(given, points, by, of_objects)
         if out is not None:
             _write(out, pages, given, strips, force=force, stages=stages)
     if as_json:
         print_json({**report(given, points, by, of_objects), "seconds": stages.rounded_seconds()})
         return
-    tell(given, points, by, of_objects)
+    print_results(given, points, by, of_objects)
     if not quiet:
         print_line("")
         drawn = [page for kind in by if strips[kind] for page in (STRIPS[kind], DIFFERENCES[kind])]

@@ -1,1 +1,1 @@
-"""Cross-checks: our readers and writers against other people's programs."""
+"""Cross-checks of readers and writers against third-party programs."""

@@ -1,4 +1,4 @@
-"""PlayCanvas' converter, splat-transform, as npm installs it: how it is called."""
+"""Interface to PlayCanvas' converter, splat-transform, installed by npm."""
 
 from __future__ import annotations
 
@@ -12,42 +12,42 @@ _PROGRAM: Final = "@playcanvas/splat-transform/bin/cli.mjs"
 
 
 def is_installed(modules: Path) -> bool:
-    """Return whether the converter lies in a ``node_modules`` folder."""
+    """Whether a ``node_modules`` folder contains the converter."""
     return (modules / _PROGRAM).is_file()
 
 
 def command(modules: Path, *arguments: str) -> list[str]:
-    """Return the command line that converts and says nothing; it replaces what was there.
+    """Return the command line of a quiet conversion that overwrites its output.
 
     Parameters
     ----------
     modules : Path
-        The ``node_modules`` folder.
+        Path of the ``node_modules`` folder.
     *arguments : str
-        Options, scenes to read, and the file to write.
+        Options, input scenes, and the output file.
     """
     return ["node", str(modules / _PROGRAM), "-q", "-w", *arguments]
 
 
-def converted(modules: Path, source: Path, target: Path, *options: str) -> Path:
-    """Convert a scene to `target`, and return `target`.
+def convert(modules: Path, source: Path, target: Path, *options: str) -> Path:
+    """Convert a scene to `target` and return `target`.
 
     Raises
     ------
     click.ClickException
-        It failed; the message ends with what it said.
+        The command failed; the message ends with its output.
     """
     run(command(modules, *options, str(source), str(target)))
     return target
 
 
 def run(line: list[str]) -> None:
-    """Run a command line whose output matters only where it fails.
+    """Run a command line; its output is only shown if it fails.
 
     Raises
     ------
     click.ClickException
-        It failed; the message ends with what it said.
+        The command failed; the message ends with its output.
     """
     done = subprocess.run(
         line, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False

@@ -1,9 +1,9 @@
-"""Check our compressed PLY, SOG, glTF, SPZ and .splat against PlayCanvas' converter, both ways.
+"""Cross-check of compressed PLY, SOG, glTF, SPZ and .splat with PlayCanvas' converter.
 
 Run ``python -m cogsplat.tools.lab.crosscheck.splat_transform NODE_MODULES`` after, in that folder's
-parent, ``npm install @playcanvas/splat-transform@2``. What each side writes is read by both, and
-compared with the scene. Version 3 needs ``node`` 22 or later first on the path, and fails the
-checks of SPZ: it takes that for PLY's axes where SPZ's own library has RUB.
+parent, ``npm install @playcanvas/splat-transform@2``. Files of both programs are read by both and
+compared with the scene. Version 3 of the converter needs ``node`` 22 or later and fails the SPZ
+checks: it assumes the axes of PLY where the SPZ library uses RUB.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from cogsplat.tools.lab.synthetic.terrace import synth
 from cogsplat.tools.terminal.options import json_option
 from cogsplat.tools.terminal.standard_streams import PATH
 
-from .converter import converted
-from .spz import Finding, check_splat, check_spz, findings_of, report
+from .converter import convert
+from .spz import Finding, check_splat, check_spz, compare_scenes, report
 
 F64 = NDArray[np.float64]
 Read = Callable[[StrPath], Splats]
 
-# Float32 rounding of values of up to some tens, on either side; SOG's opacities of 0 and 1 are
-# read there as a millionth less.
+# Float32 rounding for values up to a few tens, in both programs. The converter reads SOG opacities
+# of 0 and 1 with an offset of 1e-6.
 _ROUNDING: Final = {
     "means": 1e-5,
     "scales": 2e-6,
@@ -51,24 +51,24 @@ _ROUNDING: Final = {
     "shN": 1e-6,
 }
 
-# Half steps of smallest-three components; errors of three come together in the one left out.
+# Half steps of smallest-three components; the omitted component accumulates three errors.
 _QUATS_10_BITS: Final = 3 * 0.5**0.5 / 1023
 _QUATS_8_BITS: Final = 3 * 0.5**0.5 / 255
 
-# The group of turns by half a circle about a Gaussian's own axes, which leave it as it is.
+# Half turns about a Gaussian's own axes, which leave the Gaussian unchanged.
 _HALF_TURNS: Final = np.eye(4)
 
 
-def _half_turned(actual: Splats, expected: Splats) -> Splats:
-    """Return the scene with q or -q for each quaternion, the nearer to the expected one."""
+def _nearest_half_turn(actual: Splats, expected: Splats) -> Splats:
+    """Apply to each quaternion the half turn that brings it nearest to the expected one."""
     one, other = unit(actual.quats).astype(np.float64), unit(expected.quats).astype(np.float64)
-    turned = multiply(one[:, None], _HALF_TURNS[None])
-    best = np.abs((turned * other[:, None]).sum(axis=2)).argmax(axis=1)
-    return replace(actual, quats=turned[np.arange(len(one)), best].astype(np.float32))
+    rotated = multiply(one[:, None], _HALF_TURNS[None])
+    best = np.abs((rotated * other[:, None]).sum(axis=2)).argmax(axis=1)
+    return replace(actual, quats=rotated[np.arange(len(one)), best].astype(np.float32))
 
 
-def _matched(scene: Splats, read: Splats, check: str) -> Splats:
-    """Return the rows of the scene that match the rows read, one to one."""
+def _match_rows(scene: Splats, read: Splats, check: str) -> Splats:
+    """Reorder the scene to match the rows of a file, one to one."""
     from scipy.spatial import cKDTree
 
     def key(splats: Splats) -> F64:
@@ -81,7 +81,7 @@ def _matched(scene: Splats, read: Splats, check: str) -> Splats:
 
 
 def _chunk_steps(scene: Splats) -> dict[str, float]:
-    """Return the largest errors of a compressed PLY: half a step in its widest chunks."""
+    """Return the error bounds of a compressed PLY: half a step of the widest chunk."""
     ordered = scene.take(morton_order(scene.means))
     starts = np.arange(0, len(ordered), CHUNK_SPLATS)
     widest = {
@@ -105,7 +105,7 @@ def _chunk_steps(scene: Splats) -> dict[str, float]:
 
 
 def _sog_steps(scene: Splats) -> dict[str, float]:
-    """Return the largest errors of our SOG: half steps, and the errors of codebooks and palette."""
+    """Return the error bounds of SOG: half steps, and those of codebooks and palette."""
     logs = np.log1p(np.abs(scene.means.astype(np.float64)))
     furthest = float(np.expm1(logs.max()))
     return {
@@ -129,25 +129,25 @@ def _both_ways(
     scene: Splats,
     folder: Path,
 ) -> list[Finding]:
-    """Read both programs' files with both programs."""
+    """Compare files of both programs, each read by both programs."""
     findings = []
     for side, steps in (("ours", allowed), ("theirs", allowed_there)):
         path = folder / f"{side}{suffix}"
         check = f"{name}, {side}"
         splats = read(path)
-        expected = _matched(scene, splats, check)
-        findings += findings_of(f"{check}: read here and the scene", splats, expected, steps)
-        there = read_ply(converted(modules, path, folder / f"{side}.back.ply"))
-        findings += findings_of(f"{check}: read here and there", splats, there, _ROUNDING)
+        expected = _match_rows(scene, splats, check)
+        findings += compare_scenes(f"{check}: read here and the scene", splats, expected, steps)
+        there = read_ply(convert(modules, path, folder / f"{side}.back.ply"))
+        findings += compare_scenes(f"{check}: read here and there", splats, there, _ROUNDING)
     return findings
 
 
 def check_compressed_ply(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
-    """Compare both programs' compressed PLY, each read by both, with the scene."""
+    """Check compressed PLY files of both programs."""
     source = folder / "scene.ply"
     write_ply(scene, source, force=True)
     write_compressed_ply(scene, folder / "ours.compressed.ply", force=True)
-    converted(modules, source, folder / "theirs.compressed.ply")
+    convert(modules, source, folder / "theirs.compressed.ply")
     steps = _chunk_steps(scene)
     return _both_ways(
         "compressed PLY",
@@ -162,12 +162,12 @@ def check_compressed_ply(modules: Path, scene: Splats, folder: Path) -> list[Fin
 
 
 def check_sog(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
-    """Compare both programs' SOG, each read by both, with the scene."""
+    """Check SOG files of both programs."""
     source = folder / "scene.ply"
     write_ply(scene, source, force=True)
     write_sog(scene, folder / "ours.sog", force=True)
     # Without a graphics card it takes seconds for a thousand splats.
-    converted(modules, source, folder / "theirs.sog", "-g", "cpu")
+    convert(modules, source, folder / "theirs.sog", "-g", "cpu")
     steps = _sog_steps(scene)
     # There numbers are rounded down, which costs whole steps.
     whole = {name: 2 * steps[name] for name in ("means", "quats", "opacities")}
@@ -184,16 +184,16 @@ def check_sog(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
 
 
 def check_gltf(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
-    """Compare the converter's glTF, which only we read, with the scene and with ours."""
+    """Check glTF files of both programs; the converter cannot read glTF."""
     source = folder / "scene.ply"
     write_ply(scene, source, force=True)
     write_gltf(scene, folder / "ours.glb", force=True)
-    converted(modules, source, folder / "theirs.glb")
+    convert(modules, source, folder / "theirs.glb")
     ours, theirs = read_gltf(folder / "ours.glb"), read_gltf(folder / "theirs.glb")
-    theirs = _half_turned(theirs, scene)
+    theirs = _nearest_half_turn(theirs, scene)
     return [
-        *findings_of("glTF, ours: read here and the scene", ours, scene, _ROUNDING),
-        *findings_of("glTF, theirs: read here and the scene", theirs, scene, _ROUNDING),
+        *compare_scenes("glTF, ours: read here and the scene", ours, scene, _ROUNDING),
+        *compare_scenes("glTF, theirs: read here and the scene", theirs, scene, _ROUNDING),
     ]
 
 
@@ -202,9 +202,9 @@ def check_gltf(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
 @click.option("--splats", default=3000, show_default=True, help="Size of the synthetic scene.")
 @json_option
 def main(modules: Path, splats: int, as_json: bool) -> None:
-    """Print the differences between both programs' readings; fail where one exceeds a step."""
+    """Print the differences between both programs; fail if one exceeds its bound."""
     made = synth(splats)
-    # Within what every format holds, so that steps bound every error.
+    # Clipped to the range of every format, so that half steps bound all errors.
     scene = replace(
         made,
         scales=np.clip(made.scales, -9.9, 5.9),

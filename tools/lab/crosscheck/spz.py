@@ -1,9 +1,8 @@
-"""Check SPZ, .splat and .ksplat against other people's implementations, both ways.
+"""Cross-check of SPZ, .splat and .ksplat with third-party implementations.
 
 Run ``python -m cogsplat.tools.lab.crosscheck.spz NODE_MODULES`` after, in that folder's parent,
 ``npm install @playcanvas/splat-transform@2 @adobe/spz @mkkellogg/gaussian-splats-3d three``. The
-second is SPZ's own library, through which the first reads and writes it; the third is where .ksplat
-comes from.
+second is the SPZ library, which the first uses; the third is the origin of .ksplat.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from cogsplat.tools.terminal.options import json_option
 from cogsplat.tools.terminal.output import print_json, print_line, print_table
 from cogsplat.tools.terminal.standard_streams import PATH
 
-from .converter import converted, run
+from .converter import convert, run
 
 F64 = NDArray[np.float64]
 
@@ -41,8 +40,8 @@ _VIEWER: Final = "@mkkellogg/gaussian-splats-3d/build/gaussian-splats-3d.module.
 
 _LIBRARY: Final = "@adobe/spz/dist/spz.js"
 
-# Arguments: the library's module and SPZ files. Beside each file goes what the library reads from
-# it in RDF, array by array, and the same scene written as version 2.
+# Arguments: the library's module and SPZ files. For each file the script writes FILE.floats, the
+# arrays that the library reads, in RDF, and FILE.v2, the same scene as version 2.
 _READ_SPZ: Final = """
 import { readFileSync, writeFileSync } from 'node:fs';
 import { pathToFileURL } from 'node:url';
@@ -62,8 +61,8 @@ for (const file of files) {
 }
 """
 
-# Arguments: the viewer's module, a PLY, the compression level, the SH degree, the output. No splat
-# is left out for its opacity.
+# Arguments: the viewer's module, a PLY, the compression level, the SH degree, the output. Splats of
+# low opacity are kept.
 _MAKE_KSPLAT: Final = """
 import { readFileSync, writeFileSync } from 'node:fs';
 import { pathToFileURL } from 'node:url';
@@ -77,7 +76,7 @@ const made = generator.generateFromUncompressedSplatArray(splats);
 writeFileSync(output, Buffer.from(made.bufferData));
 """
 
-# Float32 rounding of values of up to some tens, on either side.
+# Float32 rounding for values up to a few tens, in both programs.
 _ROUNDING: Final = {
     "means": 1e-5,
     "scales": 1e-5,
@@ -87,8 +86,8 @@ _ROUNDING: Final = {
     "shN": 1e-5,
 }
 
-# Half a step of SPZ: `write_spz` states the steps. Three errors of components come together in the
-# one that is not stored, and the top level of SH bytes is missing.
+# Half steps of SPZ (`write_spz`). The omitted quaternion component accumulates three errors. SH
+# bytes lack the top level.
 _SPZ_STEPS: Final = {
     "means": 2**-13,
     "scales": 1 / 32,
@@ -98,14 +97,14 @@ _SPZ_STEPS: Final = {
     "shN": 1 / 16,
 }
 
-# There, SH is rounded to bytes before it is rounded to steps.
-_SPZ_STEPS_THERE: Final = {**_SPZ_STEPS, "shN": 1 / 16 + 1 / 256}
+# The converter rounds SH to bytes before it rounds to steps.
+_CONVERTER_SPZ_STEPS: Final = {**_SPZ_STEPS, "shN": 1 / 16 + 1 / 256}
 
-# Version 2 has the first three components of quaternions in bytes; what is not stored is a root,
-# whose error is large where it is near zero.
+# Version 2 stores the first three quaternion components in bytes. The fourth is a square root,
+# whose error is large near zero.
 _SPZ_STEPS_2: Final = {**_SPZ_STEPS, "quats": 0.12, "shN": 1 / 256}
 
-# The root of what rounds to 2^-23 is off by up to its root.
+# The square root of an error of 2^-23.
 _ROUNDING_2: Final = {**_ROUNDING, "quats": 2**-11.5}
 
 _EXTENSION: Final = 0xADBE0003
@@ -113,15 +112,18 @@ _EXTENSION: Final = 0xADBE0003
 
 @dataclass(frozen=True)
 class Finding:
-    """Largest difference between two readings of a scene in one attribute, or a number of bytes.
+    """Result of one check: differences in one attribute, or a file size.
 
     Parameters
     ----------
-    check, attribute : str
+    check : str
+        Name of the check.
+    attribute : str
+        Compared attribute.
     greatest, mean : float
-        Of absolute differences; opacities activated, quaternions of unit length and either sign.
+        Maximum and mean of the absolute differences (`differences`).
     allowed : float
-        What `greatest` may be.
+        Upper bound of `greatest`.
     """
 
     check: str
@@ -132,14 +134,14 @@ class Finding:
 
     @property
     def passed(self) -> bool:
-        """Whether the largest difference is a number and at most the allowed one."""
+        """Whether the largest difference is within the bound; false for NaN."""
         return self.greatest <= self.allowed * (1 + 1e-4)
 
 
 def differences(actual: Splats, expected: Splats) -> dict[str, F64]:
-    """Return absolute differences by attribute, of two scenes with the same rows.
+    """Return absolute differences by attribute between scenes with the same rows.
 
-    Opacities are compared activated, quaternions at unit length and up to their sign.
+    Opacities are compared after activation, quaternions normalised and up to sign.
     """
     one, other = unit(actual.quats).astype(np.float64), unit(expected.quats).astype(np.float64)
     signs = np.where((one * other).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
@@ -153,31 +155,31 @@ def differences(actual: Splats, expected: Splats) -> dict[str, F64]:
     return out
 
 
-def findings_of(
+def compare_scenes(
     check: str, actual: Splats, expected: Splats, allowed: dict[str, float]
 ) -> list[Finding]:
-    """Compare two scenes with the same rows in the attributes that `allowed` names.
+    """Compare scenes with the same rows in the attributes named by `allowed`.
 
     Raises
     ------
     click.ClickException
-        They differ in size.
+        The scenes differ in the number of splats or in SH degree.
     """
     if len(actual) != len(expected) or actual.sh_degree != expected.sh_degree:
         raise click.ClickException(
             f"{check}: {len(actual)} splats of SH degree {actual.sh_degree}, "
             f"expected {len(expected)} of {expected.sh_degree}"
         )
-    apart = differences(actual, expected)
+    difference = differences(actual, expected)
     return [
-        Finding(check, name, float(apart[name].max()), float(apart[name].mean()), limit)
+        Finding(check, name, float(difference[name].max()), float(difference[name].mean()), limit)
         for name, limit in allowed.items()
-        if apart[name].size
+        if difference[name].size
     ]
 
 
-def _clipped(splats: Splats) -> Splats:
-    """Return the scene clipped to the ranges of SPZ and .ksplat: steps then bound every error."""
+def _clip(splats: Splats) -> Splats:
+    """Clip a scene to the ranges of SPZ and .ksplat, so that half steps bound all errors."""
     return Splats(
         means=splats.means,
         scales=np.clip(splats.scales, -9.9, 5.9),
@@ -189,27 +191,27 @@ def _clipped(splats: Splats) -> Splats:
 
 
 def check_spz(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
-    """Compare SPZ of versions 3 and 4, written and read by both programs, with the scene."""
+    """Check SPZ files of versions 3 and 4, written and read by both programs."""
     findings = []
     source = folder / "scene.ply"
     write_ply(scene, source, force=True)
     for version in (3, 4):
         ours, theirs = folder / f"ours{version}.spz", folder / f"theirs{version}.spz"
         write_spz(scene, ours, force=True, version=version)
-        converted(modules, source, theirs, "--spz-version", str(version))
+        convert(modules, source, theirs, "--spz-version", str(version))
         for name, path in (("ours", ours), ("theirs", theirs)):
             check = f"SPZ {version}, {name}"
             read = read_spz(path)
-            steps = _SPZ_STEPS if name == "ours" else _SPZ_STEPS_THERE
-            findings += findings_of(f"{check}: read here and the scene", read, scene, steps)
-            there = read_ply(converted(modules, path, path.with_suffix(".ply")))
-            findings += findings_of(f"{check}: read here and there", read, there, _ROUNDING)
-        findings.append(_sizes(scene, version, theirs, folder))
+            steps = _SPZ_STEPS if name == "ours" else _CONVERTER_SPZ_STEPS
+            findings += compare_scenes(f"{check}: read here and the scene", read, scene, steps)
+            there = read_ply(convert(modules, path, path.with_suffix(".ply")))
+            findings += compare_scenes(f"{check}: read here and there", read, there, _ROUNDING)
+        findings.append(_compare_sizes(scene, version, theirs, folder))
     return findings
 
 
-def _sizes(scene: Splats, version: int, theirs: Path, folder: Path) -> Finding:
-    """Compare the bytes of a scene in the usual precision with those of the other program."""
+def _compare_sizes(scene: Splats, version: int, theirs: Path, folder: Path) -> Finding:
+    """Compare the file size at usual precision with that of the other program."""
     usual = folder / f"usual{version}.spz"
     write_spz(scene, usual, force=True, version=version, precision="usual")
     written = float(usual.stat().st_size)
@@ -218,17 +220,17 @@ def _sizes(scene: Splats, version: int, theirs: Path, folder: Path) -> Finding:
 
 
 def check_spz_frames(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
-    """Compare readings of SPZ in every coordinate system, and of version 2, with the library's.
+    """Check SPZ in every coordinate system, and version 2, with the SPZ library.
 
-    Gaussians are compared by their covariances, since axes that change places change quaternions
-    and scales, here and there in different ways.
+    Gaussians are compared by covariance: both programs permute axes differently, which changes
+    quaternions and scales.
     """
     plain = folder / "plain.spz"
     write_spz(scene, plain, force=True, sh1_bits=8, sh_rest_bits=8)
     data = plain.read_bytes()
     paths = []
     for number in range(1, 17):
-        # The header with its flag for extensions and the moved table of contents, one record, rest.
+        # Header with the extension flag and the shifted table of contents, one record, the rest.
         record = struct.pack("<III", _EXTENSION, 4, number)
         head = bytearray(data[:32])
         head[14] |= 2
@@ -251,10 +253,10 @@ def check_spz_frames(modules: Path, scene: Splats, folder: Path) -> list[Finding
     findings = []
     for number, path in enumerate(paths, 1):
         read = read_spz(path)
-        there = _floats(path.with_name(path.name + ".floats"), len(scene))
+        there = _read_floats(path.with_name(path.name + ".floats"), len(scene))
         apart = {
             "means": np.abs(read.means - there.means),
-            "covariances": _relative(_covariances(read), _covariances(there)),
+            "covariances": _relative_errors(_covariances(read), _covariances(there)),
             "shN": np.abs(read.shN - there.shN),
         }
         findings += [
@@ -265,15 +267,16 @@ def check_spz_frames(modules: Path, scene: Splats, folder: Path) -> list[Finding
             for name, off in apart.items()
         ]
     again = read_spz(plain.with_name(plain.name + ".v2"))
-    findings += findings_of("SPZ 2, theirs: read here and the scene", again, scene, _SPZ_STEPS_2)
-    there = _floats(second.with_name(second.name + ".floats"), len(scene))
-    findings += findings_of("SPZ 2, ours: read there and the scene", there, scene, _SPZ_STEPS_2)
+    findings += compare_scenes("SPZ 2, theirs: read here and the scene", again, scene, _SPZ_STEPS_2)
+    there = _read_floats(second.with_name(second.name + ".floats"), len(scene))
+    findings += compare_scenes("SPZ 2, ours: read there and the scene", there, scene, _SPZ_STEPS_2)
     read = read_spz(second)
-    findings += findings_of("SPZ 2, ours: read here and there", read, there, _ROUNDING_2)
+    findings += compare_scenes("SPZ 2, ours: read here and there", read, there, _ROUNDING_2)
     return findings
 
 
-def _floats(path: Path, count: int) -> Splats:
+def _read_floats(path: Path, count: int) -> Splats:
+    """Read a FILE.floats of `_READ_SPZ`."""
     values = np.fromfile(path, "<f4")
     widths = (3, 3, 4, 1, 3, 45)
     parts = np.split(values, np.cumsum([count * width for width in widths])[:-1])
@@ -289,36 +292,37 @@ def _floats(path: Path, count: int) -> Splats:
 
 
 def _covariances(splats: Splats) -> F64:
+    """Return the covariance of each splat, (N, 3, 3)."""
     spread = matrices(unit(splats.quats)) * np.exp(splats.scales.astype(np.float64))[:, None, :]
     out: F64 = spread @ spread.transpose(0, 2, 1)
     return out
 
 
-def _relative(actual: F64, expected: F64) -> F64:
-    """Return the Frobenius norms of differences relative to the expected matrices, (N,)."""
+def _relative_errors(actual: F64, expected: F64) -> F64:
+    """Return the relative Frobenius errors of matrices, (N,)."""
     out: F64 = np.linalg.norm(actual - expected, axis=(1, 2))
     out /= np.linalg.norm(expected, axis=(1, 2))
     return out
 
 
 def check_splat(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
-    """Compare our .splat, as the converter reads it, with the scene; it writes none."""
+    """Check .splat files as read by the converter, which cannot write the format."""
     path = folder / "ours.splat"
     with warnings.catch_warnings():
-        # That SH is left out is known.
+        # The format stores no SH; the warning is expected.
         warnings.simplefilter("ignore", CogsplatWarning)
         write_splat(scene, path, force=True)
-    there = read_ply(converted(modules, path, folder / "splat.ply"))
-    # There, bytes of quaternions are read with 127.5 as zero.
+    there = read_ply(convert(modules, path, folder / "splat.ply"))
+    # The converter reads quaternion bytes with 127.5 as zero.
     allowed = {**_ROUNDING, "quats": 1.5 / 128}
-    return findings_of(".splat, ours: read here and there", read_splat(path), there, allowed)
+    return compare_scenes(".splat, ours: read here and there", read_splat(path), there, allowed)
 
 
 def check_ksplat(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
-    """Compare readings of the viewer's .ksplat, every level, with two other readers'.
+    """Check .ksplat files of every compression level, written by the viewer.
 
-    Rows are compared with what the converter reads, with level 0, whose rows are in the same order,
-    and level 0 with the scene, rows sorted by position.
+    Rows are compared with those of the converter and with level 0, which has the same order. Level
+    0 is compared with the scene, rows sorted by position.
     """
     source, script = folder / "scene.ply", folder / "make_ksplat.mjs"
     write_ply(scene, source, force=True)
@@ -331,17 +335,17 @@ def check_ksplat(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
             module = str((modules / _VIEWER).resolve())
             run(["node", str(script), module, *map(str, (source, level, degree, path))])
             read = read_ksplat(path)
-            there = read_ply(converted(modules, path, path.with_suffix(".ply")))
+            there = read_ply(convert(modules, path, path.with_suffix(".ply")))
             check = f".ksplat level {level}, SH {degree}"
-            findings += findings_of(f"{check}: read here and there", read, there, _ROUNDING)
+            findings += compare_scenes(f"{check}: read here and there", read, there, _ROUNDING)
             if exact is None:
                 exact = read
                 cut = scene.with_sh_degree(degree)
                 one, other = (s.take(np.lexsort(s.means.T)) for s in (read, cut))
                 steps = {**_ROUNDING, "opacities": 1 / 255, "sh0": 1 / 255 / 0.282}
-                findings += findings_of(f"{check}: read here and the scene", one, other, steps)
+                findings += compare_scenes(f"{check}: read here and the scene", one, other, steps)
             else:
-                # Blocks of 5 units in 2^16 steps, half floats rounded towards zero, and bytes of SH
+                # Blocks of 5 units with 2^16 steps, half floats rounded towards zero, SH bytes
                 # rounded down.
                 steps = {
                     "means": 2.5 / 65534 + 1e-5,
@@ -351,12 +355,12 @@ def check_ksplat(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
                     "sh0": 0.0,
                     "shN": 2**-10 if level == 1 else 2 / 255,
                 }
-                findings += findings_of(f"{check}: and level 0", read, exact, steps)
+                findings += compare_scenes(f"{check}: and level 0", read, exact, steps)
     return findings
 
 
 def report(findings: list[Finding], splats: int, as_json: bool) -> NoReturn:
-    """Print the findings for a scene of so many splats; exit with 1 where one failed."""
+    """Print the findings and exit, with status 1 if a check failed."""
     failed = sum(not finding.passed for finding in findings)
     if as_json:
         rows = [{**vars(finding), "passed": finding.passed} for finding in findings]
@@ -384,8 +388,8 @@ def report(findings: list[Finding], splats: int, as_json: bool) -> NoReturn:
 @click.option("--splats", default=20_000, show_default=True, help="Size of the synthetic scene.")
 @json_option
 def main(modules: Path, splats: int, as_json: bool) -> None:
-    """Print the differences from other programs' readings; fail where one exceeds a step."""
-    scene = _clipped(synth(splats))
+    """Print the differences to third-party programs; fail if one exceeds its bound."""
+    scene = _clip(synth(splats))
     with tempfile.TemporaryDirectory() as name:
         findings = [
             *check_spz(modules, scene, Path(name)),

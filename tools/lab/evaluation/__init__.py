@@ -1,1 +1,1 @@
-"""Evaluation protocols of the literature: orders, prefixes, objects."""
+"""Evaluation protocols from the literature: orders, prefixes, objects."""

@@ -18,10 +18,10 @@ from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.codec.views.view_sets import roam
 from cogsplat.tools.evaluation.lpips import Lpips
 
-# SSIM's window (Wang et al. 2004) must fit.
-_SMALLEST_SIDE: Final = 11
-# Pixels of reference pictures that are kept, 12 bytes each; beyond, they are drawn again.
-_KEPT_PIXELS: Final = 1 << 28
+# Side of the SSIM window (Wang et al. 2004), px.
+_MIN_SIDE: Final = 11
+# Pixels of reference pictures kept in memory, 12 bytes each; further ones are rendered again.
+_CACHED_PIXELS: Final = 1 << 28
 
 Colour = tuple[float, float, float]
 Picture = NDArray[np.float32]
@@ -34,17 +34,17 @@ class Figures:
     Parameters
     ----------
     held_out_db, worst_db, roam_db : float
-        PSNR: the mean over the test views, the lowest of them, the mean off their path.
+        PSNR: mean and minimum over the test views, mean over the roaming views.
     held_out_ssim, worst_ssim, roam_ssim : float
-        Likewise.
+        SSIM: mean and minimum over the test views, mean over the roaming views.
     worst_view : str
-        The test view of the lowest PSNR.
+        Name of the test view of the lowest PSNR.
     first_view_db, first_view_ssim : float or None
-        At the pose that an order serves first, where there is one.
+        PSNR and SSIM at the first view, if there is one.
     held_out_lpips, worst_lpips, roam_lpips : float or None
-        Likewise, where weights are given; lower is nearer.
+        LPIPS of the same views, if there are weights; lower is better.
     photos_db : float or None
-        Mean PSNR of the test views against photos, where there are any.
+        Mean PSNR of the test views against photos, if there are any.
     """
 
     held_out_db: float
@@ -62,7 +62,7 @@ class Figures:
     photos_db: float | None = None
 
     def report(self) -> dict[str, object]:
-        """Return the figures that were measured, rounded."""
+        """Return the available figures, rounded."""
         found = {field.name: getattr(self, field.name) for field in fields(self)}
         return {
             name: round(value, 5) if isinstance(value, float) else value
@@ -72,8 +72,8 @@ class Figures:
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """PSNR and SSIM of one version in one view."""
+class _ViewQuality:
+    """PSNR, SSIM and LPIPS of one version in one view."""
 
     psnr_db: float
     ssim: float
@@ -82,18 +82,20 @@ class _Seen:
 
 
 class Evaluator:
-    """The test views of a scene: held-out cameras, roaming views, perhaps a first view.
+    """Measures versions of a scene in held-out cameras, roaming views and a first view.
 
     Parameters
     ----------
     reference : Splats
-        The whole scene, extra attributes left out.
+        Full scene; extra attributes are ignored.
     cameras : sequence of Camera
-        Test views; at least one, 11 px a side or more.
+        Test views; at least one, each side at least 11 px.
     first_view : Camera or None
+        Pose that an order is optimised for.
     photos : sequence of (H, W, 3) uint8 or None
-        Of the cameras.
+        Photos of the test views.
     lpips : Lpips or None
+        LPIPS network; None to skip LPIPS.
     background : tuple of float
         RGB behind the splats.
     ssim_border : str
@@ -104,8 +106,8 @@ class Evaluator:
     Raises
     ------
     DataError
-        ``no-cameras``; ``view-too-small``; ``cameras-see-nothing``: no test view shows
-        anything but background.
+        ``no-cameras``; ``view-too-small``; ``cameras-see-nothing``: all test views show only
+        background.
     """
 
     def __init__(
@@ -133,7 +135,7 @@ class Evaluator:
         self._threads = thread_count(threads)
         self.reference = reference.without_extras()
         for camera in self._views:
-            smallest = max(_SMALLEST_SIDE, 0 if lpips is None else lpips.smallest_side)
+            smallest = max(_MIN_SIDE, 0 if lpips is None else lpips.smallest_side)
             if min(camera.width, camera.height) < smallest:
                 raise DataError(
                     "view-too-small",
@@ -141,15 +143,15 @@ class Evaluator:
                     f"least {smallest} a side to compare by",
                 )
         pixels = np.cumsum([camera.width * camera.height for camera in self._views])
-        kept = int(np.searchsorted(pixels, _KEPT_PIXELS, side="right"))
-        self._kept: list[Picture] = list(
+        kept = int(np.searchsorted(pixels, _CACHED_PIXELS, side="right"))
+        self._cached: list[Picture] = list(
             ordered_map(
                 lambda camera: self.draw(reference, camera), self._views[:kept], self._threads
             )
         )
         blank = np.array(background, np.float32)
         test_views = range(len(cameras))
-        if not any(bool((self._expected(view) != blank).any()) for view in test_views):
+        if not any(bool((self._reference_picture(view) != blank).any()) for view in test_views):
             raise DataError(
                 "cameras-see-nothing",
                 f"{len(cameras)} views of the reference show nothing but background, expected "
@@ -157,7 +159,7 @@ class Evaluator:
             )
 
     def draw(self, splats: Splats, camera: Camera) -> Picture:
-        """Render a version with the kernel that its `SceneInfo` states."""
+        """Render a version with the kernel of its `SceneInfo`."""
         from cogsplat.codec.render.rasteriser import RenderConfig, render
 
         config = RenderConfig(
@@ -185,34 +187,36 @@ class Evaluator:
         list of Figures
             One for each version.
         """
-        rows: list[list[_Seen]] = []
+        rows: list[list[_ViewQuality]] = []
         progress(stage, 0, len(self._views))
         for row in ordered_map(
-            lambda view: self._look(versions, view), range(len(self._views)), self._threads
+            lambda view: self._measure_view(versions, view), range(len(self._views)), self._threads
         ):
             rows.append(row)
             progress(stage, len(rows), len(self._views))
-        return [self._summed([row[number] for row in rows]) for number in range(len(versions))]
+        return [self._summarise([row[number] for row in rows]) for number in range(len(versions))]
 
-    def _expected(self, view: int) -> Picture:
-        if view < len(self._kept):
-            return self._kept[view]
+    def _reference_picture(self, view: int) -> Picture:
+        """Return the picture of the full scene, from the cache if possible."""
+        if view < len(self._cached):
+            return self._cached[view]
         return self.draw(self.reference, self._views[view])
 
-    def _look(self, versions: Sequence[Splats], view: int) -> list[_Seen]:
-        camera, expected = self._views[view], self._expected(view)
+    def _measure_view(self, versions: Sequence[Splats], view: int) -> list[_ViewQuality]:
+        """Measure all versions in one view."""
+        camera, expected = self._views[view], self._reference_picture(view)
         target = None if self._lpips is None else self._lpips.features(expected)
         photo = None
         if self._photos is not None and view < len(self.cameras):
             photo = self._photos[view].astype(np.float32) / 255
-        found: list[_Seen] = []
+        found: list[_ViewQuality] = []
         for splats in versions:
             picture = self.draw(splats, camera)
             distance = None
             if self._lpips is not None and target is not None:
                 distance = self._lpips.distance(target, self._lpips.features(picture))
             found.append(
-                _Seen(
+                _ViewQuality(
                     psnr(expected, picture),
                     ssim(expected, picture, border=self._ssim_border),
                     distance,
@@ -221,8 +225,9 @@ class Evaluator:
             )
         return found
 
-    def _summed(self, seen: list[_Seen]) -> Figures:
-        held, roaming = seen[: len(self.cameras)], seen[self._roaming]
+    def _summarise(self, views: list[_ViewQuality]) -> Figures:
+        """Aggregate the views of one version."""
+        held, roaming = views[: len(self.cameras)], views[self._roaming]
         worst = min(range(len(held)), key=lambda view: held[view].psnr_db)
         distances = [one.lpips for one in held if one.lpips is not None]
         return Figures(
@@ -233,8 +238,8 @@ class Evaluator:
             worst_ssim=min(one.ssim for one in held),
             roam_ssim=_mean([one.ssim for one in roaming]),
             worst_view=self.cameras[worst].name,
-            first_view_db=seen[-1].psnr_db if self._first else None,
-            first_view_ssim=seen[-1].ssim if self._first else None,
+            first_view_db=views[-1].psnr_db if self._first else None,
+            first_view_ssim=views[-1].ssim if self._first else None,
             held_out_lpips=_mean(distances) if distances else None,
             worst_lpips=max(distances) if distances else None,
             roam_lpips=_mean([one.lpips for one in roaming if one.lpips is not None])

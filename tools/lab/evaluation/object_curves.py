@@ -1,8 +1,7 @@
-"""PRoGS' figure 8: how an object sharpens as splats arrive, its own first and in a scene's order.
+"""Quality of single objects by received splats, with and without object-first loading.
 
-An order of all splats, such as antimatter, spends the budget on whatever the order holds first;
-loading by object spends it on the object alone (PRoGS, section 3.4). Both are measured over the
-pixels where the object weighs most.
+This is figure 8 of PRoGS; section 3.4 describes loading by object. Quality is measured over the
+pixels to which the object contributes most.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ from cogsplat.tools.pictures.svg_charts import Series, line_chart
 
 from .progs_protocol import counts
 
-# PSNR of equal pixels is 100 dB and stands for no distance.
-_MOST_DB = 90.0
+# Points above are not plotted: identical pixels have a nominal PSNR of 100 dB.
+_MAX_DB = 90.0
 
 
 @dataclass(frozen=True)
@@ -34,14 +33,16 @@ class ObjectPoint:
     Parameters
     ----------
     name : str
-        The order, and whether the object's splats come first.
+        Order, and whether the object's splats come first.
     object : int
-        Its label.
+        Label of the object.
     share : float
-        Of the scene's splats.
+        Share of the scene's splats in the prefix.
     splats : int
+        Splats in the prefix.
     psnr_db, worst_db : float or None
-        Over its pixels: the mean of the views that show it and the lowest; None where none does.
+        Mean and minimum PSNR over the object's pixels in the views that show it; None if no view
+        does.
     """
 
     name: str
@@ -52,7 +53,7 @@ class ObjectPoint:
     worst_db: float | None
 
     def report(self) -> dict[str, str | int | float | None]:
-        """Return the fields as JSON output has them."""
+        """Return the fields for JSON output."""
         return {
             "name": self.name,
             "object": self.object,
@@ -66,15 +67,16 @@ class ObjectPoint:
 def object_first(
     rows: NDArray[np.int64], labels: NDArray[np.uint32], label: int
 ) -> NDArray[np.int64]:
-    """Return an order with the splats of one object before all others, each kept in order.
+    """Move the splats of one object to the front of an order (stable).
 
     Parameters
     ----------
     rows : (N,) int64
-        The order.
+        Order of the splats.
     labels : (N,) uint32
-        Of the scene.
+        Object label of each splat.
     label : int
+        Object to move.
     """
     own = labels[rows] == label
     return np.concatenate([rows[own], rows[~own]])
@@ -91,17 +93,18 @@ def object_curves(
     threads: int = 0,
     progress: Progress = silent,
 ) -> list[ObjectPoint]:
-    """Measure objects at shares of a scene's splats, in each order and with the object first.
+    """Measure objects in prefixes of each order, with and without the object first.
 
     Parameters
     ----------
     splats : Splats
-        With labels in the attribute ``object``.
+        Scene with object labels in the attribute ``object``.
     orders : mapping of str to (N,) int64
+        Orders of the splats, by name.
     wanted : sequence of int
-        Labels of the objects to measure; empty for all but 0, which belongs to none.
+        Labels of the objects to measure; empty for all except 0 (no object).
     shares : sequence of float
-        Of all splats, above 0 to 1.
+        Lengths of the prefixes as shares of the splats, above 0 to 1.
     cameras : sequence of Camera
         Test views; at least one.
     background : tuple of float
@@ -114,8 +117,8 @@ def object_curves(
     Raises
     ------
     DataError
-        ``no-objects`` or ``bad-objects`` as `labels_of`; ``object-missing``: the scene does not
-        have an object that is wanted.
+        ``no-objects`` and ``bad-objects`` of `labels_of`; ``object-missing``: a requested object
+        is not in the scene.
     """
     labels = labels_of(splats)
     known = np.unique(labels).tolist()
@@ -153,7 +156,7 @@ def object_curves(
 
 
 def object_charts(points: Sequence[ObjectPoint], title: str) -> dict[str, str]:
-    """Return one SVG chart for each object, by file name."""
+    """Return an SVG chart per object, by file name."""
     pages = {}
     names = list(dict.fromkeys(point.name for point in points))
     for label in dict.fromkeys(point.object for point in points):
@@ -165,7 +168,7 @@ def object_charts(points: Sequence[ObjectPoint], title: str) -> dict[str, str]:
                     for point in points
                     if (point.name, point.object) == (name, label)
                     and point.psnr_db is not None
-                    and point.psnr_db < _MOST_DB
+                    and point.psnr_db < _MAX_DB
                 ),
                 look,
             )

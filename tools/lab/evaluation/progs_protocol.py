@@ -1,4 +1,4 @@
-"""PRoGS' protocol: quality of prefixes of a scene, by shares of its splats and by bytes."""
+"""Evaluation protocol of PRoGS: quality of prefixes, by share of the splats and by bytes."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from cogsplat.tools.terminal.standard_streams import set_display_name
 from .evaluator import Evaluator, Figures
 
 SHARES: Final = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-"""Of the splats (PRoGS, section 4)."""
+"""Measured shares of the splats (PRoGS, section 4)."""
 
 FIRST_BYTES: Final = 32 << 10
-"""The shortest prefix of a file that is measured, in bytes; each next one is twice as long."""
+"""Shortest measured prefix of a file; each further one is twice as long."""
 
 SPLATS: Final = "splats"
 BYTES: Final = "bytes"
@@ -36,15 +36,17 @@ class PrefixPoint:
     Parameters
     ----------
     name : str
-        The order, or the file.
+        Name of the order or of the file.
     by : str
-        `SPLATS` or `BYTES`: what is counted.
+        Unit of the prefix length: `SPLATS` or `BYTES`.
     share : float
-        Of the splats or of the file's bytes.
+        Length as a share of the splats or of the bytes.
     size_bytes : int or None
-        Of the prefix of the file.
+        Length of a prefix of a file.
     splats : int
+        Splats in the prefix.
     figures : Figures
+        Quality against the full scene.
     """
 
     name: str
@@ -60,7 +62,7 @@ class PrefixPoint:
         return 100 * self.share if self.size_bytes is None else float(self.size_bytes)
 
     def report(self) -> dict[str, object]:
-        """Return the fields as JSON output has them."""
+        """Return the fields for JSON output."""
         return {
             "name": self.name,
             "by": self.by,
@@ -72,7 +74,7 @@ class PrefixPoint:
 
 
 def counts(splats: int, shares: Sequence[float]) -> list[int]:
-    """Return the number of splats of each share, at least 1."""
+    """Convert shares to numbers of splats, at least 1."""
     return [max(1, round(share * splats)) for share in shares]
 
 
@@ -85,21 +87,22 @@ def by_splats(
     *,
     progress: Progress = silent,
 ) -> list[PrefixPoint]:
-    """Measure prefixes of an order at shares of the splats, without quantisation.
+    """Measure prefixes of an order by share of the splats, without quantisation.
 
     Parameters
     ----------
     evaluator : Evaluator
     name : str
+        Name of the order.
     splats : Splats
     rows : (N,) int64
-        The order.
+        Order of the splats.
     shares : sequence of float
-        Above 0 to 1.
+        Lengths of the prefixes as shares of the splats, above 0 to 1.
     progress : Progress
         Called with the stage ``measure``.
     """
-    # What is drawn last is stored first: each version is a view of one array, not a copy.
+    # Prefixes of one reordered array are views, so no copies are made.
     ordered = splats.without_extras().take(rows)
     sizes = counts(len(rows), shares)
     found = evaluator.measure([ordered.take(slice(0, size)) for size in sizes], progress=progress)
@@ -110,7 +113,7 @@ def by_splats(
 
 
 def sizes_of(file_bytes: int) -> list[int]:
-    """Return 32 KiB, doubled while it is below a file's size, and that size."""
+    """Return 32 KiB, its doublings below the file size, and the file size."""
     doublings = max(math.ceil(math.log2(max(file_bytes, 1) / FIRST_BYTES)), 0)
     return [*(FIRST_BYTES << k for k in range(doublings)), file_bytes]
 
@@ -131,10 +134,10 @@ def by_bytes(
     ----------
     evaluator : Evaluator
     name : str
+        Name of the file.
     path : Path
     sizes : sequence of int, optional
-        Bytes; `sizes_of` the file where none are given. What is longer than the file is left out,
-        and the whole file measured.
+        Lengths in bytes, clipped to the file size; by default `sizes_of` the file.
     compensate : bool
         Whether prefixes are decoded with compensation (SPEC 8.5).
     threads : int
@@ -165,30 +168,30 @@ def by_codec(
     path: Path,
     progress: Progress = silent,
 ) -> list[PrefixPoint]:
-    """Measure prefixes of an order by their bytes in another format (PRoGS, figure 9).
+    """Measure prefixes of an order by their size in another format (PRoGS, figure 9).
 
     Parameters
     ----------
     evaluator : Evaluator
     name : str
-        The order; the codec is added to it.
+        Name of the order; the codec is appended.
     splats : Splats
     rows : (N,) int64
-        The order.
+        Order of the splats.
     codec : str
-        One of `formats.scenes.registry.WRITABLE`: each prefix becomes a file of this format, is
-        read back and measured.
+        Format in `formats.scenes.registry.WRITABLE`; each prefix is written in this format, read
+        and measured.
     shares : sequence of float
-        Of the splats, above 0 to 1.
+        Lengths of the prefixes as shares of the splats, above 0 to 1.
     path : Path
-        Where the files are made, one in place of the other.
+        Temporary file, overwritten by each prefix.
     progress : Progress
         Called with the stage ``measure``.
 
     Returns
     -------
     list of PrefixPoint
-        Shares are those of the bytes of the longest prefix.
+        Points whose shares refer to the bytes of the longest prefix.
     """
     ordered = splats.without_extras().take(rows)
     sizes: list[int] = []
@@ -207,19 +210,19 @@ def by_codec(
 
 
 def mean_over_log(points: Sequence[tuple[float, float]], until: float) -> float:
-    """Return the mean of a curve over a logarithmic axis: its area divided by its width.
+    """Return the mean of a curve over a logarithmic axis (area divided by width).
 
     Parameters
     ----------
     points : sequence of (x, y)
-        By rising x, above 0; lines between them, level behind the last.
+        Points by rising x, above 0. The curve is piecewise linear, and constant after the last.
     until : float
-        Where the axis ends; the same for all curves that are compared.
+        End of the axis, the same for all compared curves.
 
     Returns
     -------
     float
-        In the unit of y; that of the only point where there is one.
+        Mean in the unit of y; for a single point its y.
     """
     xs = np.log2([x for x, _ in points])
     ys = np.array([y for _, y in points])
@@ -232,7 +235,7 @@ def mean_over_log(points: Sequence[tuple[float, float]], until: float) -> float:
 
 
 FIGURES: Final = ("held_out_db", "worst_db", "roam_db")
-"""What areas and plots are made of."""
+"""Figures that are plotted and averaged."""
 
 
 def areas(points: Sequence[PrefixPoint]) -> dict[str, dict[str, float]]:
@@ -241,8 +244,8 @@ def areas(points: Sequence[PrefixPoint]) -> dict[str, dict[str, float]]:
     Parameters
     ----------
     points : sequence of PrefixPoint
-        Counted the same way; by name in rising order. All of the splats do not count where there is
-        something before: they are the reference itself, whose 100 dB stand for no distance.
+        Points with the same unit, by rising length for each name. Points with all splats are left
+        out if there are others: they equal the reference, with a nominal PSNR of 100 dB.
     """
     points = [p for p in points if p.by == BYTES or p.share < 1] or points
     until = max(point.x for point in points)

@@ -1,4 +1,4 @@
-"""Film-strips of prefixes: one row of pictures for each order or file."""
+"""Film-strips of prefixes: one row of pictures per order or file."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 STRIP_SHARES: Final = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
-"""Shares of the splats that are shown: where orders differ to the eye."""
+"""Shares of the splats in film-strips: the range of visible differences between orders."""
 
-_MOST_PICTURES: Final = 6
+_MAX_PICTURES: Final = 6
 _WIDTH_PX: Final = 320
 
 
@@ -38,9 +38,11 @@ class Strip:
     Parameters
     ----------
     name : str
+        Name of the order or file.
     captions : tuple of str
+        Caption of each picture.
     versions : tuple of Splats
-        As many.
+        Splats of each picture.
     """
 
     name: str
@@ -51,7 +53,7 @@ class Strip:
     def of_order(
         name: str, splats: Splats, rows: NDArray[np.int64], shares: Sequence[float]
     ) -> Strip:
-        """Return the strip of prefixes of an order."""
+        """Create the strip of an order."""
         sizes = counts(len(rows), shares)
         ordered = splats.without_extras().take(rows[: max(sizes)])
         return Strip(
@@ -69,9 +71,9 @@ class Strip:
         compensate: bool = False,
         threads: int = 0,
     ) -> Strip:
-        """Return the strip of prefixes of a file, the shortest that were measured."""
+        """Create the strip of a file from its shortest measured prefixes."""
         lengths = [point.size_bytes for point in points if point.size_bytes is not None]
-        lengths = lengths[:_MOST_PICTURES]
+        lengths = lengths[:_MAX_PICTURES]
         return Strip(
             name,
             tuple(size_text(length) for length in lengths),
@@ -85,17 +87,17 @@ class Strip:
 def draw_strips(
     evaluator: Evaluator, strips: Sequence[Strip], *, differences: bool = False
 ) -> Image:
-    """Draw strips under each other, each with the full render at its end.
+    """Draw strips in rows, each followed by the full render.
 
     Parameters
     ----------
     evaluator : Evaluator
-        The test view in the middle of its list is shown.
+        Evaluator whose middle test view is shown.
     strips : sequence of Strip
-        At least one.
+        Strips, at least one.
     differences : bool
-        Whether pictures show how far each prefix is from the full render, `difference.GAIN` times
-        (PRoGS, figure 5), in place of the prefix.
+        Whether to show the difference to the full render, amplified by `difference.GAIN` (PRoGS,
+        figure 5), instead of the prefix.
     """
     from PIL import Image
 
@@ -125,7 +127,7 @@ def draw_strips(
 
 
 def _narrow(camera: Camera) -> Camera:
-    """Return a camera of the same view, at most so many px wide."""
+    """Scale a camera down to `_WIDTH_PX` pixels in width at most."""
     scale = min(1.0, _WIDTH_PX / camera.width)
     width, height = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
     return replace(

@@ -1,4 +1,4 @@
-"""Tables, plots and records of an evaluation: quality of prefixes by order."""
+"""Tables, plots and JSON output of an evaluation."""
 
 from __future__ import annotations
 
@@ -37,16 +37,17 @@ _TITLES: Final[Mapping[str, str]] = {
     "roam_db": "roam",
 }
 STRIPS: Final[Mapping[str, str]] = {SPLATS: "strips-splats.png", BYTES: "strips-bytes.png"}
-"""Files with pictures of prefixes."""
+"""File names of the film-strips of prefixes."""
 
 DIFFERENCES: Final[Mapping[str, str]] = {
     SPLATS: "differences-splats.png",
     BYTES: "differences-bytes.png",
 }
-"""Files with pictures of how far those prefixes are from the full render."""
+"""File names of the film-strips of differences to the full render."""
 
 
 def _charts(by: str) -> dict[str, str]:
+    """Return the file name of each figure's chart."""
     return {figure: f"{by}-{title}.svg" for figure, title in _TITLES.items()}
 
 
@@ -57,15 +58,19 @@ class EvaluationInput:
     Parameters
     ----------
     path : Path
+        Path of the scene.
     splats : Splats
     scores : Scores
-        Of these splats.
+        Scores of the splats.
     scored_on : sequence of Camera
+        Training views of the scores.
     what : str
-        Where the test views come from.
+        Origin of the test views.
     config : OrderConfig
+        Parameters of the orders.
     evaluator : Evaluator
     photos : Photos or None
+        Photos of the test views.
     """
 
     path: Path
@@ -79,26 +84,26 @@ class EvaluationInput:
 
 
 def picture_names(by: Sequence[str]) -> list[str]:
-    """Return the names of the plots and film-strips."""
+    """Return the file names of plots and film-strips."""
     return [
         name for kind in by for name in (*_charts(kind).values(), STRIPS[kind], DIFFERENCES[kind])
     ]
 
 
-def written_pages(
+def result_files(
     given: EvaluationInput,
     points: Sequence[PrefixPoint],
     by: Sequence[str],
     objects: Sequence[ObjectPoint] = (),
 ) -> dict[str, str]:
-    """Return the plots, the table and the record of an evaluation, by file name."""
+    """Return plots, CSV table and JSON of an evaluation, by file name."""
     title = display_title(given.path, in_folder=True)
     pages: dict[str, str] = {}
     for kind in by:
         own = [point for point in points if point.by == kind]
         names = list(dict.fromkeys(point.name for point in own))
         for figure, page in _charts(kind).items():
-            # From 90 dB on nothing can be seen; the capped points would flatten all others.
+            # Differences above 90 dB are invisible; points at the cap would flatten the chart.
             series = [
                 Series(
                     name,
@@ -130,6 +135,7 @@ def written_pages(
 
 
 def _share_text(percent: float) -> str:
+    """Format a percentage for an axis."""
     return f"{percent:.3g}"
 
 
@@ -139,7 +145,7 @@ def report(
     by: Sequence[str],
     objects: Sequence[ObjectPoint] = (),
 ) -> dict[str, object]:
-    """Return all figures as JSON output has them."""
+    """Return the JSON output of an evaluation."""
     means = {
         kind: {
             name: {figure: round(value, 4) for figure, value in figures.items()}
@@ -159,7 +165,7 @@ def report(
     }
 
 
-def tell(
+def print_results(
     given: EvaluationInput,
     points: Sequence[PrefixPoint],
     by: Sequence[str],
@@ -179,12 +185,12 @@ def tell(
         for figure in (*FIGURES, "held_out_ssim", "held_out_lpips", "first_view_db", "photos_db"):
             if getattr(own[0].figures, figure) is not None:
                 print_line("")
-                _tell_figure(own, kind, figure)
-    _tell_objects(objects)
+                _print_figure(own, kind, figure)
+    _print_objects(objects)
 
 
-def _tell_objects(points: Sequence[ObjectPoint]) -> None:
-    """Print what is seen of each object, a line for each order."""
+def _print_objects(points: Sequence[ObjectPoint]) -> None:
+    """Print the PSNR of each object, one line per order."""
     for label in dict.fromkeys(point.object for point in points):
         own = [point for point in points if point.object == label]
         print_line("")
@@ -197,13 +203,13 @@ def _tell_objects(points: Sequence[ObjectPoint]) -> None:
         print_table(("splats", *(f"{100 * share:.3g} %" for share in shares)), rows)
 
 
-def _tell_figure(points: Sequence[PrefixPoint], kind: str, figure: str) -> None:
-    """Print one figure, a line for each order or file."""
+def _print_figure(points: Sequence[PrefixPoint], kind: str, figure: str) -> None:
+    """Print one figure, one line per order or file."""
     what, digits = figure.replace("_", " "), 4
     if figure.endswith("_db"):
         what, digits = f"{figure.removesuffix('_db').replace('_', ' ')} dB", 2
     print_line(f"{what}, by {kind}")
-    # Files end where they end: their last points share a column.
+    # Complete files differ in size, so their points share the last column.
     lengths = sorted({point.x for point in points if point.share < 1})
     heads = [f"{x:.3g} %" if kind == SPLATS else size_text(int(x)) for x in lengths]
     whole = {point.name: point for point in points if point.share >= 1}
