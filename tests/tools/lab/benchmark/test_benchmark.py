@@ -141,7 +141,7 @@ def test_charts_show_what_differs(measured: Path) -> None:
         texts = [e.text for e in ElementTree.parse(measured / name).iter() if e.text]
         assert "spz" in texts
         assert "ply" not in texts
-    assert "identical: ply" in (measured / "rate-distortion.svg").read_text()
+    assert "lossless: ply" in (measured / "rate-distortion.svg").read_text()
 
 
 def test_files_are_not_replaced_unasked(run: Run, small: SmallScene, measured: Path) -> None:

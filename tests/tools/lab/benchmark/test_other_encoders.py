@@ -1,4 +1,4 @@
-"""Encoders are timed as processes, and COGS aims at the quality of what they wrote."""
+"""Encoders are run_timed as processes, and COGS aims at the quality of what they wrote."""
 
 import statistics
 import sys
@@ -19,13 +19,13 @@ from cogsplat.tools.lab.benchmark.other_encoders import (
     compare,
     encoders,
     main,
-    timed,
+    run_timed,
 )
 
 
 def test_a_command_that_fails_says_why() -> None:
     with pytest.raises(click.ClickException, match="no such scene"):
-        timed([sys.executable, "-c", "raise SystemExit('no such scene')"])
+        run_timed([sys.executable, "-c", "raise SystemExit('no such scene')"])
 
 
 def test_without_the_converter_only_our_npz_is_written(tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ def test_charts_have_a_point_for_each_step() -> None:
 
 def test_each_step_runs_in_a_process_of_its_own(tmp_path: Path) -> None:
     options = ["--splats", "600,1500", "--views", "1", "--threads", "1", "--json"]
-    done = CliRunner().invoke(main, [*options, "--out", str(tmp_path / "growth")])
+    done = CliRunner().invoke(main, [*options, "--out", str(tmp_path / "scaling")])
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout)
     assert [(step["what"], step["splats"]) for step in told["steps"]] == [
@@ -46,9 +46,9 @@ def test_each_step_runs_in_a_process_of_its_own(tmp_path: Path) -> None:
         assert 20e6 < step["peak_bytes"] < 1.5e9
         assert step["written_bytes"] > 1000
     assert set(told["lines"]) == {"synth", "encode", "decode"}
-    assert sorted(path.name for path in (tmp_path / "growth").iterdir()) == [
-        "growth-memory.svg",
-        "growth-time.svg",
+    assert sorted(path.name for path in (tmp_path / "scaling").iterdir()) == [
+        "scaling-memory.svg",
+        "scaling-time.svg",
     ]
 
 
