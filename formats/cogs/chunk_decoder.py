@@ -260,7 +260,10 @@ class ChunkDecoder(StoredFile):
         threads: int,
         progress: Progress = silent,
     ) -> Splats:
-        """Decode chunks after checks of degree and size; see `decode`."""
+        """Decode chunks after checks of degree and size; see `decode`.
+
+        The size check includes the compensation of `shifted_splats` splats.
+        """
         if sh_degree is not None and not 0 <= sh_degree <= MAX_SH_DEGREE:
             raise ValueError(f"SH degree {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
         degree = min(self.root.sh_degree, MAX_SH_DEGREE if sh_degree is None else sh_degree)

@@ -25,14 +25,23 @@ _KEPT_BYTES: Final = 32 << 20
 
 
 def address_of(number: int, offset: int) -> int:
-    """Return the address of a byte of an object, by the object's number."""
+    """Return the address of an object's byte in the address space of `FolderTransport`.
+
+    Parameters
+    ----------
+    number : int
+        Number of the object; 0 for the manifest.
+    offset : int
+        Offset of the byte within the object.
+    """
     return (number << _SPACE_BITS) + offset
 
 
 class FolderTransport:
-    """Transport for a manifest and its objects, addressed in one space; see `Transport`.
+    """Transport for a manifest and its objects, which share one address space; see `Transport`.
 
-    The manifest has number 0, so its addresses are its byte offsets. A range lies in one object.
+    Each object begins at its number × 2³³. The manifest has number 0, so its addresses are its byte
+    offsets. A range lies in one object.
 
     Parameters
     ----------
@@ -63,7 +72,7 @@ class FolderTransport:
         self.requests = self.received_bytes = 0
 
     def number_of(self, piece: ObjectRange) -> int:
-        """Return the number of an object, assigned by name."""
+        """Return the number of an object; a new name gets the next number."""
         with self._guard:
             number = self._numbers.setdefault(piece.name, len(self._numbers))
             self._sizes.setdefault(number, piece.object_bytes)

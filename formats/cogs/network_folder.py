@@ -224,7 +224,10 @@ class NetworkFolder(ObjectSource):
         return data
 
     def _range_of(self, piece: ObjectRange) -> tuple[int, int]:
-        """Return the address and length to request for a range; the whole page for a page."""
+        """Return the address (see `address_of`) and length to request for a range.
+
+        A range within an index page becomes the whole page.
+        """
         page = None if piece.name else self._map.page_at(piece.offset)
         if page is not None:
             place = self._map.page_range(page)

@@ -28,7 +28,7 @@ _Arguments = TypeVarTuple("_Arguments")
 
 
 class _EventLoop(asyncio.SelectorEventLoop):
-    """Event loop that, once closed, ignores calls from other threads.
+    """Event loop that, once closed, ignores calls from further threads.
 
     obstore's threads report the end of a cancelled request as well, perhaps after the loop is
     closed. asyncio's own loop raises an error then, and obstore prints its traceback.
@@ -196,7 +196,10 @@ class RangeSource:
         return self._read(offset, length, again=True)
 
     def _read(self, offset: int, length: int, *, again: bool) -> bytes:
-        """Return a range from buffered, prefetched or newly requested bytes."""
+        """Return a range from buffered, prefetched or newly requested bytes.
+
+        With `again`, the bytes are requested anew, bypassing HTTP caches.
+        """
         require_within(self, offset, length)
         end = offset + length
         if not length:

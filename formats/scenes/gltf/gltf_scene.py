@@ -226,8 +226,8 @@ def _read_primitive(gltf: Gltf, node: JsonObject) -> Splats:
     opacities_unit = _attribute(gltf, attributes, f"{_EXTENSION}:OPACITY", "SCALAR", count)
     sh0 = _attribute(gltf, attributes, _sh_name(0, 0), "VEC3", count)
     shN = np.empty((count, sh_coefficients(degree) - 1, 3), np.float32)
-    for k, (band, order) in enumerate(_sh_orders(degree)):
-        shN[:, k] = _attribute(gltf, attributes, _sh_name(band, order), "VEC3", count)
+    for k, (band, index) in enumerate(_sh_band_indices(degree)):
+        shN[:, k] = _attribute(gltf, attributes, _sh_name(band, index), "VEC3", count)
     return Splats(
         means=means,
         scales=_log_scales(scales, node.where),
@@ -270,23 +270,23 @@ def _check_extension(node: JsonObject) -> str:
     return _COLOUR_SPACES[colour_space]
 
 
-def _sh_name(band: int, order: int) -> str:
-    """Return the name of an SH coefficient's attribute."""
-    return f"{_EXTENSION}:SH_DEGREE_{band}_COEF_{order}"
+def _sh_name(band: int, index: int) -> str:
+    """Return the attribute name of an SH coefficient, given by band and index within the band."""
+    return f"{_EXTENSION}:SH_DEGREE_{band}_COEF_{index}"
 
 
-def _sh_orders(degree: int) -> Iterator[tuple[int, int]]:
+def _sh_band_indices(degree: int) -> Iterator[tuple[int, int]]:
     """Yield the band, and the index within the band, of each SH coefficient above DC."""
     for band in range(1, degree + 1):
-        for order in range(2 * band + 1):
-            yield band, order
+        for index in range(2 * band + 1):
+            yield band, index
 
 
 def _sh_degree(attributes: JsonObject) -> int:
     """Return the SH degree of a primitive, after checking that all coefficients exist."""
     names = {name for name in attributes.values if name.startswith(f"{_EXTENSION}:SH_DEGREE_")}
     for degree in range(MAX_SH_DEGREE + 1):
-        if names == {_sh_name(0, 0), *(_sh_name(*pair) for pair in _sh_orders(degree))}:
+        if names == {_sh_name(0, 0), *(_sh_name(*pair) for pair in _sh_band_indices(degree))}:
             return degree
     bands = {int(m[1]) for m in (re.search("_DEGREE_([0-9]{1,3})_", name) for name in names) if m}
     raise FormatError(
@@ -458,7 +458,7 @@ def _layout(degree: int) -> list[_Attribute]:
         _Attribute(f"{_EXTENSION}:SCALE", "VEC3", _FLOAT, 12),
         _Attribute(f"{_EXTENSION}:OPACITY", "SCALAR", _FLOAT, 4),
         _Attribute(_sh_name(0, 0), "VEC3", _FLOAT, 12),
-        *(_Attribute(_sh_name(*pair), "VEC3", _FLOAT, 12) for pair in _sh_orders(degree)),
+        *(_Attribute(_sh_name(*pair), "VEC3", _FLOAT, 12) for pair in _sh_band_indices(degree)),
     ]
 
 
