@@ -73,7 +73,15 @@ def bits_per_step(positions: F64) -> F64:
 
 
 def _smooth_counts(counts: F64, values: F64) -> F64:
-    """Smooth code counts with a Gaussian kernel, whose width follows from the values."""
+    """Smooth a histogram of codes with a Gaussian kernel of Silverman's width.
+
+    Parameters
+    ----------
+    counts : (k,) float64
+        Number of values at each code.
+    values : (n,) float64
+        Values before rounding, in steps; their spread sets the width of the kernel.
+    """
     quartiles = np.quantile(values, (0.25, 0.75))
     spread = min(float(values.std()), float(quartiles[1] - quartiles[0]) / 1.34)
     width = _SILVERMAN_FACTOR * spread * len(values) ** -0.2

@@ -68,12 +68,12 @@ class Milestone:
     ----------
     stage : str
         ``trained`` after a round, ``stored`` after an encode, ``untuned`` if the untrained source
-        meets the target in a smaller file.
+        is the result, because its encode is smaller.
     splats : int
         Current number of splats.
     psnr_db, worst_db : float
-        Mean PSNR of the test views, and the lowest one, dB. In stage ``trained``, pictures are as
-        small as in training.
+        Mean and lowest PSNR of the test views, dB. In stage ``trained``, pictures are downscaled as
+        in training.
     size_bytes : int
         Size of the whole file; 0 in stage ``trained``.
     """

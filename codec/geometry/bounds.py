@@ -16,7 +16,9 @@ CUT_SIGMA: Final = 3.33
 
 
 def box(splats: Splats) -> NDArray[np.float64]:
-    """Return the bounding box of all splats, each extended to where its density is 1/255.
+    """Return the bounding box of all splats, each extended by `CUT_SIGMA` standard deviations.
+
+    Opacities are ignored.
 
     Parameters
     ----------

@@ -53,7 +53,23 @@ def _weigh(
     first: int,
     last: int,
 ) -> None:
-    """Sum the weights of every pair of a tile and a splat, for the tiles ``first`` to ``last``."""
+    """Sum the weights of every pair of a tile and a splat, for the tiles `first` to `last`.
+
+    Parameters
+    ----------
+    lists_first, starts, members
+        `first`, `starts` and `members` of the `TileLists`.
+    ellipse, rows
+        Arrays of `Footprints`.
+    width, height : int
+        Image size, px.
+    least_weight : float32
+        Smaller weights are left out of Σw.
+    sums : (P, 3) float32
+        Output: Σw, Σw² and the largest w of each pair.
+    first, last : int
+        Half-open range of tiles.
+    """
     live = np.empty(PIXELS, np.float32)
     # Σw, Σw² and the largest w by column of the tile.
     lanes = np.empty(3 * TILE, np.float32)
@@ -112,10 +128,10 @@ def _weigh_largest(
     first: int,
     last: int,
 ) -> None:
-    """Sum weights as `_weigh` does, with only the `top_k` largest weights of each pixel in Σw.
+    """Sum weights as `_weigh` does, but only the `top_k` largest weights of each pixel for Σw.
 
-    The kernels are separate because selecting the largest weights would make the loop over lanes of
-    `_weigh` take twice as long.
+    Σw² and the largest weight still include all splats. The kernels are separate, because selecting
+    the largest weights would double the time of the loop over lanes of `_weigh`.
     """
     live = np.empty(PIXELS, np.float32)
     # By column of the tile: unused, Σw², the largest w, and the weights of one row.

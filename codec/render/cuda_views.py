@@ -343,7 +343,19 @@ class CudaScene:
 def _ellipse(
     camera: Camera, centres: Tensor, conics: Tensor, opacities: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Return the columns of `Footprints.ellipse`, and a mask of ellipses on a pixel centre."""
+    """Return the rows of `Footprints.ellipse`, and a mask of ellipses that reach a pixel centre.
+
+    Parameters
+    ----------
+    camera : Camera
+        Camera of the picture.
+    centres : (n, 2) tensor
+        Centres of the ellipses, px.
+    conics : (n, 3) tensor
+        Inverse covariances xx, xy, yy, 1/px².
+    opacities : (n,) tensor
+        Opacities, 0 to 1.
+    """
     import torch
 
     x, y = centres.unbind(1)

@@ -36,7 +36,19 @@ def _vote(
     labels: NDArray[np.int32],
     votes: NDArray[np.float64],
 ) -> None:
-    """Add the weight of every splat in every pixel to the splat's votes for the pixel's label."""
+    """Add the weight of every splat in every pixel to the splat's votes for the pixel's label.
+
+    Parameters
+    ----------
+    lists_first, lists_last, starts, members
+        Attributes of `TileLists`.
+    ellipse, rows
+        Arrays of `Footprints`.
+    labels : (H, W) int32
+        Label of each pixel.
+    votes : (M, labels) float64
+        Summed weights by footprint and label, changed in place.
+    """
     height, width = labels.shape
     live = np.empty(PIXELS, np.float32)
     weights = np.empty(TILE, np.float32)

@@ -26,11 +26,20 @@ _ONE = np.float32(1.0)
 @called_with("float32[:, ::1], int32[:, ::1], int64, int64, float32[::1]")
 @kernel
 def _peaks(ellipse: F32, rows: NDArray[np.int32], width: int, height: int, peaks: F32) -> None:
-    """Blend footprints nearest first over the whole picture and store each one's largest weight.
+    """Blend footprints nearest first over a picture, and store the largest weight of each.
 
-    This kernel has no tiles: in a picture of a few thousand pixels most splats reach only a few
-    pixels, and tile lists would cost more than they save. Unlike the rasteriser it draws the splat
-    that ends a pixel, because a surface that closes the view is visible.
+    This kernel has no tiles. In a picture of a few thousand pixels most splats reach only a few
+    pixels, and tile lists would cost more than they save. The rasteriser skips a splat that lowers
+    the transmittance below the limit; this kernel counts it, because an opaque surface is visible.
+
+    Parameters
+    ----------
+    ellipse, rows
+        Arrays of `Footprints`.
+    width, height : int
+        Image size, px.
+    peaks : (M,) float32
+        Output: largest blending weight of each footprint.
     """
     live = np.ones((height, width), np.float32)
     unfinished = width * height

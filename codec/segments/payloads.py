@@ -44,7 +44,7 @@ class Payloads:
         Parameters
         ----------
         digits : bool
-            Whether a byte of a plane may pack several symbols.
+            Whether to pack several symbols per byte, as digits of a number, where this is smaller.
         """
 
         def compress_optional(plain: bytes | None) -> bytes | None:

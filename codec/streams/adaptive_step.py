@@ -60,7 +60,18 @@ class StepModel:
         return cls((float(bits), 0.0, 0.0, 0.0, 0.0, 0.0))
 
     def extra_bits(self, scales: F32) -> U8:
-        """Return the (n,) extra bits of rows of (n, 3) float32 decoded log scales (SPEC 6.10)."""
+        """Return the extra bits of each splat (SPEC 6.10).
+
+        Parameters
+        ----------
+        scales : (n, 3) float32
+            Decoded log scales of the head: middle, thin, long.
+
+        Returns
+        -------
+        (n,) uint8
+            Number of bits; each one halves the quantiser step.
+        """
         c = np.array(self.coefficients, np.float32)
         if not c[1:].any():
             # All other coefficients are 0: every row has the same number.

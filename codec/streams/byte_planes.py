@@ -41,7 +41,7 @@ def pack_plane(plane: U8, *, digits: bool = True) -> tuple[int, bytes]:
     plane : (n,) uint8
         Symbols of the plane.
     digits : bool
-        Whether a byte may pack several symbols.
+        Whether to pack several symbols per byte, as digits of a number, where this is smaller.
 
     Returns
     -------

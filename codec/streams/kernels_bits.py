@@ -19,12 +19,18 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 
 def exact(function: Function) -> Function:
-    """Compile a function without fusing products and sums (SPEC 2.2), unlike `render.jit`."""
+    """Compile a kernel with IEEE rounding of each operation (SPEC 2.2).
+
+    Products and sums are not fused, unlike in `render.jit`: results equal those of numpy.
+    """
     return jit_kernel(function)
 
 
 def inner_exact(function: Function) -> Function:
-    """Compile a function that only kernels call; its code becomes part of theirs."""
+    """Compile a function that only kernels call, with the rounding of `exact`.
+
+    It has no cache entry: its code is compiled into each calling kernel.
+    """
     return jit_kernel(function, cached=False)
 
 

@@ -45,7 +45,7 @@ from .kernels_chunk_layout import (
     locate,
 )
 from .kernels_codebook_index import escape_rows, gather, has_escapes, read_indices
-from .kernels_grid import accumulate, on_axes, read_values
+from .kernels_grid import read_values, scales_from_differences, sh0_from_coordinates
 from .kernels_planes import PARAMS, PRESENT, ChunkPlanes
 from .kernels_quaternion import read_quaternions
 from .kernels_shn_transform import BASIS_COLUMNS, read_coefficients
@@ -106,12 +106,12 @@ def _decode_transform_chunk(
         planes, records[SCALES], records[SCALE_DIGITS], head_differences, differences
     ):
         return False
-    accumulate(differences, scales)
+    scales_from_differences(differences, scales)
     # Steps follow from the scales of the head alone.
     head_scales = scales
     if refined:
         head_scales = np.empty((rows, 3), np.float32)
-        accumulate(head_differences, head_scales)
+        scales_from_differences(head_differences, head_scales)
     if not read_rotations(planes, records[QUATS], knees, rotation_steps, head_scales, quats):
         return False
     if not read_means(
@@ -126,7 +126,7 @@ def _decode_transform_chunk(
         return False
     if not read_values(planes, records[SH0], records[SH0_DIGITS], no_rows, differences):
         return False
-    on_axes(differences, axes.reshape(3, 3), sh0)
+    sh0_from_coordinates(differences, axes.reshape(3, 3), sh0)
     if records[SHN, PRESENT] and len(shN):
         return read_coefficients(planes, records[SHN], group_starts, basis, shN)
     return True

@@ -30,7 +30,7 @@ def escape_rows(planes: ChunkPlanes, stream: I64) -> int:
 
 @inner_exact
 def has_escapes(stream: I64, rows: int) -> bool:
-    """Tell whether an escape stream has `rows` rows; absent if there are none."""
+    """Tell whether an escape stream has `rows` rows; it must be absent if `rows` is 0."""
     if not stream[PRESENT]:
         return rows == 0
     return rows > 0 and stream[ROWS] == rows

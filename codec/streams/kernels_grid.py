@@ -249,7 +249,7 @@ def read_values(planes: ChunkPlanes, stream: I64, digits: I64, coarse_out: F32, 
 
 
 @inner_exact
-def accumulate(differences: F32, out: F32) -> None:
+def scales_from_differences(differences: F32, out: F32) -> None:
     """Compute (rows, 3) log scales from their differences (SPEC 6.12)."""
     for row in range(len(out)):
         middle = differences[row, 0] - differences[row, 1]
@@ -259,7 +259,7 @@ def accumulate(differences: F32, out: F32) -> None:
 
 
 @inner_exact
-def on_axes(values: F32, axes: F32, out: F32) -> None:
+def sh0_from_coordinates(values: F32, axes: F32, out: F32) -> None:
     """Compute (rows, 3) sh0 from coordinates on the three `axes` (SPEC 6.13)."""
     for row in range(len(out)):
         a, b, c = values[row, 0], values[row, 1], values[row, 2]

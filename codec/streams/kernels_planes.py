@@ -30,11 +30,11 @@ class ChunkPlanes(NamedTuple):
     Parameters
     ----------
     data : (b,) uint8
-        Payloads, then the bytes of their zstd frames, then room for the symbols of packed planes;
-        at least two bytes follow the last plane.
+        Payloads, then decompressed zstd frames, then space for the symbols of packed planes. At
+        least two more bytes follow the last plane.
     records : (s + 1, 6) int64
-        For each stream that the chunk may have: 1 if it has it, rows, byte position and length of
-        its parameters, its first plane, and its number of planes. The last row stays zeros.
+        For each stream that a chunk can have: 1 if present, row count, byte position and length
+        of its parameters, number of its first plane, and plane count. The last row stays zeros.
     spans : (4, p) int64
         For each plane: radix (0 if not packed), byte position and length of its bytes in `data`,
         and the position that its symbols are written to if it is packed.

@@ -121,7 +121,7 @@ def pack(streams: Sequence[Stream], *, digits: bool = True) -> bytes:
     streams : sequence of Stream
         Streams in the order of decoding.
     digits : bool
-        Whether a byte of a plane may pack several symbols.
+        Whether to pack several symbols per byte, as digits of a number, where this is smaller.
     """
     return _payload(streams, lambda plane: pack_plane(plane, digits=digits))
 
@@ -145,7 +145,7 @@ def compress_payload(plain: bytes, *, digits: bool = True) -> bytes:
     plain : bytes
         Payload made by `pack_uncompressed`.
     digits : bool
-        Whether a byte of a plane may pack several symbols.
+        Whether to pack several symbols per byte, as digits of a number, where this is smaller.
 
     Examples
     --------
@@ -249,7 +249,7 @@ class StoredStream:
         return self.params
 
     def read_planes(self, lengths: Sequence[int]) -> list[U8]:
-        """Return all planes, decompressed to `lengths` bytes."""
+        """Return all planes, given their decompressed sizes `lengths`, bytes."""
         self.require_planes(len(lengths))
         return [self.plane(index, length) for index, length in enumerate(lengths)]
 

@@ -22,7 +22,7 @@ def differences_of(scales: F32) -> F32:
     return np.stack([long, long - middle, middle - thin], axis=1)
 
 
-def accumulate(differences: F32) -> F32:
+def scales_of(differences: F32) -> F32:
     """Return the (n, 3) log scales, middle, thin, long, of decoded differences (SPEC 6.12)."""
     out = np.empty_like(differences)
     out[:, 2] = differences[:, 0]
@@ -64,5 +64,5 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
         alone = None if inputs.coarse is None else np.empty_like(differences)
         refinement_digits.read(stream, grid, inputs.refinement, differences, alone)
         if inputs.coarse is not None and alone is not None:
-            inputs.coarse[:] = accumulate(alone)
-    out[:] = accumulate(differences)
+            inputs.coarse[:] = scales_of(alone)
+    out[:] = scales_of(differences)

@@ -45,7 +45,7 @@ class Parameters:
     Parameters
     ----------
     step : float
-        Distance between codes of a coordinate.
+        Quantiser step of the coordinates.
     shrink : float
         Reduction of the magnitude of each non-zero coordinate, in steps.
     width : int
@@ -61,18 +61,18 @@ class Parameters:
 
 
 def write(codes: I64, codebook: int, step: float, shrink: float) -> Stream:
-    """Return a basis stream of shN.
+    """Return a stream of shN, stored as coordinates on a basis.
 
     Parameters
     ----------
     codes : (n, k) int64
-        Coordinates on the basis in steps, signed.
+        Quantised coordinates: signed multiples of `step`.
     codebook : int
         Number of the codebook whose rows are the basis.
     step : float
-        Distance between codes of a coordinate.
+        Quantiser step of the coordinates.
     shrink : float
-        Reduction of the magnitude of each non-zero coordinate, 0 to 0.5 steps.
+        Decoders reduce the magnitude of non-zero coordinates by this part of a step, 0 to 0.5.
     """
     used = np.flatnonzero(codes.any(axis=0))
     width = int(used[-1]) + 1 if len(used) else 0
@@ -103,7 +103,10 @@ def coordinate_groups(width: int) -> tuple[range, ...]:
 
 
 def _by_falling_end(ends: U8, width: int) -> tuple[I64, list[int]]:
-    """Return the rows by falling end, and the number of rows with an end above 0, 1, … `width`."""
+    """Return the rows, those with the most coordinates first, and a cumulative count.
+
+    The count is the number of rows with more than 0, 1, … `width` coordinates.
+    """
     order = np.argsort(np.uint8(255) - ends, kind="stable").astype(np.int64)
     counts = np.bincount(ends, minlength=width + 1)
     above: list[int] = (len(ends) - np.cumsum(counts)).tolist()

@@ -166,7 +166,7 @@ def head_of(rng, scales, model, levels, refined_by):
     differences = scale_differences.differences_of(scales)
     spans = differences.min(axis=0), differences.max(axis=0)
     scale_grid = Grid(*spans, np.array(levels, np.uint32))
-    decoded = scale_differences.accumulate(scale_grid.dequantise(scale_grid.quantise(differences)))
+    decoded = scale_differences.scales_of(scale_grid.dequantise(scale_grid.quantise(differences)))
     quats = rotations.unit(rng.normal(size=(ROWS, 4)).astype(np.float32))
     turns, _ = swing_twist.decompose(quats, scales)
     extra = model.extra_bits(decoded)

@@ -17,7 +17,7 @@ def scales_of(rows, seed=1):
     rng = np.random.default_rng(seed)
     steps = np.abs(rng.normal(1, 1, size=(rows, 3))).astype(np.float32)
     steps[:, 0] = rng.normal(0, 3, size=rows)
-    return scale_differences.accumulate(steps)
+    return scale_differences.scales_of(steps)
 
 
 def stored(*made):

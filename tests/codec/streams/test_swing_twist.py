@@ -173,10 +173,10 @@ def test_codes_split_into_symbols_and_low_bits(extra_bits, seed):
 
 
 def stored_scales(scales):
-    """A differences stream of these scales, and the scales that it decodes to."""
+    """Return the differences stream of some scales, and the decoded scales."""
     steps = scale_differences.differences_of(scales)
     grid = grids.fit(steps, 1e-3)
-    return scale_differences.write(steps, grid), scale_differences.accumulate(
+    return scale_differences.write(steps, grid), scale_differences.scales_of(
         grid.dequantise(grid.quantise(steps))
     )
 
