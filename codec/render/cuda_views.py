@@ -171,7 +171,7 @@ class CudaView:
         return self._array(sums)
 
     def pairs(self) -> Iterator[Pairs]:
-        """Yield the pairs of horizontal bands of the picture, from top to bottom."""
+        """Yield the pairs of pixel and splat, one horizontal band of the picture at a time."""
         import gsplat
         import torch
 

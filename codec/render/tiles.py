@@ -69,7 +69,7 @@ class TileLists:
 def _tile_columns(
     ellipse: NDArray[np.float32], first_row: int, last_row: int, width: int
 ) -> tuple[int, int]:
-    """Return the tile columns that an ellipse meets between two image rows, half-open."""
+    """Return the half-open range of tile columns that an ellipse reaches between two image rows."""
     x, y = float(ellipse[X]), float(ellipse[Y])
     shear = float(ellipse[SHEAR])
     half_width, half_height = float(ellipse[HALF_WIDTH]), float(ellipse[HALF_HEIGHT])
@@ -108,7 +108,7 @@ def _count(
     tiles_x: int,
     counts: NDArray[np.int64],
 ) -> None:
-    """Add one to every tile that a footprint may meet."""
+    """Count the footprints that may reach each tile; `counts`, by tile, is increased in place."""
     for i in range(len(ellipse)):
         for tile_y in range(rows[i, 0] // TILE, (rows[i, 1] + TILE - 1) // TILE):
             top = max(rows[i, 0], tile_y * TILE)
@@ -130,7 +130,23 @@ def _fill(
     cursors: NDArray[np.int64],
     members: NDArray[np.int32],
 ) -> None:
-    """Append every footprint, in order, to the runs of the tiles that it may reach."""
+    """Append the footprints, in order, to the lists of the tiles that they may reach.
+
+    Parameters
+    ----------
+    ellipse, rows
+        Arrays of `Footprints`.
+    width : int
+        Image width, px.
+    tiles_x : int
+        Number of tiles in a row of tiles.
+    first, last : int
+        Half-open range of tiles.
+    cursors : (last - first,) int64
+        Position in `members` of each tile's next footprint, changed in place.
+    members : (P,) int32
+        Output: `TileLists.members`.
+    """
     top_tile = first // tiles_x
     bottom_tile = (last + tiles_x - 1) // tiles_x
     for i in range(len(ellipse)):

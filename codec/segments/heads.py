@@ -66,14 +66,17 @@ def _read(
     out: F32,
     scales: F32,
 ) -> None:
-    """Read an attribute, refined if possible; `scales` are the unrefined scales."""
+    """Decode an attribute into `out`, refined if the refinement is given.
+
+    `scales` are the scales without refinement, which set the quantiser steps.
+    """
     stream = found.pop(attribute)
     inputs = Inputs(scales=scales, refinement=finer.pop(stream))
     kinds.read(stream, out, inputs)
 
 
 def _read_scales(found: StreamSet, finer: RefinementSet, out: Splats) -> F32:
-    """Read the scales into `out`; return the unrefined scales, which set the quantiser steps."""
+    """Decode the scales into `out`; return the unrefined scales, which set the quantiser steps."""
     stream = found.pop(Attribute.SCALES)
     refinement = finer.pop(stream)
     if refinement is None:
@@ -85,7 +88,7 @@ def _read_scales(found: StreamSet, finer: RefinementSet, out: Splats) -> F32:
 
 
 def _read_shapes(found: StreamSet, codebooks: Mapping[int, Codebook], out: Splats) -> F32:
-    """Read scales and quats from a codebook and escape rows; return the scales."""
+    """Decode scales and quats from a codebook and escape rows into `out`; return the scales."""
     stream = found.pop(Attribute.SHAPE)
     use = kinds.codebook_use(stream)
     escape = ShapeCodebook(

@@ -165,7 +165,7 @@ def _rounded(coefficients: F64) -> StepModel:
 
 
 def _features(scales: F32) -> list[F32]:
-    """Return the five features of (n, 3) log scales, each (n,)."""
+    """Return the five inputs of a step model, (n,) each, from (n, 3) log scales (SPEC 6.10)."""
     long = scales[:, 2]
     p = long - scales[:, 0]
     q = scales[:, 0] - scales[:, 1]

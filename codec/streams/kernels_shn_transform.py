@@ -39,7 +39,7 @@ def _coordinate(symbol: int, step: np.float32, shrink: np.float32) -> np.float32
 
 @inner_exact
 def _symbol(data: U8, begin: I64, place: int, count: int) -> int:
-    """Return the symbol number `place` of `count` byte planes that begin at `begin`."""
+    """Return symbol number `place`, whose `count` bytes lie in planes that begin at `begin`."""
     symbol = 0
     for byte in range(count):
         symbol |= int(data[begin[byte] + place]) << (8 * byte)

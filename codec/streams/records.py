@@ -174,7 +174,7 @@ def compress_payload(plain: bytes, *, digits: bool = True) -> bytes:
 
 
 def _payload(streams: Sequence[Stream], stored: Callable[[U8], tuple[int, bytes]]) -> bytes:
-    """Return a payload; `stored` gives the word and the stored bytes of each plane."""
+    """Return streams as a payload; the function `stored` encodes a plane to its word and bytes."""
     records: list[bytes] = []
     bodies: list[bytes] = []
     for stream in streams:
@@ -249,7 +249,7 @@ class StoredStream:
         return self.params
 
     def read_planes(self, lengths: Sequence[int]) -> list[U8]:
-        """Return all planes, given their decompressed sizes `lengths`, bytes."""
+        """Return the decompressed planes, given the size of each plane, bytes."""
         self.require_planes(len(lengths))
         return [self.plane(index, length) for index, length in enumerate(lengths)]
 

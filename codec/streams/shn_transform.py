@@ -103,9 +103,9 @@ def coordinate_groups(width: int) -> tuple[range, ...]:
 
 
 def _by_falling_end(ends: U8, width: int) -> tuple[I64, list[int]]:
-    """Return the rows, those with the most coordinates first, and a cumulative count.
+    """Return the rows by descending coordinate count, and cumulative row counts.
 
-    The count is the number of rows with more than 0, 1, … `width` coordinates.
+    The second list has the number of rows with more than 0, 1, … `width` coordinates.
     """
     order = np.argsort(np.uint8(255) - ends, kind="stable").astype(np.int64)
     counts = np.bincount(ends, minlength=width + 1)

@@ -93,7 +93,7 @@ def compose(components: F32) -> F32:
 
 
 def quantise(values: F64, extra_bits: U8) -> U32:
-    """Return the codes of (n,) values in ±1 on 2^h + 1 levels; 0 for rows without extra bits."""
+    """Return the codes of (n,) values in ±1; a row with h > 0 extra bits has 2^h + 1 levels."""
     half = np.ldexp(0.5, extra_bits.astype(np.int32))
     codes = np.rint((values + 1) * half)
     codes = np.clip(codes, 0, 2 * half)
@@ -101,7 +101,7 @@ def quantise(values: F64, extra_bits: U8) -> U32:
 
 
 def dequantise(codes: U32, extra_bits: U8) -> F32:
-    """Return ``code · 2^(1 - h) - 1`` in float32, 0 for rows without extra bits."""
+    """Return ``code · 2^(1 - h) - 1`` in float32 for rows with h > 0 extra bits, else 0."""
     values = codes.astype(np.float32) * STEPS[extra_bits] - np.float32(1)
     return np.where(extra_bits > 0, values, np.float32(0))
 

@@ -146,8 +146,8 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
     sizes = refinement_split.split(
         Attribute.SCALES, differences, grid, costs.scale_long, coarseness.scales
     )
-    head_scales = scale_differences.accumulate(sizes.coarse)
-    scales = scale_differences.accumulate(sizes.fine)
+    head_scales = scale_differences.scales_of(sizes.coarse)
+    scales = scale_differences.scales_of(sizes.fine)
     if used.fine_means:
         inside, means, refined_means = choose_refinement_bits(
             lambda bits: quantise_means(

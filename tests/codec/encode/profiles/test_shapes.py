@@ -32,7 +32,7 @@ def test_the_longest_axis_makes_up_for_areas(lagrangian):
     missed = {}
     for areas in (False, True):
         differences, grid = shapes.differences_to_store(scales, known, lagrangian, areas)
-        stored = scale_differences.accumulate(grid.dequantise(grid.quantise(differences)))
+        stored = scale_differences.scales_of(grid.dequantise(grid.quantise(differences)))
         missed[areas] = np.exp(area(stored) - area(scales))
     # Every splat's area, and that of all splats.
     assert np.log(missed[True]).std() < np.log(missed[False]).std()
