@@ -1,6 +1,6 @@
 """Scenes without cameras: no view falls far below the others, and the prediction holds elsewhere.
 
-The scenes are those that views cover badly, and the judges none that the encoder sees.
+The scenes are hard to cover with views; the encoder does not use their test views.
 """
 
 from pathlib import Path
@@ -25,8 +25,8 @@ TRIED = {
 }
 
 
-def judged(scene: CoverageScene, decoded: cogsplat.Splats) -> list[float]:
-    pairs = ((render(scene.splats, view), render(decoded, view)) for view in scene.judges)
+def measured_quality(scene: CoverageScene, decoded: cogsplat.Splats) -> list[float]:
+    pairs = ((render(scene.splats, view), render(decoded, view)) for view in scene.test_views)
     return [float(psnr(whole, found)) for whole, found in pairs]
 
 
@@ -38,9 +38,9 @@ def test_no_view_of_a_scene_without_cameras_falls_far_below_the_others(
     made = cogsplat.encode(scene.splats, tmp_path / "scene.cogs", preset="fast")
     assert made.views == made.test_views == "planned"
     assert made.coverage >= 0.98
-    found = judged(scene, cogsplat.decode(tmp_path / "scene.cogs"))
+    found = measured_quality(scene, cogsplat.decode(tmp_path / "scene.cogs"))
     assert np.mean(found) - min(found) < 6.0
-    # The judges are 24 views and the test views 20: means of so few differ by half of this.
+    # The scene has 24 test views and the encoder 20: their means differ by up to 0.5 dB.
     assert np.mean(made.test_psnr_db) == pytest.approx(np.mean(found), abs=1.0)
     # The nominal quality.
     assert np.mean(found) == pytest.approx(40.0, abs=2.0)

@@ -1,4 +1,4 @@
-"""All checks of the project in one command.
+"""One command that runs lint, type checks, import rules and tests.
 
 Run ``python -m cogsplat.tools.lab.check [pytest arguments]``.
 """
@@ -13,19 +13,19 @@ from contextlib import suppress
 from pathlib import Path
 
 _ROOT = Path(__file__).resolve().parents[2]
-# Folders of the package that stand at the top of a checkout.
+# Folders of the package that are at the top of a checkout.
 _PARTS = ("codec", "formats", "tools")
 _TREE = "build/tree"
 
-# Exit status where the checks cannot run at all, as pytest's own for misuse.
+# Exit status if the checks cannot run, the same as pytest's for misuse.
 _MISUSE = 4
 
 
 def assemble(root: Path) -> Path:
-    """Put the package together in ``build/tree``, as a wheel has it, for tools that read files.
+    """Assemble the package in ``build/tree`` as in a wheel, for tools that read source files.
 
     Type checkers and import-linter find `cogsplat.codec` as a folder in `cogsplat`; in a checkout
-    it stands beside it. Folders are linked, or copied where links cannot be made.
+    the folder `codec` is next to `cogsplat`. Folders are linked, or copied if links fail.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def assemble(root: Path) -> Path:
 def steps(pytest_arguments: list[str]) -> list[tuple[str, list[str], str]]:
     """Return name, command line and folder of every check; pytest comes last, with its summary."""
     module = [sys.executable, "-m"]
-    # A process for each core, and the slowest tests named; arguments that follow may say otherwise.
+    # One process per core, and a list of the slowest tests; later arguments override these.
     pytest = ["pytest", "-n", "logical", "--dist", "worksteal", "--durations", "15"]
     settings = str(_ROOT / "pyproject.toml")
     lint_imports = "from importlinter.cli import lint_imports_command; lint_imports_command()"
@@ -70,7 +70,7 @@ def steps(pytest_arguments: list[str]) -> list[tuple[str, list[str], str]]:
 
 
 def run(checks: list[tuple[str, list[str], str]], root: Path) -> list[str]:
-    """Run checks one after the other in `root`, their output as it comes.
+    """Run checks in order, with their output unbuffered.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def run(checks: list[tuple[str, list[str], str]], root: Path) -> list[str]:
     Returns
     -------
     list of str
-        Names of those that failed; a failure stops none of the others.
+        Names of the failed checks; the checks after a failure still run.
     """
     failed, times = [], []
     for name, command, folder in checks:
@@ -102,7 +102,7 @@ def run(checks: list[tuple[str, list[str], str]], root: Path) -> list[str]:
 
 
 def main() -> int:
-    """Run all checks on the checkout that this file is part of; arguments go to pytest."""
+    """Run all checks on the checkout of this file, with the command's arguments for pytest."""
     if not (_ROOT / "pyproject.toml").is_file():
         print(
             f"no pyproject.toml in {_ROOT}: the checks run from a checkout installed with "

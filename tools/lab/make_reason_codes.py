@@ -1,8 +1,8 @@
-"""Writes ``docs/reference/reason-codes.md``, the index of all reason codes, from the source.
+"""Write ``docs/reference/reason-codes.md``, the index of all reason codes, from the source.
 
-Run ``python -m cogsplat.tools.lab.make_reason_codes`` after adding a code. A code is found where it
-stands beside its message, as an argument of a call or in a tuple, or under a name that ends in
-``CODE`` or begins with ``BAD_``.
+Run ``python -m cogsplat.tools.lab.make_reason_codes`` after adding a code. A code is recognised
+next to its message, among the arguments of a call or in a tuple. It is also recognised as the value
+of a name that ends in ``CODE`` or begins with ``BAD_``.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _ONE_WORD: Final = frozenset(
     {"cancelled", "exists", "io", "mask", "memory", "permission", "photo", "usage"}
 )
 
-# Exit status of what stands for none of the classes of `codec.errors`.
+# Exit status of the command line, by error class of `codec.errors`.
 _EXIT: Final = {
     "FormatError": 3,
     "TruncatedError": 3,
@@ -37,8 +37,8 @@ _EXIT: Final = {
     "Cancelled": 130,
 }
 
-# Whose class and exit status the source states in another place than the code.
-_STATED: Final = {
+# Class and exit status of codes that the source does not pass to their class.
+_STATED_ELSEWHERE: Final = {
     "broken-pipe": ("StorageError", 4),
     "cancelled": ("Cancelled", 130),
     "mask": ("DataError", 3),
@@ -67,15 +67,15 @@ The command line exits with the status of the class: 2 for misuse; 3 for invalid
 
 @dataclass(frozen=True)
 class ReasonCode:
-    """A reason code and where it comes from.
+    """A reason code, with its error classes and its files.
 
     Parameters
     ----------
     code : str
     errors : tuple of str
-        Classes of `codec.errors` that carry it.
+        Names of the error classes of `codec.errors` with this code.
     modules : tuple of str
-        Files that hold it, relative to the root of the tree.
+        Source files that contain it, relative to the root of the tree.
     """
 
     code: str
@@ -84,19 +84,19 @@ class ReasonCode:
 
     @property
     def exit_statuses(self) -> tuple[int, ...]:
-        """What the command line may exit with."""
-        if self.code in _STATED:
-            return (_STATED[self.code][1],)
+        """Exit statuses of the command line for this code."""
+        if self.code in _STATED_ELSEWHERE:
+            return (_STATED_ELSEWHERE[self.code][1],)
         return tuple(sorted({_EXIT[error] for error in self.errors}))
 
 
 def reason_codes(root: Path = ROOT) -> list[ReasonCode]:
-    """Return all reason codes of the source, in alphabetical order."""
+    """Return the reason codes that the source contains, in alphabetical order."""
     errors: dict[str, set[str]] = {}
     modules: dict[str, set[str]] = {}
     for room in ("codec", "formats", "tools"):
         for path in sorted((root / room).rglob("*.py")):
-            # What builds files that break rules names codes as well, and raises none.
+            # Builders of must-reject files mention codes without raising them.
             if {"conformance", "node_modules"} & {*path.parts} or path.name == Path(__file__).name:
                 continue
             for code, error in _codes_in(ast.parse(path.read_text(encoding="utf-8"))):
@@ -106,8 +106,8 @@ def reason_codes(root: Path = ROOT) -> list[ReasonCode]:
     return [
         ReasonCode(
             code,
-            (_STATED[code][0],)
-            if code in _STATED
+            (_STATED_ELSEWHERE[code][0],)
+            if code in _STATED_ELSEWHERE
             else tuple(sorted(errors.get(code, {"FormatError"}))),
             tuple(sorted(found)),
         )
@@ -144,7 +144,7 @@ def _section_12(root: Path) -> str:
 
 
 def _codes_in(tree: ast.Module) -> Iterator[tuple[str, str]]:
-    """Yield the codes of a module, each with the name of what it is given to."""
+    """Yield the codes of a module, each with the name of the class or function it is passed to."""
     named = {}
     for node in ast.walk(tree):
         if isinstance(node, ast.Assign | ast.AnnAssign):
@@ -165,8 +165,8 @@ def _codes_in(tree: ast.Module) -> Iterator[tuple[str, str]]:
             name, arguments = "", node.elts
         else:
             continue
-        said = name in _TAKING or name in _EXIT or any(map(_is_message, arguments))
-        for argument in arguments if said else ():
+        has_code = name in _CALLS_WITH_CODE or name in _EXIT or any(map(_is_message, arguments))
+        for argument in arguments if has_code else ():
             codes = _texts(argument)
             if isinstance(argument, ast.Name):
                 codes = named.get(argument.id, [])
@@ -177,12 +177,12 @@ def _codes_in(tree: ast.Module) -> Iterator[tuple[str, str]]:
                 yield code, ""
 
 
-# Calls that are given a code and no message.
-_TAKING: Final = frozenset({"__init__", "_print_error", "refuse", "sibling"})
+# Functions whose calls pass a code without a message.
+_CALLS_WITH_CODE: Final = frozenset({"__init__", "_print_error", "refuse", "sibling"})
 
 
 def _texts(node: ast.expr | None) -> list[str]:
-    """Return the codes that an expression may be."""
+    """Return the codes among the possible values of an expression."""
     if isinstance(node, ast.IfExp):
         return [*_texts(node.body), *_texts(node.orelse)]
     if isinstance(node, ast.Dict):

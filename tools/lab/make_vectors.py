@@ -1,8 +1,8 @@
-"""Make the conformance vectors in tests/vectors, or check those that are there.
+"""Write or check the conformance vectors in tests/vectors and the lists of vectors in SPEC.md.
 
-Run ``python -m cogsplat.tools.lab.make_vectors`` after every change of the format, and commit
-what it writes with the change. ``--check`` writes nothing and says what differs: decoded values
-and refusals always, bytes where this zstd is the one that made the files.
+Run ``python -m cogsplat.tools.lab.make_vectors`` after every change of the format, and commit its
+output with the change. ``--check`` writes nothing and reports differences. It compares decoded
+values and refusals always, and bytes if the installed zstd has the version of the manifest.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 
 
 def valid_vectors() -> list[Valid]:
-    """Return all valid vectors, in the order of the manifest."""
+    """Return the valid vectors, in the order of the manifest."""
     return [
         *plain_valid(),
         *transform_valid(),
@@ -114,16 +114,16 @@ VIEWERS_MAY_IGNORE: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     view_table_vectors.invalid,
     invalid_boxes.decoded_sizes,
 )
-"""What a viewer leaves aside (SPEC 8.6): it need not refuse these files."""
+"""Vectors of content that viewers may ignore (SPEC 8.6); viewers need not refuse them."""
 
 
 def invalid_vectors() -> list[Invalid]:
-    """Return all must-reject vectors, in the order of the manifest."""
+    """Return the must-reject vectors, in the order of the manifest."""
     return [vector for make in INVALID for vector in make()]
 
 
 def conformance_levels() -> dict[str, str]:
-    """Return the lowest level of conformance that must refuse each file (SPEC 1.4)."""
+    """Return the lowest conformance level that must refuse each file, by name (SPEC 1.4)."""
     aside = {vector.name for make in VIEWERS_MAY_IGNORE for vector in make()}
     return {
         vector.name: "verifier"
@@ -134,12 +134,12 @@ def conformance_levels() -> dict[str, str]:
 
 
 def valid_folders() -> list[folder_vectors.ValidFolder]:
-    """Return the folders to decode, in the order of the manifest."""
+    """Return the valid folders, in the order of the manifest."""
     return folder_vectors.valid({vector.name: vector.data for vector in valid_vectors()})
 
 
 def invalid_folders() -> list[folder_vectors.InvalidFolder]:
-    """Return the folders to refuse, in the order of the manifest."""
+    """Return the must-reject folders, in the order of the manifest."""
     return folder_vectors.invalid({vector.name: vector.data for vector in valid_vectors()})
 
 
@@ -168,6 +168,7 @@ _INFO: Final = ("origin", "axes", "colour_space", "kernel_px", "antialiased", "f
 
 
 def _valid_entry(vector: Valid) -> tuple[dict[str, Json], bytes]:
+    """Return the manifest's entry of a valid vector, and its arrays as bytes."""
     scene = reference_decoder.decode(vector.data)
     arrays = _array_bytes(scene)
     (root_length,) = struct.unpack_from("<I", vector.data, 12)
@@ -255,7 +256,7 @@ def _invalid_folder_entry(folder: folder_vectors.InvalidFolder) -> dict[str, Jso
 
 
 def _manifest_text(manifest: Mapping[str, Json]) -> str:
-    """Return the manifest as JSON, one vector a line."""
+    """Return the manifest as JSON, one vector per line."""
     parts = []
     for key, value in manifest.items():
         if isinstance(value, list):
@@ -269,7 +270,7 @@ def _manifest_text(manifest: Mapping[str, Json]) -> str:
 
 
 def make_vectors() -> tuple[dict[str, Json], dict[str, bytes]]:
-    """Return the manifest and every other file by its path below `VECTORS`."""
+    """Return the manifest, and file contents by path below `VECTORS`."""
     files: dict[str, bytes] = {}
     good: list[Json] = []
     for vector in valid_vectors():
@@ -304,7 +305,7 @@ def make_vectors() -> tuple[dict[str, Json], dict[str, bytes]]:
 
 
 def spec_blocks() -> dict[str, str]:
-    """Return the parts of SPEC that come from the vectors, by the name in their markers."""
+    """Return the generated blocks of SPEC, by the name in their markers."""
     good, bad = valid_vectors(), invalid_vectors()
     smallest = next(vector for vector in good if vector.name == SMALLEST)
     listed = ["| file | clauses | what |", "|---|---|---|"]
@@ -331,7 +332,7 @@ def _folder_lists() -> list[str]:
 
 
 def replace_blocks(text: str, blocks: Mapping[str, str]) -> str:
-    """Return SPEC with the text between each pair of markers replaced."""
+    """Return SPEC with the generated blocks between their markers replaced."""
     for name, block in blocks.items():
         first, last = f"<!-- vectors: {name} -->", "<!-- end of vectors -->"
         before, found, rest = text.partition(first)
@@ -343,7 +344,7 @@ def replace_blocks(text: str, blocks: Mapping[str, str]) -> str:
 
 
 def differences() -> list[str]:
-    """Return what differs between the committed vectors and those this code makes."""
+    """Compare the committed vectors with newly made ones; return a line per difference."""
     manifest, files = make_vectors()
     committed = json.loads((VECTORS / "manifest.json").read_text(encoding="utf-8"))
     same_zstd = committed["zstd"] == manifest["zstd"]
@@ -384,7 +385,7 @@ def differences() -> list[str]:
 
 
 def write() -> None:
-    """Write all vectors, the manifest and SPEC's generated blocks; remove obsolete vectors."""
+    """Write the vectors, the manifest and SPEC's generated blocks; delete obsolete vectors."""
     manifest, files = make_vectors()
     for path in VECTORS.rglob("*/*"):
         if path.is_file() and path.relative_to(VECTORS).as_posix() not in files:
@@ -398,9 +399,9 @@ def write() -> None:
 
 
 def main() -> int:
-    """Make the vectors, or check them."""
+    """Write the vectors, or with ``--check`` compare the committed ones; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, prog="make_vectors")
-    parser.add_argument("--check", action="store_true", help="write nothing, say what differs")
+    parser.add_argument("--check", action="store_true", help="write nothing, list differences")
     if parser.parse_args().check:
         found = differences()
         print("\n".join([*found, f"{len(found)} differences"]))

@@ -117,7 +117,7 @@ def _json(report: FuzzReport) -> dict[str, object]:
     return {
         "decoders": [
             asdict(decoder) | {"most_memory_bytes": memory}
-            for decoder, memory in zip(report.decoders, report.most_memory, strict=True)
+            for decoder, memory in zip(report.decoders, report.peak_memory, strict=True)
         ],
         "mutants": report.mutants,
         "verdicts": report.verdicts,
@@ -155,5 +155,5 @@ def _print_summary(report: FuzzReport, *, quiet: bool) -> None:
     if more > 0:
         print_line(f"  and {count_text(more, 'disagreement')} more; --json lists all")
     if not quiet:
-        for decoder, memory in zip(report.decoders, report.most_memory, strict=True):
+        for decoder, memory in zip(report.decoders, report.peak_memory, strict=True):
             print_line(f"  {decoder.name} {decoder.version}: at most {memory / 2**20:.0f} MiB")

@@ -1,4 +1,4 @@
-"""The annotated dump of a small file: what SPEC's appendix shows."""
+"""Annotated hex dump of a small file, as SPEC's appendix shows it."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from .file_builder import PAYLOAD_HEAD, PREAMBLE_BYTES
 
 _Piece = tuple[int, str]
 
+# Bytes of the file on one line of the dump.
 _LINE: Final = 16
-# Column types of the tables (SPEC 5.3, 5.4).
+# Types of the columns of the segment and chunk tables, as `struct` names them (SPEC 5.3, 5.4).
 _COLUMNS: Final = {
     "kind": "B",
     "owner": "I",
@@ -30,7 +31,7 @@ _COLUMNS: Final = {
 
 
 def dump(data: bytes) -> list[str]:
-    """Return the lines of a file's dump: offset, bytes, meaning.
+    """Return the lines of a file's hex dump, each with offset, bytes and meaning.
 
     Parameters
     ----------
@@ -49,6 +50,7 @@ def dump(data: bytes) -> list[str]:
 
 
 def _pieces(data: bytes) -> Iterator[_Piece]:
+    """Yield the size and the meaning of each part of the file, in file order."""
     root_length, file_length, root_crc = struct.unpack_from("<IQI", data, 12)
     yield 8, "magic: 89, COGS, CR LF, 1a"
     yield 2, f"major version {struct.unpack_from('<H', data, 8)[0]}"
@@ -80,11 +82,12 @@ def _bin(value: Value) -> bytes:
 
 
 def _size(value: Value) -> int:
-    # The value of a map of one, without the map's byte and its empty key.
+    # The value is packed in a map of one empty key, whose two bytes are subtracted.
     return len(pack({"": value})) - 2
 
 
 def _entry(key: str, value: Value, indent: str) -> Iterator[_Piece]:
+    """Yield the parts of one entry of the root, and of the maps in it."""
     size = _size(key)
     if isinstance(value, dict):
         yield size + 1, f'{indent}"{key}": map of {len(value)}'
@@ -107,6 +110,7 @@ def _column(key: str, value: bytes) -> str:
 
 
 def _payload(payload: bytes, name: str) -> Iterator[_Piece]:
+    """Yield the parts of a segment's payload, record by record."""
     (count,) = struct.unpack_from("<H", payload)
     yield PAYLOAD_HEAD, f"{name}: {count} streams"
     position = PAYLOAD_HEAD

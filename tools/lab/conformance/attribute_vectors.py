@@ -1,4 +1,4 @@
-"""Conformance vectors of what is not drawn: extra attributes and cameras (SPEC 5.7, 5.8)."""
+"""Conformance vectors of extra attributes and cameras (SPEC 5.7, 5.8)."""
 
 from __future__ import annotations
 
@@ -28,33 +28,35 @@ _TYPES: Final = {
 
 
 def _entry(name: str, kind: str, components: int = 0) -> dict[str, Value]:
+    """Return the root's entry of one attribute."""
     entry: dict[str, Value] = {"name": name, "type": kind}
     return entry | ({"components": components} if components else {})
 
 
 def _columns(kind: str, values: Sequence[Sequence[float]]) -> list[bytes]:
-    """Return the planes of one attribute: of each component each byte, the lowest first."""
+    """Return the byte planes of one attribute: component by component, lowest byte first."""
     rows = [b"".join(struct.pack(f"<{_TYPES[kind]}", value) for value in row) for row in values]
     return [bytes(row[byte] for row in rows) for byte in range(len(rows[0]))]
 
 
 def _payload(planes: Sequence[tuple[int, bytes]]) -> bytes:
+    """Return an attribute payload of (word, stored bytes) pairs."""
     words = struct.pack(f"<{len(planes)}I", *(word for word, _ in planes))
     return words + b"".join(stored for _, stored in planes)
 
 
 def store_planes(columns: Sequence[bytes]) -> bytes:
-    """Return the payload of planes: each as it is, or a zstd frame where that is smaller."""
+    """Return an attribute payload: each plane uncompressed, or a zstd frame if that is smaller."""
     return _payload([plane(column) for column in columns])
 
 
 def labels(rows: int) -> list[bytes]:
-    """Return the one plane of an attribute of type u1 that counts 0, 1, 2, 0, 1 and so on."""
+    """Return the plane of an attribute of type u1 with the values 0, 1, 2, 0, 1 and so on."""
     return _columns("u1", [[row % 3] for row in range(rows)])
 
 
 def with_attributes(draft: Draft, attributes: Sequence[Value], payloads: Sequence[bytes]) -> Draft:
-    """Return a file with attributes in its root and a segment of them for each chunk."""
+    """Return the file with attributes listed in its root and one attribute segment per payload."""
     added = [Segment(SegmentKind.ATTRIBUTES, i, data) for i, data in enumerate(payloads)]
     whole = with_segments(draft, [*draft.groups[0].segments, *added])
     return replace(whole, root=whole.root | {"attributes": list(attributes)})
@@ -127,7 +129,7 @@ def _pages() -> Valid:
 
 
 def camera_columns(count: int) -> dict[str, Value]:
-    """Return the map of up to three cameras (SPEC 5.8)."""
+    """Return the msgpack map of `count` cameras, at most three (SPEC 5.8)."""
     turned = [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
     upright = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
 

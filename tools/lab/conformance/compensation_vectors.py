@@ -18,7 +18,7 @@ from .valid import Valid
 
 _CHUNKS = 5
 _ROWS = 3
-# Rows of the chunks that shifts between layers round in.
+# Splats per chunk of the file whose blended shifts round in float32.
 _SIZES = (5, 1, 2, 3, 1, 4, 2)
 
 
@@ -29,6 +29,7 @@ def _layer(
     book: Sequence[int] = (),
     codes: bytes = b"",
 ) -> dict[str, Value]:
+    """Return the map of one compensation layer (SPEC 5.9)."""
     return {
         "scales": struct.pack(f"{len(scales)}b", *scales),
         "opacities": struct.pack(f"{len(opacities)}b", *opacities),
@@ -39,12 +40,19 @@ def _layer(
 
 
 def _pack_codes(codes: Sequence[int], bits: int) -> bytes:
+    """Return codes of `bits` bits each without gaps, lowest bit first."""
     number = sum(code << bits * place for place, code in enumerate(codes))
     return number.to_bytes((len(codes) * bits + 7) // 8, "little")
 
 
 def _draft(layers: Sequence[tuple[int, bytes]]) -> Draft:
-    """Return a file of five chunks with segments of compensation, each before a chunk's head."""
+    """Return a file of five chunks with compensation segments.
+
+    Parameters
+    ----------
+    layers : sequence of (int, bytes)
+        Chunk whose head the segment precedes, and the segment's payload.
+    """
     segments = []
     owner = 0
     for chunk in range(_CHUNKS):
@@ -99,21 +107,21 @@ def valid() -> list[Valid]:
 
 
 def _blend() -> Valid:
-    """Return chunks of many sizes between two layers, and behind the last: parts that round."""
+    """Return a file of chunks of several sizes, whose blends of two layers round in float32."""
     data = build(_two_layers([0] * len(_SIZES)))
     note = "prefixes between two layers and behind the last, where every operation rounds"
     return Valid("compensation-blend", data, ("5.9", "8.5"), note)
 
 
 def _cells() -> Valid:
-    """Return the same chunks cut into cells, the whole once more behind one of its halves."""
+    """Return the chunks of `_blend` as a tree of cells; its sets of chunks are compensated too."""
     data = build(_two_layers([1, 3, 1, 3, 2, 7, 2]))
     note = "the same chunks cut into cells: sets of chunks that hold with each chunk its parent"
     return Valid("compensation-cells", data, ("5.4", "5.9", "8.5"), note)
 
 
 def _two_layers(cells: Sequence[int]) -> Draft:
-    """Return chunks of `_SIZES` rows with two layers."""
+    """Return a file of chunks of `_SIZES` splats with two layers, each chunk in one of `cells`."""
     entries = [k for row in range(16) for k in (7 * row - 50, 113 - 15 * row)]
     first = _layer([85], [-77], [63, 61], entries, _pack_codes([3, 15, 8, 11, 6], 4))
     second = _layer(
@@ -137,7 +145,7 @@ def _two_layers(cells: Sequence[int]) -> Draft:
 
 
 def _zeros() -> Valid:
-    """Return scales and opacities of -0 under a layer of zero shifts, and the whole scene."""
+    """Return a file with scales and opacities of -0 and one layer of zero shifts."""
     minus = [
         handmade.floats(Attribute.SCALES, [[-0.0, -1.0, -0.0]] * _ROWS),
         handmade.floats(Attribute.OPACITIES, [[-0.0]] * _ROWS),

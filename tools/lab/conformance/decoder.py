@@ -1,4 +1,4 @@
-"""Our own decoders behind the conformance protocol: numpy, compiled, and the second decoder.
+"""The decoders of this project behind the conformance protocol: numpy, compiled, reference.
 
 Run ``python -m cogsplat.tools.lab.conformance.decoder numpy|compiled|reference``.
 """
@@ -29,12 +29,12 @@ KINDS: Final = ("numpy", "compiled", "reference")
 
 
 def hello(kind: str) -> Answer:
-    """Return what one of our decoders says of itself."""
+    """Return the answer to ``hello``: name, version and abilities of a decoder of `KINDS`."""
     return {
         "name": f"cogsplat ({kind})",
         "version": cogsplat.__version__,
         "level": "reader" if kind == "reference" else "verifier",
-        # The second decoder is for valid and whole files only.
+        # The reference decoder reads valid, complete files only.
         "refuses": kind != "reference",
         "partial": kind != "reference",
         "folders": True,
@@ -42,14 +42,14 @@ def hello(kind: str) -> Answer:
 
 
 def answer_request(kind: str, request: Answer) -> Answer:
-    """Return the answer to one request of the protocol."""
+    """Return the answer to a ``hello`` or ``decode`` request, writing decoded arrays to ``out``."""
     if request.get("op") == "hello":
         return hello(kind)
     path, out = Path(str(request["path"])), Path(str(request["out"]))
     if kind == "reference":
         return _decode_by_reference(path, out, request)
     try:
-        # By the name, as the request means it; commands look at the first bytes.
+        # The file name decides between file and folder; commands look at the first bytes.
         source = FolderSource(path) if path.suffix == MANIFEST_SUFFIX else FileSource(path)
         with open_cogs(source, partial=bool(request["partial"])) as file:
             if request["verify"]:

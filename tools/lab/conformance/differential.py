@@ -1,7 +1,7 @@
-"""Several decoders on seeded mutants of files: each must say the same of every one.
+"""Differential fuzzing: several decoders decode seeded mutants of files and must agree.
 
-Verdict, reason code and, where a mutant is read, the bits of all arrays are compared. A decoder for
-valid files alone is asked about the mutants that the others read.
+Agreement means the same reason code, or the same bits in all arrays. A decoder that refuses nothing
+is asked only about the mutants that all other decoders accept.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from cogsplat.codec.progress import Progress, silent
 from .file_mutations import Mutant, make_mutant
 from .protocol import Answer, DecoderProcess, Hello, decode_request
 
-# More splats take a decoder that is written to be read, not to be fast, too long.
+# Splats per mutant at most for decoders that refuse nothing: the reference decoder is slow.
 _MOST_SPLATS_FOR_SLOW: Final = 2000
 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """A mutant of which two decoders say different things.
+    """A mutant that two decoders judge differently.
 
     Parameters
     ----------
     number : int
-        Of the mutant in its run.
+        Number of the mutant in its run.
     mutant : Mutant
     verify : bool
-        Whether all that a verifier checks was asked for.
+        Whether the decoders were asked to make a verifier's checks.
     verdicts : tuple of str
-        What each decoder said: a reason code, or the hash of its arrays.
+        Verdict of each decoder: a reason code, or splat count and hash of its arrays.
     """
 
     number: int
@@ -49,23 +49,24 @@ class Disagreement:
 
 @dataclass(frozen=True)
 class FuzzReport:
-    """What a run over mutants found.
+    """Result of a fuzzing run.
 
     Parameters
     ----------
     decoders : tuple of Hello
     most_memory : tuple of int
-        The most memory that each decoder held at once, bytes; 0 where no system tells.
+        Peak resident memory of each decoder, bytes; 0 where the system does not report it.
     mutants : int
+        Number of mutants.
     verdicts : dict of str to int
-        How often each reason code was given, and ``accepted``.
+        Count of each reason code of the first decoder, and of ``accepted``.
     slowest_s : float
         Longest time until all decoders had answered for a mutant, seconds.
     disagreements : list of Disagreement
     """
 
     decoders: tuple[Hello, ...]
-    most_memory: tuple[int, ...]
+    peak_memory: tuple[int, ...]
     mutants: int
     verdicts: dict[str, int]
     slowest_s: float
@@ -73,12 +74,12 @@ class FuzzReport:
 
 
 def vector_files(vectors: Path) -> list[tuple[str, bytes]]:
-    """Return names and bytes of the conformance files that are to be decoded.
+    """Return names and bytes of the valid conformance files.
 
     Raises
     ------
     StorageError
-        ``not-found`` where there are none.
+        ``not-found``: the folder holds none.
     """
     paths = sorted((vectors / "valid").glob("*.cogs"))
     if not paths:
@@ -96,7 +97,7 @@ def fuzz(
     timeout_s: float = 30.0,
     progress: Progress = silent,
 ) -> FuzzReport:
-    """Ask decoders about mutants ``first`` to ``first + count - 1`` of a seeded run.
+    """Let decoders decode mutants ``first`` to ``first + count - 1`` of a seeded run.
 
     Parameters
     ----------
@@ -104,10 +105,14 @@ def fuzz(
         Program and arguments of each decoder; see `protocol` for what they read and write.
     files : sequence of (str, bytes)
         Names and bytes of the valid files that mutants are made from.
-    seed, count, first : int
+    seed : int
+        Seed of the run.
+    count : int
+        Number of mutants.
+    first : int
+        Number of the first mutant.
     timeout_s : float
-        Longest time for one answer, seconds; a decoder that takes longer has said something else
-        than the others.
+        Time limit for one answer, seconds; a decoder that exceeds it disagrees.
     progress : Progress
         Called with ``("mutants", mutants done, mutants)``.
 
@@ -118,7 +123,7 @@ def fuzz(
     Raises
     ------
     StorageError
-        ``decoder`` where one cannot be started.
+        ``decoder``: a decoder cannot be started.
     """
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -139,7 +144,7 @@ def fuzz(
             progress("mutants", done, count)
         return FuzzReport(
             decoders=panel.hellos,
-            most_memory=tuple(decoder.most_memory() for decoder in decoders),
+            peak_memory=tuple(decoder.peak_memory() for decoder in decoders),
             mutants=count,
             verdicts=dict(verdicts.most_common()),
             slowest_s=slowest,
@@ -148,7 +153,7 @@ def fuzz(
 
 
 class _Decoders:
-    """Asks all decoders about a mutant, those that refuse nothing last."""
+    """Decoders of a run; decoders that refuse nothing are asked last."""
 
     def __init__(self, decoders: Sequence[DecoderProcess], folder: Path) -> None:
         self._decoders = decoders
@@ -160,7 +165,7 @@ class _Decoders:
         self._verifiers = all(self.hellos[n].level == "verifier" for n in self._strict)
 
     def verdicts(self, mutant: Mutant, *, verify: bool) -> tuple[str, ...]:
-        """Return what each decoder says; an empty text where it was not asked."""
+        """Return the verdict of each decoder; empty for a decoder that was not asked."""
         self._path.write_bytes(mutant.data)
         found = [""] * len(self._decoders)
         verify = verify and self._verifiers
@@ -168,7 +173,7 @@ class _Decoders:
         for number, verdict in answers.items():
             found[number] = verdict
         agreed = set(answers.values())
-        # A decoder for valid files is asked only about files of which everything was checked.
+        # A decoder that refuses nothing is asked only about files that passed a verifier's checks.
         if verify and len(agreed) == 1 and self._is_small_and_whole(agreed.pop(), mutant):
             for number, verdict in self._ask(self._lenient, mutant, verify=False).items():
                 found[number] = verdict
@@ -179,7 +184,7 @@ class _Decoders:
         return word == "accepted" and not mutant.partial and int(rest[0]) <= _MOST_SPLATS_FOR_SLOW
 
     def _ask(self, numbers: Sequence[int], mutant: Mutant, *, verify: bool) -> dict[int, str]:
-        # All are asked before the first answer is waited for, so that they work at one time.
+        # All requests are sent before the first answer is read, so that decoders run in parallel.
         for number in numbers:
             out = self._outs[number]
             out.unlink(missing_ok=True)

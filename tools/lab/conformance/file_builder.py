@@ -1,7 +1,7 @@
-"""Files for the conformance vectors, put together from parts of which each can be wrong.
+"""Builder of conformance files, valid or broken on purpose.
 
-`formats.cogs.writer` writes valid files only; here every table, length and byte may be changed, and
-the CRCs are made to fit again, so that a reader meets the one rule that is broken.
+`formats.cogs.writer` writes valid files only. Here every table, length and byte can be changed.
+The CRCs are then recomputed, so that exactly one rule is broken.
 """
 
 from __future__ import annotations
@@ -42,13 +42,14 @@ class ChunkRow:
 
 @dataclass(frozen=True)
 class Group:
-    """What one index lists: the root, or a page.
+    """Segments and chunks that one index lists, the root or a page.
 
     Parameters
     ----------
     segments : sequence of Segment
-        In file order.
+        Segments in file order.
     chunks : sequence of ChunkRow
+        Rows of the chunk table.
     """
 
     segments: Sequence[Segment]
@@ -57,14 +58,14 @@ class Group:
 
 @dataclass(frozen=True)
 class Draft:
-    """A file to be.
+    """Content of a file before it is packed.
 
     Parameters
     ----------
     root : dict
-        The root's keys, tables and pages left out.
+        Keys of the root, without tables and pages.
     groups : sequence of Group
-        The root's, then one for each page.
+        The root's group, then one per page.
     """
 
     root: Index
@@ -72,7 +73,7 @@ class Draft:
 
 
 def root_keys(splats: int, sh_degree: int, **changes: Value) -> Index:
-    """Return the keys every root has, tables left out, some of them changed or added."""
+    """Return the required keys of a root without tables; `changes` replace or add keys."""
     root: Index = {
         "writer": "vectors",
         "splats": splats,
@@ -120,7 +121,7 @@ def _tables(group: Group) -> Index:
 
 
 def table(index: Index, name: str) -> dict[str, Value]:
-    """Return a map inside an index, to be changed."""
+    """Return a table of an index, for changes in place."""
     found = index[name]
     if not isinstance(found, dict):
         raise TypeError(f"{name} is {type(found).__name__}, expected a map")
@@ -128,7 +129,7 @@ def table(index: Index, name: str) -> dict[str, Value]:
 
 
 def column(index: Index, name: str, key: str) -> bytes:
-    """Return a column of a table."""
+    """Return the bytes of a column of an index's table."""
     found = table(index, name)[key]
     if not isinstance(found, bytes):
         raise TypeError(f"{key} is {type(found).__name__}, expected bin")
@@ -136,23 +137,23 @@ def column(index: Index, name: str, key: str) -> bytes:
 
 
 def poke(data: bytes, offset: int, layout: str, value: float) -> bytes:
-    """Return bytes with one little-endian number written over them."""
+    """Return `data` with the bytes at `offset` overwritten by a little-endian number."""
     changed = bytearray(data)
     struct.pack_into(f"<{layout}", changed, offset, value)
     return bytes(changed)
 
 
 def build(draft: Draft, edit: Edit | None = None, *, behind_page: bytes = b"") -> bytes:
-    """Return the bytes of a file.
+    """Pack a file.
 
     Parameters
     ----------
     draft : Draft
     edit : callable, optional
         ``edit(number, index)`` changes an index before it is packed: 0 is the root, 1 and up pages.
-        The root is packed last, and lists pages as they then are.
+        The root is packed last, so it lists the changed pages.
     behind_page : bytes
-        Added to every page.
+        Bytes appended to every page.
     """
     bodies: list[bytes] = []
     entries: list[Value] = []
@@ -183,37 +184,37 @@ def build(draft: Draft, edit: Edit | None = None, *, behind_page: bytes = b"") -
 
 
 def with_root(root: bytes, behind: bytes) -> bytes:
-    """Return a file of these root bytes and what stands behind them."""
+    """Return the file of a packed root and the bytes that follow it."""
     file_length = PREAMBLE_BYTES + len(root) + len(behind)
     fields = (MAGIC, MAJOR, MINOR, len(root), file_length, zlib.crc32(root), 0)
     return seal(struct.pack("<8sHHIQII28x", *fields)) + root + behind
 
 
 def seal(head: bytes) -> bytes:
-    """Return the 64 bytes of a preamble from its first 60, CRC made to fit."""
+    """Return a preamble of 64 bytes from its first 60, with the CRC computed."""
     return head[:60] + struct.pack("<I", zlib.crc32(head[:60]))
 
 
 def preamble_field(data: bytes, offset: int, layout: str, value: int) -> bytes:
-    """Return a file with one field of its preamble changed and the preamble's CRC made to fit."""
+    """Return the file with one preamble field changed and the preamble's CRC recomputed."""
     return seal(poke(data[:PREAMBLE_BYTES], offset, layout, value)) + data[PREAMBLE_BYTES:]
 
 
 def split_root(data: bytes) -> tuple[bytes, bytes]:
-    """Return a file's root and what stands behind it."""
+    """Return the packed root of a file, and the bytes after it."""
     (length,) = struct.unpack_from("<I", data, 12)
     end = PREAMBLE_BYTES + length
     return data[PREAMBLE_BYTES:end], data[end:]
 
 
 def replace_payloads(data: bytes, payloads: Mapping[int, bytes]) -> bytes:
-    """Return a file without pages, some of its segments replaced and its root made to fit.
+    """Replace segments of a file without pages; lengths, CRCs and hashes are recomputed.
 
     Parameters
     ----------
     data : bytes
     payloads : mapping of int to bytes
-        Row of the segment table to what stands there now.
+        New payloads by row of the segment table.
     """
     root, behind = split_root(data)
     index = unpack(root, "root")
@@ -233,15 +234,16 @@ def replace_payloads(data: bytes, payloads: Mapping[int, bytes]) -> bytes:
 
 @dataclass
 class Record:
-    """A stream record whose every field may be wrong (SPEC 6.2).
+    """A stream record whose fields may break the rules (SPEC 6.2).
 
     Parameters
     ----------
     fields : list of int
         Attribute, kind, components, flags, rows.
     params : bytes
+        Parameters of the stream's kind.
     planes : list of (int, bytes)
-        Word and stored bytes of each plane.
+        Length word and stored bytes of each plane.
     """
 
     fields: list[int]
@@ -250,13 +252,13 @@ class Record:
 
 
 def plane(raw: bytes) -> tuple[int, bytes]:
-    """Return the word and the stored bytes of a plane: a zstd frame where that is smaller."""
+    """Return length word and stored bytes of a plane: a zstd frame if that is smaller."""
     frame: bytes = zstandard.ZstdCompressor(level=19).compress(raw)
     return (len(frame) | 1 << 31, frame) if len(frame) < len(raw) else (len(raw), raw)
 
 
 def record(stream: Stream, **changes: int) -> Record:
-    """Return the record of a stream, with fields named `components`, `flags` or `rows` changed."""
+    """Return the record of a stream; `changes` override its fields by name, such as `rows`."""
     fields = {
         "attribute": int(stream.attribute),
         "kind": int(stream.kind),
@@ -273,14 +275,14 @@ PAYLOAD_HEAD: Final = 2
 
 
 def pack_symbols(raw: bytes, radix: int) -> bytes:
-    """Return the bytes that hold several symbols of a plane each, without the radix (SPEC 6.9)."""
+    """Return a plane with several symbols per byte, without the radix byte (SPEC 6.9)."""
     count = next(d for d in range(8, 1, -1) if radix**d <= 256)
     groups = [raw[start : start + count] for start in range(0, len(raw), count)]
     return bytes(sum(s * radix**i for i, s in enumerate(group)) for group in groups)
 
 
 def payload(records: Sequence[Record], *, count: int | None = None) -> bytes:
-    """Return a segment's payload; `count` overrides the number of streams it states."""
+    """Return a segment's payload; `count` overrides the stated number of streams."""
     heads = [struct.pack("<H", len(records) if count is None else count)]
     bodies = []
     for entry in records:
@@ -292,7 +294,7 @@ def payload(records: Sequence[Record], *, count: int | None = None) -> bytes:
 
 
 def pack_streams(streams: Sequence[Stream]) -> bytes:
-    """Return the payload of streams whose planes are stored or zstd frames, nothing else."""
+    """Return the payload of streams whose planes are uncompressed or zstd frames, not packed."""
     return payload([record(stream) for stream in streams])
 
 
@@ -306,18 +308,21 @@ def one_chunk(
     needs: tuple[int, ...] = (),
     reach: float = 8.0,
 ) -> Draft:
-    """Return a file of one chunk.
+    """Return the draft of a file of one chunk.
 
     Parameters
     ----------
     head, tail : bytes
-    splats, sh_degree : int
+        Payloads of the chunk's head and tail.
+    splats : int
+        Splats in the chunk.
+    sh_degree : int
     books : mapping of str to (int, sequence of bytes), optional
-        Attribute of each codebook to its rows and its segments' payloads.
+        Row count and segment payloads of each codebook, by attribute.
     needs : tuple of int
-        Codebooks that head and tail need.
+        Numbers of the codebooks that head and tail need.
     reach : float
-        How far the boxes go from the origin.
+        Half the side of the scene's and the chunk's box, centred at the origin.
     """
     books = books or {}
     segments: list[Segment] = []

@@ -1,4 +1,4 @@
-"""Must-reject vectors of two faults each: the code is that of the earlier step (SPEC 8.1)."""
+"""Must-reject vectors of two faults in a file; the earlier step sets the code (SPEC 8.1)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Change = Callable[[Index], object]
 
 
 def _poke(name: str, key: str, offset: int, layout: str, value: float) -> Change:
-    """Return a change of one number in a column of a table."""
+    """Return a change that overwrites one number in a column of a table."""
 
     def change(index: Index) -> None:
         table(index, name)[key] = poke(column(index, name, key), offset, layout, value)
@@ -35,6 +35,8 @@ def _poke(name: str, key: str, offset: int, layout: str, value: float) -> Change
 
 
 def _all(*changes: Change) -> Change:
+    """Return a change that applies several changes in order."""
+
     def change(index: Index) -> None:
         for each in changes:
             each(index)
@@ -43,7 +45,7 @@ def _all(*changes: Change) -> Change:
 
 
 def _page_entry(key: str, value: int) -> Change:
-    """Return a change of the root's entry of the first page."""
+    """Return a change that sets a key in the root's entry of the first page."""
 
     def change(index: Index) -> None:
         found = index["pages"]
@@ -54,7 +56,7 @@ def _page_entry(key: str, value: int) -> Change:
 
 
 def invalid() -> list[Invalid]:
-    """Return the vectors, in the order of the steps."""
+    """Return the vectors, in the order of the steps of SPEC 8.1."""
     head, tail, second, second_tail = two_chunks().groups[0].segments
     shape, _, *drawn = chunk_with_codebooks().groups[0].segments
     unknown = _poke("segments", "kind", 0, "B", 99)

@@ -1,8 +1,7 @@
-"""Seeded mutants of whole COGS files: damaged, cut short, or made to deceive.
+"""Seeded mutants of whole COGS files: damaged, truncated, or inconsistent with valid checksums.
 
-Half of them break the file as transport does. The others change one thing that a file says, in its
-tables, its msgpack values or its payloads, and make every length, CRC and hash fit again, so that
-a decoder has to find the fault itself.
+Some mutants are damaged as by transport. The others change one table entry, msgpack value or
+payload and recompute every length, CRC and hash, so that checksums do not reveal the fault.
 """
 
 from __future__ import annotations
@@ -47,17 +46,17 @@ _ATTRIBUTES_KIND: Final = 129
 
 @dataclass(frozen=True)
 class Mutant:
-    """A changed file and how it is to be read.
+    """A mutated file and how decoders should read it.
 
     Parameters
     ----------
     seed_file : str
-        Name of the file that it was made from.
+        Name of the original file.
     change : str
         Short description of the mutation.
     data : bytes
     partial : bool
-        Whether it is read as the beginning of a file (SPEC 8.3).
+        Whether decoders read it as the beginning of a file (SPEC 8.3).
     """
 
     seed_file: str
@@ -68,7 +67,7 @@ class Mutant:
 
 @dataclass
 class _Parts:
-    """A file taken apart: its indexes, the root's first, and the payloads that each lists."""
+    """A parsed file: its indexes, the root first, and the payloads that each lists."""
 
     indexes: list[Index]
     payloads: list[list[bytes]]
@@ -84,13 +83,16 @@ class _Parts:
 
 
 def make_mutant(files: Sequence[tuple[str, bytes]], seed: int, number: int) -> Mutant:
-    """Return mutant `number` of a seeded run, independent of all further mutants.
+    """Return mutant `number` of a seeded run; each mutant depends on its seed and number alone.
 
     Parameters
     ----------
     files : sequence of (str, bytes)
         Names and bytes of valid files.
-    seed, number : int
+    seed : int
+        Seed of the run.
+    number : int
+        Number of the mutant in the run.
     """
     rng = random.Random(f"{seed}/{number}")
     name, data = rng.choice(files)
@@ -146,7 +148,7 @@ def _read_payloads(index: Index, data: bytes, at: int, payloads: list[list[bytes
 
 
 def _mutate(change: str, parts: _Parts, other: _Parts, rng: random.Random) -> tuple[str, bytes]:
-    """Change one thing of a file and make the rest fit."""
+    """Apply one kind of change; return its description and the mutated file."""
     if change == "payload" and parts.places:
         change = _mutate_payload(parts, other, rng)
         return change, _assemble(parts)
@@ -196,7 +198,7 @@ def _mutate_segments(parts: _Parts, other: _Parts, rng: random.Random) -> str:
     rows = _rows(parts.indexes[index])
     match rng.randrange(5):
         case 0:
-            # The payloads change places, the rows of the table do not.
+            # Payloads are swapped, their rows of the table stay.
             first, second = group[row], parts.payloads[b[0]][b[1]]
             parts.payloads[index][row], parts.payloads[b[0]][b[1]] = second, first
             return "payloads swapped"
@@ -224,7 +226,7 @@ def _mutate_segments(parts: _Parts, other: _Parts, rng: random.Random) -> str:
 
 
 def _rows(index: Index) -> list[tuple[bytes, ...]]:
-    """Return the rows of a segment table, each the bytes of its columns."""
+    """Return the rows of a segment table, each as the bytes of its columns."""
     columns = []
     for name, width in _WIDTHS.items():
         data = column(index, "segments", name)
@@ -233,7 +235,7 @@ def _rows(index: Index) -> list[tuple[bytes, ...]]:
 
 
 def _mutate_column(columns: Index, rng: random.Random) -> None:
-    """Change a number of a column, or its length, or take it from another column."""
+    """Change a number or the length of a random column, or replace it by another column."""
     names = [name for name, value in columns.items() if isinstance(value, bytes)]
     if not names:
         return
@@ -248,7 +250,7 @@ def _mutate_column(columns: Index, rng: random.Random) -> None:
 
 
 def _mutate_map(value: Index, rng: random.Random) -> None:
-    """Change, add or take away one value anywhere in a map."""
+    """Change, add or remove one value anywhere in a map."""
     place: Index | list[Value] = value
     while True:
         inner = place.values() if isinstance(place, dict) else place
@@ -296,15 +298,15 @@ def _mutate_value(value: Value, rng: random.Random) -> Value:
 def _assemble(
     parts: _Parts, *, fit_tables: bool = True, broken: tuple[int, random.Random] | None = None
 ) -> bytes:
-    """Return the file of its parts, every length and CRC made to fit.
+    """Pack a parsed file; lengths, CRCs and hashes are recomputed.
 
     Parameters
     ----------
     parts : _Parts
     fit_tables : bool
-        Make the lengths, CRCs and hashes of segments fit their payloads.
+        Whether segment tables are recomputed from the payloads.
     broken : (int, Random), optional
-        An index whose bytes are changed after it was packed.
+        Number of an index whose packed bytes are mutated, and the random generator.
     """
     packed: list[bytes] = []
     spans = [b"".join(group) for group in parts.payloads]
@@ -332,6 +334,7 @@ def _assemble(
 
 
 def _fit_table(segments: Index, group: Sequence[bytes]) -> None:
+    """Recompute length, CRC and hash of each row of a segment table."""
     words = [(len(part), zlib.crc32(part)) for part in group]
     segments["length"] = struct.pack(f"<{len(group)}I", *(length for length, _ in words))
     segments["crc"] = struct.pack(f"<{len(group)}I", *(crc for _, crc in words))
@@ -341,12 +344,12 @@ def _fit_table(segments: Index, group: Sequence[bytes]) -> None:
 def _fit_entry(
     entry: Index, page: bytes, index: Index, group: Sequence[bytes], span: bytes, *, counts: bool
 ) -> None:
-    """Make the root's entry of a page fit it; `counts` of rows and bytes of segments as well."""
+    """Recompute the root's entry of a page; with `counts`, also its segments, chunks and span."""
     if counts:
         entry["segments"] = len(group)
         entry["chunks"] = len(column(index, "chunks", "splats")) // 4
         entry["span"] = len(span)
-    # What a value was changed into on purpose stays.
+    # A value that a mutation replaced by another type stays.
     if entry.get("length").__class__ is int:
         entry["length"] = len(page)
     if entry.get("crc").__class__ is int:

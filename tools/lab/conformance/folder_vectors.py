@@ -1,6 +1,7 @@
-"""Conformance vectors of folders, taken apart from files by SPEC 3.4 alone, and put together again.
+"""Conformance vectors of folders, and the conversion between files and folders (SPEC 3.4).
 
-Nothing of `formats` that knows folders is used here, so that one can be held against the other.
+The conversion is written from SPEC alone and uses no folder code of `formats`, so that tests can
+compare the two.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ from .file_builder import PREAMBLE_BYTES, poke, seal
 MANIFEST: Final = "manifest.cogsm"
 MANIFEST_MAGIC: Final = b"\x89COGM\r\n\x1a"
 
-# Kinds of SPEC 5.2: of codebooks, and of what belongs to one chunk.
+# Segment kinds of codebooks, and kinds whose owner is a chunk (SPEC 5.2).
 _CODEBOOKS: Final = (3, 4, 5, 6)
 _OF_CHUNKS: Final = (1, 2, 7, 8, 129)
 
 Objects = dict[str, bytes]
-"""Contents by name, relative to the folder."""
+"""File contents by name, relative to the folder."""
 
 
 @dataclass(frozen=True)
@@ -37,9 +38,9 @@ class ValidFolder:
     ----------
     name : str
     stands_for : dict of str to str
-        Valid vectors by the name of the manifest that stands for them.
+        Name of the equivalent valid vector, by name of the manifest.
     note : str
-        What it is there for.
+        Description of the case.
     objects : dict of str to bytes
     """
 
@@ -57,8 +58,9 @@ class InvalidFolder:
     ----------
     name : str
     objects : dict of str to bytes
+        Contents of the manifest and the objects, by name.
     code, clause, note, stage, partial
-        As those of `invalid.Invalid`.
+        See `invalid.Invalid`.
     """
 
     name: str
@@ -71,7 +73,7 @@ class InvalidFolder:
 
 
 def valid(files: Mapping[str, bytes]) -> list[ValidFolder]:
-    """Return the folders to decode, made of valid vectors by name."""
+    """Return the valid folders, made from the bytes of the valid vectors by name."""
 
     def one(name: str, note: str) -> ValidFolder:
         return ValidFolder(name, {MANIFEST: name}, note, folder_of_file(files[name]))
@@ -96,7 +98,7 @@ def valid(files: Mapping[str, bytes]) -> list[ValidFolder]:
 
 
 def invalid(files: Mapping[str, bytes]) -> list[InvalidFolder]:
-    """Return the folders to refuse, made of valid vectors by name; all have `MANIFEST`."""
+    """Return the must-reject folders, made from valid vectors by name; all have `MANIFEST`."""
     small, large = folder_of_file(files["one-splat"]), folder_of_file(files["pages"])
     manifest = small[MANIFEST]
     paged = large[MANIFEST]
@@ -113,7 +115,7 @@ def invalid(files: Mapping[str, bytes]) -> list[InvalidFolder]:
     def body(
         name: str, objects: Objects, code: str, note: str, stage: str, clause: str = "3.4"
     ) -> InvalidFolder:
-        # A reader of parts leaves out what is missing.
+        # A partial reader skips missing objects.
         return InvalidFolder(name, objects, code, clause, note, stage, code == "segment-missing")
 
     own_crc = MAGIC + manifest[len(MAGIC) :]
@@ -225,7 +227,7 @@ def invalid(files: Mapping[str, bytes]) -> list[InvalidFolder]:
 
 
 def folder_of_file(data: bytes, manifest: str = MANIFEST) -> Objects:
-    """Return the folder of a file, its segments joined as SPEC 3.4 recommends."""
+    """Convert a file into a folder, with the segments grouped as SPEC 3.4 recommends."""
     indexes = _read_indexes(data)
     groups: dict[tuple[object, ...], list[_Segment]] = {}
     for segment in (segment for index in indexes for segment in index.segments):
@@ -248,9 +250,9 @@ def folder_of_file(data: bytes, manifest: str = MANIFEST) -> Objects:
 
 
 def one_object_folder(data: bytes, around: bytes) -> Objects:
-    """Return the folder of a file whose segments are all in one object.
+    """Convert a file into a folder that keeps all segments in one object.
 
-    They lie in it backwards, with other bytes in front of them, behind them and between.
+    The segments are in reverse order; the bytes `around` precede, separate and follow them.
     """
     indexes = _read_indexes(data)
     content, offsets = around, {}
@@ -262,7 +264,7 @@ def one_object_folder(data: bytes, around: bytes) -> Objects:
 
 
 def file_of_folder(objects: Mapping[str, bytes], manifest: str = MANIFEST) -> bytes:
-    """Return the file that a folder stands for."""
+    """Convert a folder into the equivalent file."""
     data = objects[manifest]
     position, root = _read_root(data)
     parts = [data[:position]]
@@ -292,18 +294,18 @@ class _Segment:
 
 @dataclass(frozen=True)
 class _Index:
-    """Root or page: its bytes, those of the preamble too, and what it lists."""
+    """A root, with the preamble before it, or a page: its bytes and the segments that it lists."""
 
     stored: bytes
     segments: list[_Segment]
 
 
-# Key, bytes of the object, first byte in it.
+# Key of the object, its size, and the offset of the segment in it, bytes.
 _Placement = tuple[bytes, int, int]
 
 
 def _read_indexes(data: bytes) -> list[_Index]:
-    """Return root and pages of a file, with the places of their segments in it."""
+    """Return root and pages of a file, with the offsets of their segments in the file."""
     root_end, root = _read_root(data)
     found = [_Index(data[:root_end], _read_segments(root, root_end))]
     position = root_end + sum(segment.length for segment in found[0].segments)

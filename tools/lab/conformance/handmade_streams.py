@@ -1,6 +1,6 @@
-"""Hand-made streams for the conformance vectors: codes from integer arithmetic, no quantiser.
+"""Streams for the conformance vectors, with codes from integer arithmetic instead of a quantiser.
 
-Nothing here depends on the version of a numerical library, so that the files stay the same.
+The streams do not depend on the version of a numerical library, so the files never change.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from cogsplat.codec.streams.records import (
 U32 = NDArray[np.uint32]
 
 GridRow = tuple[float, float, int]
-"""Minimum, maximum and levels of one component."""
+"""Minimum, maximum and number of levels of one component's grid."""
 
 NO_EXTRA_BITS: Final = StepModel.constant(0)
-"""The step model of means that are cells alone."""
+"""Step model of means without extra bits."""
 
 
 def pseudo_random(count: int, below: int, seed: int) -> list[int]:
-    """Return pseudo-random integers from 0 up to `below`, the same everywhere."""
+    """Return `count` pseudo-random integers in [0, below), the same on every platform."""
     state, out = seed * 2654435761 + 1, []
     for _ in range(count):
         state = (state * 6364136223846793005 + 1442695040888963407) % (1 << 64)
@@ -46,7 +46,7 @@ def pseudo_random(count: int, below: int, seed: int) -> list[int]:
 
 
 def grid(rows: Sequence[GridRow]) -> Grid:
-    """Return a grid of components with their own ranges."""
+    """Return the grid with these ranges and levels per component."""
     low, high, levels = zip(*rows, strict=True)
     return Grid(np.array(low, np.float32), np.array(high, np.float32), np.array(levels, np.uint32))
 
@@ -65,12 +65,12 @@ def scalar(
     ----------
     attribute : Attribute
     rows : sequence of (float, float, int)
-        One per component.
+        Grid of each component.
     codes : sequence of sequence of int
-        One column per component.
+        Codes of each component, one per row of the stream.
     flags : int
     levels : sequence of int, optional
-        What the planes are cut for, where that is not what the grid says.
+        Levels that set the number of planes; those of the grid by default.
     """
     extra = 2 if flags & INFINITIES else 0
     cut = levels or [count + extra for _, _, count in rows]
@@ -91,7 +91,7 @@ def random_scalar(
     levels: int = 100,
     escape: bool = False,
 ) -> Stream:
-    """Return a scalar stream of pseudo-random codes, every component on a range of its own."""
+    """Return a scalar stream of pseudo-random codes; each component has its own range."""
     components = COMPONENTS[attribute]
     ranges = [(-span - 0.1 * i, span + 0.3 * i, levels + i) for i in range(components)]
     codes = [pseudo_random(rows, count, seed + 97 * i) for i, (_, _, count) in enumerate(ranges)]
@@ -99,7 +99,7 @@ def random_scalar(
 
 
 def constant(attribute: Attribute, rows: int, *values: float) -> Stream:
-    """Return a scalar stream of one value per component, which takes no plane."""
+    """Return a scalar stream without planes: one value per component, shared by all rows."""
     columns = [[0] * rows] * len(values)
     return scalar(attribute, [(value, value, 1) for value in values], columns)
 
@@ -117,11 +117,13 @@ def random_quats(
     Parameters
     ----------
     rows, seed : int
+        Number of rows; seed of the codes.
     largest : int or sequence of int
-        The component left out, for all rows or for each.
+        Index of the omitted component, for all rows or per row.
     ranges : sequence of (float, float, int)
-        Of the three components stored.
+        Grids of the three stored components.
     escape : bool
+        Whether the stream holds escape rows.
     """
     each = not isinstance(largest, int)
     codes = [pseudo_random(rows, count, seed + 31 * i) for i, (_, _, count) in enumerate(ranges)]
@@ -144,12 +146,12 @@ def sorted_means(
     Parameters
     ----------
     cells : sequence of sequence of int
-        In any order.
+        Cell coordinates of each row, in any order.
     rows : sequence of (float, float, int)
-        The grid of the cells.
+        Grid of the cells, by component.
     model : StepModel
     extra_bits : sequence of int, optional
-        What the model gives the rows of the stream; none by default. Their bits are
+        Extra bits per axis that the model gives each row; none by default. Their values are
         pseudo-random.
     seed : int
     """
@@ -165,7 +167,7 @@ def sorted_means(
 
 
 def vq(attribute: Attribute, codes: Sequence[int], book: int, size: int, escape: int) -> Stream:
-    """Return a vq stream."""
+    """Return a vq stream of indices into codebook `book` of `size` rows and `escape` more rows."""
     planes = grid_planes.split_planes(np.array(codes, np.uint32), size + escape)
     return Stream(attribute, Kind.VQ, len(codes), struct.pack("<II", book, escape), planes)
 
@@ -179,7 +181,7 @@ def floats(attribute: Attribute, values: Sequence[Sequence[float]]) -> Stream:
 
 
 def random_head(rows: int, seed: int, *changed: Stream) -> list[Stream]:
-    """Return the streams of a plain chunk head, those of the same attribute replaced."""
+    """Return the streams of a pseudo-random chunk head; `changed` replace their attributes."""
     plain = [
         random_scalar(Attribute.SCALES, rows, seed + 3, span=4.0, levels=90),
         random_quats(rows, seed + 4),
@@ -191,17 +193,18 @@ def random_head(rows: int, seed: int, *changed: Stream) -> list[Stream]:
 
 
 def _replaced(plain: Sequence[Stream], changed: Sequence[Stream]) -> list[Stream]:
+    """Return the streams of `plain`, with `changed` in place of equal attributes."""
     found = {stream.attribute: stream for stream in changed}
     return [found.get(stream.attribute, stream) for stream in plain]
 
 
 def stream_index(body: Sequence[Stream], attribute: Attribute) -> int:
-    """Return where in a payload the stream of an attribute is."""
+    """Return the index of an attribute's stream."""
     return [stream.attribute for stream in body].index(attribute)
 
 
 def uniform_head(rows: int, *changed: Stream) -> list[Stream]:
-    """Return the streams of a chunk head whose splats are all alike, some of them replaced."""
+    """Return the streams of a head of equal splats; `changed` replace their attributes."""
 
     def flat(attribute: Attribute) -> Stream:
         return constant(attribute, rows, *[0.5] * COMPONENTS[attribute])
@@ -214,7 +217,10 @@ def uniform_head(rows: int, *changed: Stream) -> list[Stream]:
 def vq_head(
     rows: int, seed: int, shape: Stream, *escape: Stream, still: bool = False
 ) -> list[Stream]:
-    """Return the streams of a head whose shapes come from a codebook, `still` in all else."""
+    """Return the streams of a head whose shapes come from a codebook.
+
+    With `still`, the other attributes are equal for all splats, otherwise pseudo-random.
+    """
     return [
         *escape,
         shape,

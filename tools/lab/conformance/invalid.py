@@ -1,4 +1,4 @@
-"""What a must-reject conformance vector is, and the valid files they are made from."""
+"""Must-reject conformance vectors, and the small valid files that they are made from."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ from .file_builder import (
 
 @dataclass(frozen=True)
 class Invalid:
-    """A file to refuse: one rule broken, all CRCs made to fit.
+    """A must-reject file, which breaks one rule and has valid CRCs.
 
     Parameters
     ----------
     name : str
     data : bytes
     code : str
-        Reason code.
+        Reason code of the refusal.
     clause : str
         SPEC clause that the file breaks.
     note : str
-        What is wrong.
+        Description of the fault.
     stage : str
-        ``open``, ``decode`` or ``verify``: what refuses it.
+        Operation that must refuse the file: ``open``, ``decode`` or ``verify``.
     partial : bool
-        Whether a reader that takes the first bytes of a file opens it.
+        Whether a reader of truncated files accepts it.
     """
 
     name: str
@@ -54,18 +54,13 @@ class Invalid:
 
 
 def no_splats() -> Draft:
-    """Return a file of no splats at SH degree 0: a root and nothing behind it."""
+    """Return a file of no splats at SH degree 0, which consists of preamble and root."""
     return Draft(root_keys(0, 0), [Group([], [])])
 
 
 def uniform_chunk() -> Draft:
-    """Return a file of one chunk of three splats, all alike, at SH degree 0."""
+    """Return a file of one chunk of three equal splats at SH degree 0."""
     return one_chunk(pack_streams(handmade.uniform_head(3)), 3)
-
-
-def plain() -> Draft:
-    """Return a file of one chunk of three splats at SH degree 0."""
-    return one_chunk(pack_streams(handmade.random_head(3, 1)), 3)
 
 
 def chunk_with_tail(degree: int = 2) -> Draft:
@@ -107,7 +102,7 @@ def paged_chunks() -> Draft:
 
 
 def build_edited(draft: Draft, change: Callable[[Index], object], number: int = 0) -> bytes:
-    """Return the file with one index changed: 0 is the root, 1 and up pages."""
+    """Pack the file with `change` applied to one index: 0 is the root, 1 and up are pages."""
 
     def edit(index_number: int, index: Index) -> None:
         if index_number == number:
@@ -117,7 +112,7 @@ def build_edited(draft: Draft, change: Callable[[Index], object], number: int = 
 
 
 def key_setter(key: str, value: Value, *, within: str = "") -> Callable[[Index], object]:
-    """Return a change that sets a key of the index, or of a table within it."""
+    """Return a change that sets a key of an index, or of the table `within` it."""
 
     def change(index: Index) -> None:
         (table(index, within) if within else index)[key] = value
@@ -126,6 +121,6 @@ def key_setter(key: str, value: Value, *, within: str = "") -> Callable[[Index],
 
 
 def with_segments(draft: Draft, segments: Sequence[Segment]) -> Draft:
-    """Return the file with other segments in the root."""
+    """Return the draft with the root's segments replaced."""
     group = Group(segments, draft.groups[0].chunks)
     return replace(draft, groups=[group, *draft.groups[1:]])

@@ -1,4 +1,4 @@
-"""Must-reject vectors of boxes around refined means, and of attributes too large to decode."""
+"""Must-reject vectors: chunk boxes around refined means, and attributes too large to decode."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from .refinement_vectors import valid as refinement_vectors
 
 
 def _bounds(rows: Sequence[Sequence[float]]) -> tuple[float, ...]:
+    """Return the bounding box of points: three minima, then three maxima."""
     columns = list(zip(*rows, strict=True))
     return (*(min(column) for column in columns), *(max(column) for column in columns))
 
 
 def _with_box(data: bytes, box: Sequence[float]) -> bytes:
-    """Return a file of one chunk with another box around it."""
+    """Return the file of one chunk with its chunk box replaced."""
     root, behind = split_root(data)
     index = unpack(root, "root")
     table(index, "chunks")["box"] = struct.pack("<6f", *box)
@@ -29,12 +30,12 @@ def _with_box(data: bytes, box: Sequence[float]) -> bytes:
 
 
 def boxes() -> list[Invalid]:
-    """Return the vectors of boxes that hold the refined means alone, or the coarse alone."""
+    """Return vectors whose chunk box bounds only the refined, or only the unrefined, means."""
 
     def bad(name: str, note: str, *, refine: bool) -> Invalid:
-        """Return a file whose box holds the means as decoded, refined or not, and not the others.
+        """Return a file whose box bounds only the means decoded with this `refine`.
 
-        It is made of the first vector of one chunk whose other means go beyond.
+        The file is the first valid vector of one chunk in which the two bounding boxes differ.
         """
         for vector in (*refinement_vectors(), worked_example.valid()):
             decoded = reference_decoder.decode(vector.data, refine=refine)
@@ -55,7 +56,7 @@ def boxes() -> list[Invalid]:
 
 
 def decoded_sizes() -> list[Invalid]:
-    """Return the vector of a file that only its attributes make too large (SPEC 9.2)."""
+    """Return the vector whose extra attributes alone exceed the decoded-size limit (SPEC 9.2)."""
     rows, attributes, components = 1 << 18, 2, 16
     entries: list[Value] = [
         {"name": f"wide {i}", "type": "f8", "components": components} for i in range(attributes)

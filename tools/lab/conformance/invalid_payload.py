@@ -30,7 +30,7 @@ from .file_builder import (
 from .invalid import Invalid, chunk_with_codebooks, with_segments
 
 _ROWS: Final = 300
-"""Enough rows for zstd to shrink a plane."""
+"""Rows of a plane that is long enough for zstd to shrink it."""
 
 
 def _refused(name: str, data: bytes, code: str, clause: str, note: str) -> Invalid:
@@ -51,7 +51,7 @@ def _tail(entries: Sequence[Stream], degree: int = 2) -> bytes:
 
 
 def _records(attribute: Attribute | None = None, **changes: int) -> list[Record]:
-    """Return a plain head's records, fields of one of them changed."""
+    """Return the records of a chunk head, with fields of one attribute's record changed."""
     head = handmade.random_head(3, 1)
     return [record(s, **(changes if s.attribute == attribute else {})) for s in head]
 
@@ -271,7 +271,7 @@ def sorted_means() -> list[Invalid]:
 def _books(
     head: Sequence[Stream], tail: Sequence[Stream], needs: tuple[int, ...] = (0, 1)
 ) -> bytes:
-    """Return the file with codebooks of 5 shapes and 4 colours with another head and tail."""
+    """Return the file with codebooks of 5 shapes and 4 colours, its head and tail replaced."""
     draft: Draft = chunk_with_codebooks()
     segments = list(draft.groups[0].segments[:3])
     segments.append(Segment(SegmentKind.HEAD, 0, pack_streams(head), needs))
@@ -280,7 +280,7 @@ def _books(
 
 
 def codebooks() -> list[Invalid]:
-    """Return the vectors of SPEC 6.7 and of streams that do not belong together (SPEC 7)."""
+    """Return the vectors of SPEC 6.7, and of mutually exclusive streams (SPEC 7)."""
     shape = handmade.vq(Attribute.SHAPE, [0, 4, 2], 0, 5, 0)
     colour = handmade.vq(Attribute.SHN, [1, 0, 3], 1, 4, 0)
     head = handmade.vq_head(3, 1, shape, still=True)

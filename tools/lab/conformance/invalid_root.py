@@ -73,7 +73,7 @@ def packings() -> list[Invalid]:
     keys = root[0]
 
     def added(raw: bytes) -> bytes:
-        """Return the root with one more entry of these bytes."""
+        """Return the packed root with the bytes of one more entry appended."""
         return bytes([keys + 1]) + root[1:] + raw
 
     def entry(name: str, raw: bytes, code: str, note: str) -> Invalid:

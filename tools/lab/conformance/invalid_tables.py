@@ -40,7 +40,7 @@ from .invalid import (
 def _poked(
     draft: Draft, name: str, key: str, offset: int, layout: str, value: float, number: int = 0
 ) -> bytes:
-    """Return the file with one number in a column changed."""
+    """Return the file with one number in a column of a table overwritten."""
 
     def change(index: Index) -> None:
         table(index, name)[key] = poke(column(index, name, key), offset, layout, value)

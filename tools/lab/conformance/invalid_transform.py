@@ -135,7 +135,7 @@ def kinds() -> list[Invalid]:
 
 
 def _heads_only() -> list[Invalid]:
-    """Return files in which escape rows or a codebook have kinds that only heads have."""
+    """Return files whose escape rows or codebook use kinds that are allowed in heads only."""
     scales = good_streams.differences(3, 1)
     rotations = good_streams.rotations(scales, 2)
     shape = handmade.vq(Attribute.SHAPE, [5, 6, 7], 0, 5, 3)
@@ -166,7 +166,7 @@ def large_planes() -> list[Invalid]:
     """Return the vector of a plane of more than 8 MiB (SPEC 9.1)."""
     rows, width = 36_800, 255
     ends = bytes([width]) * rows
-    # Planes that do not compress: a limit on decoded bytes grows with those of the file (9.2).
+    # Random opacities enlarge the file: the limit on decoded bytes grows with its size (SPEC 9.2).
     codes = handmade.pseudo_random(rows, 256, 1)
     opacities = handmade.scalar(Attribute.OPACITIES, [(-4.0, 4.0, 256)], [codes])
     # The inner codes of the last group, coordinates 26 to 254, are one byte: 228 a row.

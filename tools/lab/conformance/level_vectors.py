@@ -67,7 +67,7 @@ def _refinement(chunk: int) -> Segment:
 
 
 def _ending_chunks() -> Draft:
-    """Return a file of four chunks of which the first two end, one of them with the file."""
+    """Return a file of four chunks: chunk 0 ends after three chunks, chunk 1 after all four."""
     segments = [
         _head(0), _head(1), _tail(0), _head(2), _refinement(0), _tail(2), _head(3), _refinement(3),
     ]  # fmt: skip
@@ -76,7 +76,7 @@ def _ending_chunks() -> Draft:
 
 
 def _three_levels() -> Draft:
-    """Return a file of three levels: two chunks, one more, two more; the second ends at level 1."""
+    """Return a file of levels of two, three and five chunks, of which chunk 1 ends at level 1."""
     infinite = handmade.scalar(
         Attribute.OPACITIES, [(-1.0, 1.0, 30)], [[31, 30, 1, 2, 3, 4, 5]], flags=INFINITIES
     )
@@ -95,7 +95,7 @@ def _three_levels() -> Draft:
 
 
 def _kept_opacities() -> Draft:
-    """Return a file of four levels; one chunk has opacities of one later level, others of none."""
+    """Return a file of four levels in which only chunk 0 has opacities of a later level."""
     floats = handmade.floats(
         Attribute.OPACITIES, [[-0.0], [math.inf], [-math.inf], [1.0], [2.0], [2.0**100], [-3.5]]
     )
@@ -108,7 +108,7 @@ def _kept_opacities() -> Draft:
 
 
 def _compensated_ending() -> Draft:
-    """Return the file of chunks that end with a layer of compensation of its first two."""
+    """Return the file of `_ending_chunks` with a compensation layer of its first two chunks."""
     layer: dict[str, Value] = {
         "scales": b"\x33\x0b", "opacities": b"\x21\xf5", "strengths": bytes(4),
         "book": b"", "codes": b"",
@@ -229,7 +229,7 @@ def invalid_opacities() -> list[Invalid]:
         return Invalid(name, data, "chunk-opacities", "5.11", note)
 
     def last(name: str, data: bytes, code: str, clause: str, note: str) -> Invalid:
-        """Return the file with another payload of the opacities that chunk 0 has at the end."""
+        """Return the file with the payload of the last opacities of chunk 0 replaced."""
         place = max(k for k, s in enumerate(body)
                     if (s.kind, s.owner) == (SegmentKind.OPACITIES, 0))  # fmt: skip
         changed = [*body[:place], replace(body[place], payload=data), *body[place + 1 :]]

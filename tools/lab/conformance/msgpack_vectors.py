@@ -1,4 +1,4 @@
-"""Conformance vectors of msgpack: texts as they are, numbers of values, two faults at one place."""
+"""Conformance vectors of msgpack: byte order marks, value counts, and two faults at one place."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _BYTE_ORDER_MARK = "\ufeff"
 
 
 def valid() -> list[Valid]:
-    """Return the valid vectors of texts and of the most values that a map may hold."""
+    """Return the valid vectors of byte order marks and of the maximum number of values."""
     attributes: list[Value] = [
         {"name": "label", "type": "u1"},
         {"name": _BYTE_ORDER_MARK + "label", "type": "u1"},
@@ -44,7 +44,7 @@ def valid() -> list[Valid]:
 
 
 def _count_values(data: bytes) -> int:
-    """Return the values of a root as SPEC 4.1 counts them."""
+    """Return the number of values in a file's root, counted by SPEC 4.1."""
 
     def count(value: object) -> int:
         if isinstance(value, dict):
@@ -55,7 +55,7 @@ def _count_values(data: bytes) -> int:
 
 
 def invalid() -> list[Invalid]:
-    """Return the must-reject vectors: too many values, and two faults of which one comes first."""
+    """Return the must-reject vectors of too many values, and of two faults at one place."""
     root, behind = split_root(build(no_splats()))
 
     def added(name: str, raw: bytes, code: str, note: str) -> Invalid:
@@ -63,7 +63,7 @@ def invalid() -> list[Invalid]:
         return Invalid(name, data, f"msgpack-{code}", "4.1", note)
 
     def inside(depth: int, raw: bytes) -> bytes:
-        """Return an entry whose value is `raw` within so many arrays of one element."""
+        """Return a map entry whose value is `raw`, nested in `depth` arrays of one element."""
         return b"\xa1x" + b"\x91" * depth + raw
 
     values = _count_values(build(no_splats()))

@@ -1,4 +1,4 @@
-"""Must-reject vectors of two faults in payloads: the code is that of the first (SPEC 7.6, 8.10)."""
+"""Must-reject vectors of two faults in payloads; the first sets the code (SPEC 7.6, 8.10)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _ROWS = 3
 
 
 def invalid() -> list[Invalid]:
-    """Return the vectors, in the order in which SPEC 7.6 has their first faults."""
+    """Return the vectors, ordered by their first fault as in SPEC 7.6."""
     head = handmade.random_head(_ROWS, 1)
     at = {stream.attribute: handmade.stream_index(head, stream.attribute) for stream in head}
     sh0 = head[at[Attribute.SH0]]
@@ -90,7 +90,7 @@ def invalid() -> list[Invalid]:
 
 
 def _of_another_kind(entry: Record) -> Record:
-    """Return a record of the same attribute in a kind that it never has."""
+    """Return the record with the kind `SORTED`, which its attribute cannot have."""
     return replace(entry, fields=[entry.fields[0], int(Kind.SORTED), *entry.fields[2:]])
 
 
@@ -104,7 +104,7 @@ def _with_head(head: bytes) -> bytes:
 
 
 def _broken_book() -> bytes:
-    """Return a file of two chunks, the first head empty, the second on a broken codebook."""
+    """Return a file of two chunks: the first has an empty head, the second a broken codebook."""
     ranges = [(-1.0, 1.0, 4)] * 3
     scales = handmade.scalar(Attribute.SCALES, ranges, [[0, 1], [0, 5], [2, 3]])
     book = pack_streams([scales, handmade.random_quats(2, 4)])
@@ -121,7 +121,7 @@ def _broken_book() -> bytes:
 
 
 def invalid_unused() -> list[Invalid]:
-    """Return the vector that only a verifier refuses: a codebook that no chunk needs."""
+    """Return the vector of a broken codebook that no chunk needs, which only verifiers refuse."""
     draft = one_chunk(
         pack_streams(handmade.uniform_head(_ROWS)),
         _ROWS,

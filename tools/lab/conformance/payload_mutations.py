@@ -1,7 +1,7 @@
-"""Mutants of payloads: records, parameters and planes changed one at a time (SPEC 6).
+"""Mutations of payloads: one record, parameter or plane is changed at a time (SPEC 6).
 
-A plane is taken out of its zstd frame or its packed bytes, changed, and put back, so that most
-mutants get past the checks of frames and are judged by what their codes say.
+A plane is decompressed, mutated and compressed again, so that most mutants pass the checks of
+frames and reach the checks of codes.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ NUMBERS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 15, 16, 17, 31, 32, 64, 65, 127,
                   1 << 20, (1 << 20) + 1, 1 << 23, (1 << 23) + 1, (1 << 24) - 2, (1 << 24) - 1,
                   1 << 24, (1 << 24) + 1, (1 << 30) - 1, 1 << 30, (1 << 31) - 1, 1 << 31,
                   (1 << 32) - 1)  # fmt: skip
-"""Unsigned integers at and beside the limits of SPEC 9.1."""
+"""Unsigned integers at the limits of SPEC 9.1 and next to them."""
 
 FLOATS: Final = (0.0, -0.0, 1.0, -1.0, 0.5, -0.5, 0.3, 1e-45, -1e-45, 1e-38, 2.0**32, 2.0**33,
                  1e6, -1e6, 1.1e6, 2.0**100, -(2.0**100), 2.0**101, 3e38, float("inf"),
                  float("-inf"), float("nan"))  # fmt: skip
-"""Floats at and beside the limits of SPEC 6."""
+"""Floats at the limits of SPEC 6 and next to them."""
 
 _T = TypeVar("_T")
 
 _COMPRESSED, _PACKED = 1 << 31, 1 << 30
 _STORED_MASK: Final = _PACKED - 1
 
-# Larger planes are changed as they are stored: what inflates a file tests nothing but patience.
+# Decompressed bytes of a plane at most; larger planes are mutated in compressed form, to save time.
 _LARGEST_PLANE: Final = 1 << 18
 
 
 def mutate_bytes(data: bytes, rng: random.Random) -> bytes:
-    """Return bytes with one of them flipped or replaced, or some cut, doubled or put in."""
+    """Return `data` after one random edit: bytes changed, cut, doubled, reversed or added."""
     out = bytearray(data)
     at = rng.randrange(len(out) + 1)
     width = rng.choice((1, 1, 2, 4, 16))
@@ -58,7 +58,7 @@ def mutate_bytes(data: bytes, rng: random.Random) -> bytes:
 
 
 def mutate_number(data: bytes, rng: random.Random) -> bytes:
-    """Return bytes with an aligned or any number written over, at and beside a limit."""
+    """Return `data` with one number changed by 1 or 2, or set to one of `NUMBERS` or `FLOATS`."""
     size, layout = rng.choice(((4, "f"), (4, "I"), (4, "I"), (2, "H"), (1, "B")))
     if len(data) < size:
         return data + b"\0"
@@ -75,12 +75,12 @@ def mutate_number(data: bytes, rng: random.Random) -> bytes:
 
 
 def parse_records(payload: bytes) -> list[Record]:
-    """Return the records of a valid payload, planes with them.
+    """Parse the records of a payload, with their planes.
 
     Raises
     ------
     struct.error, ValueError
-        The payload was changed before and has no such records.
+        The payload is malformed, as after an earlier mutation.
     """
     (count,) = struct.unpack_from("<H", payload)
     records, sizes, at = [], [], PAYLOAD_HEAD
@@ -102,14 +102,19 @@ def parse_records(payload: bytes) -> list[Record]:
 
 
 def mutate_payload(payload: bytes, other: bytes, rng: random.Random) -> tuple[str, bytes]:
-    """Return what was done, and the payload of a head, tail, refinement or codebook changed.
+    """Mutate the payload of a head, tail, refinement or codebook.
 
     Parameters
     ----------
     payload : bytes
     other : bytes
-        Another payload, from which a record may be taken.
+        Another payload, whose records may be copied.
     rng : Random
+
+    Returns
+    -------
+    (str, bytes)
+        Kind of mutation, and the mutated payload.
     """
     try:
         records = parse_records(payload)
@@ -161,7 +166,7 @@ def _mutate_field(record: Record, rng: random.Random) -> None:
 
 
 def _mutate_list(entries: list[_T], rng: random.Random) -> None:
-    """Swap two entries, drop one, double one, or turn all around."""
+    """Swap two entries, drop one, double one, or reverse the list."""
     if not entries:
         return
     a, b = rng.randrange(len(entries)), rng.randrange(len(entries))
@@ -187,7 +192,7 @@ def _mutate_plane(word: int, stored: bytes, rng: random.Random) -> tuple[int, by
 
 
 def _decompress(word: int, stored: bytes) -> bytes | None:
-    """Return what a plane's frame holds, packed bytes as they are; None where nothing is right."""
+    """Return the bytes in a plane's zstd frame, or None if the frame is broken."""
     body = stored[1:] if word & _PACKED else stored
     if not word & _COMPRESSED:
         return body
@@ -199,7 +204,7 @@ def _decompress(word: int, stored: bytes) -> bytes | None:
 
 
 def _store(word: int, radix: bytes, raw: bytes, rng: random.Random) -> tuple[int, bytes]:
-    """Store a changed plane: mostly as it was, at times another way."""
+    """Return word and bytes of a mutated plane, usually compressed and packed as before."""
     front = radix if word & _PACKED else b""
     if rng.random() < 0.1:
         word ^= _COMPRESSED
@@ -214,14 +219,14 @@ def _store(word: int, radix: bytes, raw: bytes, rng: random.Random) -> tuple[int
 
 
 def _mutate_frame(word: int, stored: bytes, rng: random.Random) -> tuple[int, bytes]:
-    """Change the stored bytes or the word that says how they are stored."""
+    """Mutate the stored bytes of a plane, or its word."""
     match rng.randrange(5):
         case 0:
             return word ^ (1 << rng.choice((30, 31))), stored
         case 1:
             return word ^ (1 << rng.randrange(8)), stored
         case 2 if stored:
-            # The header of a frame, the radix or the first block.
+            # Only the first bytes: frame header, radix or first block.
             changed = mutate_bytes(stored[:24], rng) + stored[24:]
         case _:
             changed = mutate_bytes(stored, rng)

@@ -2,7 +2,7 @@
 
 The runner starts the decoder as a process, writes one JSON object a line to its standard input, and
 reads one line from its standard output for each. ``docs/conformance.md`` describes the requests and
-answers; what the decoder writes to standard error is not read.
+answers. The runner does not read the decoder's standard error.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ Answer = dict[str, object]
 
 @dataclass(frozen=True)
 class Hello:
-    """What a decoder says of itself.
+    """Name and abilities of a decoder, as it answers ``hello``.
 
     Parameters
     ----------
     name, version : str
     level : str
-        One of `LEVELS`.
+        Conformance level, one of `LEVELS`.
     refuses : bool
-        Whether it is to be tried with files that must be refused.
+        Whether the decoder refuses invalid files; if not, none are sent.
     partial : bool
-        Whether it is to be tried with files that are cut short.
+        Whether the decoder reads truncated files.
     folders : bool
-        Whether it is to be tried with folders.
+        Whether the decoder reads folders.
     """
 
     name: str
@@ -51,25 +51,25 @@ class Hello:
 
 
 class DecoderProcess:
-    """A decoder under test, running.
+    """A running decoder under test.
 
     Parameters
     ----------
     command : sequence of str
         Program and arguments.
     timeout_s : float
-        An answer that takes longer is a failure, and the decoder is started again.
+        Time limit of one answer, seconds; after it the decoder is restarted.
 
     Raises
     ------
     StorageError
-        ``decoder``: it cannot be started.
+        ``decoder``: the decoder cannot be started.
     """
 
     def __init__(self, command: Sequence[str], timeout_s: float = 30.0) -> None:
         self._command = list(command)
         self._timeout_s = timeout_s
-        self._most_memory = 0
+        self._peak_memory = 0
         self._unsent = ""
         self._start()
 
@@ -84,7 +84,7 @@ class DecoderProcess:
         assert self._process.stdout is not None
         self._input, self._output = self._process.stdin, self._process.stdout
         self._lines: queue.Queue[str | None] = queue.Queue()
-        # A thread reads, so that an answer that does not come can be waited for in bounded time.
+        # A thread reads the answers, since reading a pipe has no time limit.
         self._reader = threading.Thread(target=self._read, args=(self._output, self._lines))
         self._reader.daemon = True
         self._reader.start()
@@ -107,12 +107,12 @@ class DecoderProcess:
         self.close()
 
     def close(self) -> None:
-        """End the decoder: its input ends, and what does not stop then is killed."""
+        """Close the decoder's input; kill the process if it does not end within the time limit."""
         try:
             self._input.close()
             self._process.wait(self._timeout_s)
         except (OSError, subprocess.TimeoutExpired):
-            # It ended with a request unread, or does not end.
+            # The process ended before it read a request, or does not end.
             self._process.kill()
         self._reap()
 
@@ -122,12 +122,12 @@ class DecoderProcess:
         self._output.close()
 
     def ask(self, request: Answer) -> tuple[Answer | None, str]:
-        """Send a request; return the answer, or None and what went wrong instead."""
+        """Send a request; return the answer and "", or None and the reason of the failure."""
         self.send(request)
         return self.receive()
 
     def send(self, request: Answer) -> None:
-        """Send a request, whose answer `receive` returns."""
+        """Send a request; `receive` returns its answer."""
         self._unsent = ""
         try:
             self._input.write(json.dumps(request) + "\n")
@@ -136,7 +136,7 @@ class DecoderProcess:
             self._unsent = f"the decoder ended: {error.strerror}"
 
     def receive(self) -> tuple[Answer | None, str]:
-        """Return the answer to what was sent last, or None and what went wrong instead."""
+        """Return the answer to the last request and "", or None and the reason of the failure."""
         if self._unsent:
             return None, self._restart(self._unsent)
         try:
@@ -154,31 +154,31 @@ class DecoderProcess:
             return None, f"{line[:80]!r} is no JSON object"
         return answer, ""
 
-    def most_memory(self) -> int:
-        """Return the most memory that the decoder held at once, bytes; 0 where no system tells."""
-        # Linux alone keeps it where another process can read it.
+    def peak_memory(self) -> int:
+        """Return the decoder's peak resident memory, bytes; 0 if the system does not report it."""
+        # Only Linux lets another process read this value.
         with suppress(OSError):
             for line in Path(f"/proc/{self._process.pid}/status").read_text("ascii").splitlines():
                 if line.startswith("VmHWM:"):
-                    self._most_memory = max(self._most_memory, 1024 * int(line.split()[1]))
-        return self._most_memory
+                    self._peak_memory = max(self._peak_memory, 1024 * int(line.split()[1]))
+        return self._peak_memory
 
     def _restart(self, reason: str) -> str:
-        self.most_memory()
+        self.peak_memory()
         self._process.kill()
-        with suppress(OSError):  # a request that was not sent is lost with the process
+        with suppress(OSError):  # closing flushes an unsent request, which fails
             self._input.close()
         self._reap()
         self._start()
         return reason
 
     def hello(self) -> Hello:
-        """Return what the decoder says of itself.
+        """Ask for the decoder's name and abilities.
 
         Raises
         ------
         StorageError
-            ``decoder``: it does not answer, or not as the protocol has it.
+            ``decoder``: the decoder does not answer, or states an unknown level.
         """
         answer, reason = self.ask({"op": "hello"})
         if answer is None:
@@ -200,14 +200,14 @@ class DecoderProcess:
     def decode(
         self, path: Path, out: Path, *, partial: bool = False, refine: bool = True, verify: bool
     ) -> tuple[Answer | None, str]:
-        """Ask for a file; see the module for what is answered."""
+        """Send a ``decode`` request; return the answer and "", or None and the reason."""
         return self.ask(decode_request(path, out, partial=partial, refine=refine, verify=verify))
 
 
 def decode_request(
     path: Path, out: Path, *, partial: bool = False, refine: bool = True, verify: bool
 ) -> Answer:
-    """Return the request that asks for a file, see ``docs/conformance.md``."""
+    """Return a ``decode`` request, see ``docs/conformance.md``."""
     return {
         "op": "decode",
         "path": str(path),

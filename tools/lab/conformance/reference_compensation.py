@@ -1,4 +1,4 @@
-"""Compensation by SPEC 5.9 and 8.5 alone, in plain Python: for the second decoder."""
+"""Compensation in the reference decoder, written from SPEC 5.9 and 8.5 in plain Python."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ def _f32(value: float) -> float:
 
 
 class _Layer:
+    """One compensation layer (SPEC 5.9)."""
+
     def __init__(self, data: bytes, before: int, chunk_splats: Sequence[int]) -> None:
         table = msgpack.unpackb(data)
         self.chunks = len(table["scales"])
@@ -39,16 +41,21 @@ class _Layer:
 def shifts(
     payloads: Sequence[bytes], chunk_splats: Sequence[int], chunks: int
 ) -> list[Pair] | None:
-    """Return what is added to the scales and the opacity of each splat, None for nothing.
+    """Return the shifts of log scales and logit opacity for each splat of a prefix.
 
     Parameters
     ----------
     payloads : sequence of bytes
-        Of the layers.
+        Payloads of the compensation layers, in order.
     chunk_splats : sequence of int
-        Of all chunks.
+        Splats of each chunk of the file.
     chunks : int
-        At least 1.
+        Chunks in the prefix, at least 1.
+
+    Returns
+    -------
+    list of (float, float), or None
+        None if the prefix is not compensated.
     """
     layers: list[_Layer] = []
     entries: list[tuple[int, int]] = []
@@ -88,12 +95,12 @@ def shifts(
 
 
 def closed_sets(cells: Sequence[int]) -> list[list[int]]:
-    """Return the sets of chunks that hold with each chunk its parent and that are no prefix.
+    """Return the sets of chunks that contain the parent of each member and are not prefixes.
 
     Parameters
     ----------
     cells : sequence of int
-        Of the chunks of a small file, each at least 1 (SPEC 5.4).
+        Cell of each chunk, at least 1 (SPEC 5.4); a small file, for the sets grow as 2^chunks.
     """
     sets = [
         [chunk for chunk in range(len(cells)) if number >> chunk & 1]
@@ -108,13 +115,15 @@ def closed_sets(cells: Sequence[int]) -> list[list[int]]:
 
 
 def parent(cells: Sequence[int], chunk: int) -> int | None:
-    """Return the last chunk before one whose cell is the same or lies around it (SPEC 5.4)."""
+    """Return the parent of a chunk: the last earlier one of the same or an enclosing cell (5.4)."""
     around = [cells[chunk] >> k for k in range(32)]
     return next((c for c in range(chunk - 1, -1, -1) if cells[c] in around), None)
 
 
-def prefix_of(cells: Sequence[int], sizes: Sequence[int], chosen: Sequence[int], chunk: int) -> int:
-    """Return the chunks of the prefix that a chunk of a set is compensated as (SPEC 8.5)."""
+def equivalent_prefix(
+    cells: Sequence[int], sizes: Sequence[int], chosen: Sequence[int], chunk: int
+) -> int:
+    """Return the length of the prefix whose shifts a chunk of a set uses (SPEC 8.5)."""
 
     def descends(other: int | None) -> bool:
         while other is not None and other != chunk:
@@ -128,6 +137,6 @@ def prefix_of(cells: Sequence[int], sizes: Sequence[int], chosen: Sequence[int],
     )
 
 
-def added(values: Sequence[float], shift: float) -> list[float]:
+def add_shift(values: Sequence[float], shift: float) -> list[float]:
     """Return float32 values with a shift added."""
     return [_f32(value + shift) for value in values]

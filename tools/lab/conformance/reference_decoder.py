@@ -1,6 +1,6 @@
-"""A second decoder, written from SPEC alone: what the conformance vectors' arrays come from.
+"""Reference decoder, written from SPEC alone; it computes the arrays of the conformance vectors.
 
-It shares no code with the codec or the container. Slow, and for valid files only.
+It shares no code with the codec or the container. It is slow, and for valid files only.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ Viewpoint = tuple[list[float], list[int], list[float]]
 
 @dataclass(frozen=True)
 class Segment:
-    """A row of the segment table with its place in the file."""
+    """A row of the segment table, with the offsets of the segment in the file."""
 
     kind: int
     owner: int
@@ -55,20 +55,22 @@ class Segment:
 
 @dataclass(frozen=True)
 class Prefix:
-    """What the first `size` bytes of a file give, until the next entry's.
+    """Content that the first `size` bytes of a file provide.
+
+    The content stays the same up to the `size` of the next prefix.
 
     Parameters
     ----------
     size : int
-        Bytes.
+        Length of the prefix, bytes.
     chunks : int
-        Chunks from the first whose heads can be decoded.
+        Number of first chunks whose heads can be decoded.
     tails : tuple of int
-        Those of them whose tails can be decoded too, all bands.
+        Numbers of the chunks whose tails can be decoded too.
     refined : tuple of int
-        Those of them that have a refinement and it is there.
+        Numbers of the chunks whose refinements are in the prefix.
     opacities : tuple of (int, int)
-        Those of them that have opacities of later levels, and how many of these are there.
+        Chunk, and its number of opacities segments in the prefix; chunks without are left out.
     """
 
     size: int
@@ -80,35 +82,34 @@ class Prefix:
 
 @dataclass(frozen=True)
 class Scene:
-    """A decoded file: one list of values per splat and attribute.
+    """A decoded file; arrays are lists of rows.
 
     Parameters
     ----------
     sh_degree : int
     chunk_splats : list of int
     rows : dict of str to list of list of float
-        By the names of `Splats`; ``shN`` in the order coefficient, channel.
+        Rows by the array names of `Splats`; ``shN`` in the order coefficient, channel.
     prefixes : list of Prefix
-        From the end of the root on.
+        Prefixes, from the end of the root on.
     attributes : list of (name, type, components)
         Extra attributes, components 0 where none are stated.
     attribute_values : dict of int to list of bytes
-        For each chunk that has them the little-endian values of each attribute, row by row.
+        Little-endian values of each attribute, row by row, by chunk; chunks without are left out.
     cameras : list of dict
-        With the keys of `first_view` and ``name``.
+        Cameras with the keys of `first_view` and ``name``.
     view_table : list of (list of float, list of int, list of float)
         Position, direction and shares of each viewpoint.
     compensated : dict of int to list of float
-        By the number of first chunks, the log scales and then the logits of those of them that
-        have not ended, compensated.
+        Compensated log scales, then logits, of the drawn chunks of a prefix, by its chunk count.
     compensated_sets : list of (list of int, list of float)
-        The same of every other set of chunks that compensation is defined for, by their numbers.
+        Chunk numbers of every other compensated set, and its log scales and logits.
     until : list of int
-        Of each chunk, 0 where it does not end.
+        Prefix length in chunks at which each chunk ends, 0 if it does not.
     levels : list of (float, int, dict of str to list of list of float)
-        Scale and chunks of each level, and the rows that it draws.
+        Scale, chunk count and drawn rows of each level.
     drawn : list of dict of str to list of list of float
-        Rows that each of `prefixes` gives; none where no chunk ends and no level has opacities.
+        Drawn rows of each of `prefixes`; empty if no chunk ends and no level has opacities.
     """
 
     sh_degree: int
@@ -138,7 +139,7 @@ class _File:
         self.chunk_splats: list[int] = []
         self.until: list[int] = []
         self.cells: list[int] = []
-        # Where the index that lists each segment ends.
+        # End offset of the index that lists each segment.
         self.known_at: list[int] = []
         position = self._add(self.root, self.root_end)
         for page in self.root.get("pages", []):
@@ -173,13 +174,13 @@ class _File:
     def payload(self, segment: Segment) -> Payload:
         return streams.parse(self.data[segment.start : segment.end])
 
-    def of(self, kind: int, owner: int) -> list[Segment]:
+    def segments_of(self, kind: int, owner: int) -> list[Segment]:
         return [s for s in self.segments if (s.kind, s.owner) == (kind, owner)]
 
     def book_segments(self, book: int) -> list[Segment]:
         if self.root["codebooks"][book]["attribute"] == "shape":
-            return self.of(_SHAPE_BOOK, book)
-        return [s for k in range(self.root["sh_degree"]) for s in self.of(4 + k, book)]
+            return self.segments_of(_SHAPE_BOOK, book)
+        return [s for k in range(self.root["sh_degree"]) for s in self.segments_of(4 + k, book)]
 
 
 def _bands(payload: Payload, degree: int, rows: int, flag: int = 0) -> list[Row]:
@@ -213,7 +214,7 @@ def _codebook(file: _File, book: int) -> list[Row]:
 def _head(payload: Payload, books: dict[int, list[Row]], finer: Payload) -> dict[str, list[Row]]:
     """Return the rows of a chunk head, its streams read in the order of SPEC 7.2.
 
-    `finer` are the streams of its refinement (SPEC 7.4), none where there is none.
+    `finer` holds the streams of its refinement (SPEC 7.4), and is empty without one.
     """
     shape = payload.get((SHAPE, 0))
     if shape is None:
@@ -290,7 +291,7 @@ def _attributes(file: _File) -> dict[int, list[bytes]]:
 
 def _cameras(file: _File) -> list[Camera]:
     """Return the cameras of a file (SPEC 5.8)."""
-    found = file.of(_CAMERAS, 0)
+    found = file.segments_of(_CAMERAS, 0)
     if not found:
         return []
     table = msgpack.unpackb(file.data[found[0].start : found[0].end])
@@ -309,7 +310,7 @@ def _cameras(file: _File) -> list[Camera]:
 
 def _view_table(file: _File) -> list[Viewpoint]:
     """Return the viewpoints of a file's view table (SPEC 5.12)."""
-    found = file.of(_VIEW_TABLE, 0)
+    found = file.segments_of(_VIEW_TABLE, 0)
     if not found:
         return []
     table = msgpack.unpackb(file.data[found[0].start : found[0].end])
@@ -341,7 +342,7 @@ def _compensated(file: _File, rows: Rows) -> dict[int, Row]:
         scales: Row = []
         opacities: Row = []
         if shifts is None:
-            # Rows to which nothing is added keep their bits, -0 among them (SPEC 8.5).
+            # Rows without shifts keep their bits, also -0 (SPEC 8.5).
             count = sum(file.chunk_splats[:chunks])
             places = [p for p in range(count) if owners[p] in file.drawn(chunks)]
             stored = [rows[name][p] for name in ("scales", "opacities") for p in places]
@@ -350,14 +351,14 @@ def _compensated(file: _File, rows: Rows) -> dict[int, Row]:
         for place, (scale, opacity) in enumerate(shifts):
             if owners[place] not in file.drawn(chunks):
                 continue
-            scales += compensation.added(rows["scales"][place], scale)
-            opacities += compensation.added(rows["opacities"][place], opacity)
+            scales += compensation.add_shift(rows["scales"][place], scale)
+            opacities += compensation.add_shift(rows["opacities"][place], opacity)
         out[chunks] = scales + opacities
     return out
 
 
 def _compensated_sets(file: _File, rows: Rows) -> list[tuple[list[int], Row]]:
-    """Return the same of the sets of chunks that are no prefix (SPEC 8.5)."""
+    """Return the compensated scales and opacities of each set that is not a prefix (SPEC 8.5)."""
     segments = [s for s in file.segments if s.kind == _COMPENSATION]
     payloads = [file.data[s.start : s.end] for s in sorted(segments, key=lambda s: s.owner)]
     if not payloads or not all(file.cells):
@@ -368,21 +369,21 @@ def _compensated_sets(file: _File, rows: Rows) -> list[tuple[list[int], Row]]:
         scales: Row = []
         opacities: Row = []
         for chunk in chosen:
-            prefix = compensation.prefix_of(file.cells, file.chunk_splats, chosen, chunk)
+            prefix = compensation.equivalent_prefix(file.cells, file.chunk_splats, chosen, chunk)
             shifts = compensation.shifts(payloads, file.chunk_splats, prefix)
             for place in range(starts[chunk], starts[chunk] + file.chunk_splats[chunk]):
                 if shifts is None:
                     scales += rows["scales"][place]
                     opacities += rows["opacities"][place]
                 else:
-                    scales += compensation.added(rows["scales"][place], shifts[place][0])
-                    opacities += compensation.added(rows["opacities"][place], shifts[place][1])
+                    scales += compensation.add_shift(rows["scales"][place], shifts[place][0])
+                    opacities += compensation.add_shift(rows["opacities"][place], shifts[place][1])
         out.append((chosen, scales + opacities))
     return out
 
 
 def _prefixes(file: _File) -> list[Prefix]:
-    """Return what each length of the file gives (SPEC 8.2)."""
+    """Return the prefixes of a file, one per change of decodable content (SPEC 8.2)."""
 
     def there(segment: Segment, size: int) -> bool:
         needed = [b for b in range(len(file.root["codebooks"])) if segment.needs >> b & 1]
@@ -393,14 +394,16 @@ def _prefixes(file: _File) -> list[Prefix]:
     for size in sorted({file.root_end, *(s.end for s in file.segments), file.length}):
         chunks = 0
         for chunk in range(len(file.chunk_splats)):
-            if not there(file.of(_HEAD, chunk)[0], size):
+            if not there(file.segments_of(_HEAD, chunk)[0], size):
                 break
             chunks += 1
         tails, refined = (
-            tuple(c for c in range(chunks) for s in file.of(kind, c) if there(s, size))
+            tuple(c for c in range(chunks) for s in file.segments_of(kind, c) if there(s, size))
             for kind in (_TAIL, _REFINEMENT)
         )
-        counts = [sum(there(s, size) for s in file.of(_OPACITIES, c)) for c in range(chunks)]
+        counts = [
+            sum(there(s, size) for s in file.segments_of(_OPACITIES, c)) for c in range(chunks)
+        ]
         opacities = tuple((c, count) for c, count in enumerate(counts) if count)
         given = Prefix(out[-1].size if out else 0, chunks, tails, refined, opacities)
         if not out or out[-1] != given:
@@ -409,23 +412,23 @@ def _prefixes(file: _File) -> list[Prefix]:
 
 
 class _Chunks:
-    """The rows of a file's chunks, each with as much of the chunk as is asked for."""
+    """Decoder of single chunks of a file."""
 
     def __init__(self, file: _File) -> None:
         self._file = file
         self._degree = file.root["sh_degree"]
         self._books = {book: _codebook(file, book) for book in range(len(file.root["codebooks"]))}
 
-    def one(self, chunk: int, *, refine: bool, tail: bool, opacities: int) -> Rows:
-        """Return the rows of a chunk with the last of so many segments of opacities."""
+    def decode_chunk(self, chunk: int, *, refine: bool, tail: bool, opacities: int) -> Rows:
+        """Decode a chunk, with the opacities of the last of its first `opacities` segments."""
         file, degree = self._file, self._degree
-        refinements = file.of(_REFINEMENT, chunk) if refine else []
+        refinements = file.segments_of(_REFINEMENT, chunk) if refine else []
         finer = file.payload(refinements[0]) if refinements else {}
-        rows = _head(file.payload(file.of(_HEAD, chunk)[0]), self._books, finer)
-        levels = file.of(_OPACITIES, chunk)[:opacities]
+        rows = _head(file.payload(file.segments_of(_HEAD, chunk)[0]), self._books, finer)
+        levels = file.segments_of(_OPACITIES, chunk)[:opacities]
         if levels:
             rows["opacities"] = _opacities(file.payload(levels[-1]), rows["opacities"])
-        tails = file.of(_TAIL, chunk) if tail else []
+        tails = file.segments_of(_TAIL, chunk) if tail else []
         splats = file.chunk_splats[chunk]
         blank = [[0.0] * (3 * ((degree + 1) ** 2 - 1))] * splats
         rows["shN"] = blank
@@ -433,8 +436,8 @@ class _Chunks:
             rows["shN"] = _tail(file.payload(tails[0]), self._books, degree, splats)
         return rows
 
-    def joined(self, parts: Iterable[Rows]) -> Rows:
-        """Return the rows of several chunks, one after the other."""
+    def concatenate(self, parts: Iterable[Rows]) -> Rows:
+        """Concatenate the rows of several chunks."""
         rows: Rows = {name: [] for name in _NAMES}
         for part in parts:
             for name in _NAMES:
@@ -442,20 +445,20 @@ class _Chunks:
         return rows
 
     def level(self, number: int) -> tuple[float, int, Rows]:
-        """Return scale and chunks of a level, and its rows (SPEC 5.11)."""
+        """Return scale, chunk count and drawn rows of a level (SPEC 5.11)."""
         entries = self._file.root["levels"]
         chunks = entries[number]["chunks"]
         parts = []
         for chunk in self._file.drawn(chunks):
             first = next(k for k, entry in enumerate(entries) if chunk < entry["chunks"])
-            parts.append(self.one(chunk, refine=True, tail=True, opacities=number - first))
-        return entries[number]["scale"], chunks, self.joined(parts)
+            parts.append(self.decode_chunk(chunk, refine=True, tail=True, opacities=number - first))
+        return entries[number]["scale"], chunks, self.concatenate(parts)
 
     def prefix(self, prefix: Prefix) -> Rows:
-        """Return the rows that a prefix gives (SPEC 8.2)."""
+        """Return the drawn rows of a prefix (SPEC 8.2)."""
         counts = dict(prefix.opacities)
-        return self.joined(
-            self.one(
+        return self.concatenate(
+            self.decode_chunk(
                 chunk,
                 refine=chunk in prefix.refined,
                 tail=chunk in prefix.tails,
@@ -466,19 +469,21 @@ class _Chunks:
 
 
 def decode(data: bytes, *, refine: bool = True) -> Scene:
-    """Decode a valid file whole, or without its refinements."""
+    """Decode a valid file, with or without its refinements."""
     file = _File(data)
     made = _Chunks(file)
     every = len(file.segments)
     chunks = range(len(file.chunk_splats))
-    parts = [made.one(chunk, refine=refine, tail=True, opacities=every) for chunk in chunks]
+    parts = [
+        made.decode_chunk(chunk, refine=refine, tail=True, opacities=every) for chunk in chunks
+    ]
     prefixes = _prefixes(file)
-    every_row = made.joined(parts)
+    every_row = made.concatenate(parts)
     is_plain = not any(file.until) and not any(s.kind == _OPACITIES for s in file.segments)
     return Scene(
         sh_degree=file.root["sh_degree"],
         chunk_splats=file.chunk_splats,
-        rows=made.joined(parts[chunk] for chunk in file.drawn(len(parts))),
+        rows=made.concatenate(parts[chunk] for chunk in file.drawn(len(parts))),
         prefixes=prefixes,
         attributes=_attribute_types(file),
         attribute_values=_attributes(file),

@@ -1,7 +1,7 @@
-"""Streams as SPEC 6 has them, decoded value by value: the lower half of `reference_decoder`.
+"""Stream decoding of the reference decoder, value by value, written from SPEC 6.
 
 It shares no code with the codec, and rounds to float32 after every operation as a decoder in a
-browser does. Slow, and for valid files only.
+browser does. It is slow, and for valid files only.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def f32(value: float) -> float:
 
 
 def plane(word: int, stored: bytes, length: int) -> bytes:
-    """Return a plane of so many symbols (SPEC 6.3, 6.9)."""
+    """Decode a plane of `length` symbols (SPEC 6.3, 6.9)."""
     packed = word >> 30 & 1
     octets: bytes = stored[packed:]
     if word >> 31:
@@ -50,7 +50,7 @@ class Record:
         self.stored: list[tuple[int, bytes]] = []
 
     def plane(self, index: int, length: int) -> bytes:
-        """Return a plane of so many symbols."""
+        """Decode plane number `index`, which has `length` symbols."""
         return plane(*self.stored[index], length)
 
 
@@ -58,7 +58,7 @@ Payload = dict[tuple[int, int], Record]
 
 
 def parse(payload: bytes) -> Payload:
-    """Return the records of a payload by attribute and the flag escape (SPEC 6.1)."""
+    """Return the records of a payload by attribute and escape flag (SPEC 6.1)."""
     records: list[Record] = []
     words: list[tuple[int, ...]] = []
     (count,) = struct.unpack_from("<H", payload)
@@ -86,8 +86,8 @@ def _entries(params: bytes) -> list[tuple[float, float, int]]:
     return out
 
 
-def _planes_for(codes: int) -> int:
-    """Return how many bytes a code below `codes` takes (SPEC 6.4)."""
+def _bytes_per_code(codes: int) -> int:
+    """Return the bytes of a code below `codes` (SPEC 6.4)."""
     return next(count for count in range(4) if codes <= 256**count)
 
 
@@ -96,24 +96,24 @@ def _codes(record: Record, first: int, count: int, rows: int) -> list[int]:
     return [sum(plane[row] << 8 * i for i, plane in enumerate(planes)) for row in range(rows)]
 
 
-def _on_grid(code: int, minimum: float, step: float) -> float:
+def _grid_value(code: int, minimum: float, step: float) -> float:
     return f32(f32(f32(code) * step) + minimum)
 
 
 def _scalar(
     record: Record, params: bytes, plane: int = 0, digits: Record | None = None
 ) -> list[Row]:
-    """Return the rows of grid codes (SPEC 6.4), refined where there are digits (SPEC 6.16)."""
+    """Return the rows of a scalar stream (SPEC 6.4), refined if `digits` are given (SPEC 6.16)."""
     if digits is not None:
         return _refined(record, params, digits)
     columns: list[Row] = []
     for minimum, step, levels in _entries(params):
         extra = 2 if record.flags & INFINITIES else 0
-        count = _planes_for(levels + extra)
+        count = _bytes_per_code(levels + extra)
         column = []
         for code in _codes(record, plane, count, record.rows):
             if code < levels:
-                column.append(_on_grid(code, minimum, step))
+                column.append(_grid_value(code, minimum, step))
             else:
                 column.append(math.inf if code == levels else -math.inf)
         columns.append(column)
@@ -122,21 +122,21 @@ def _scalar(
 
 
 def _refined(record: Record, params: bytes, digits: Record) -> list[Row]:
-    """Return the rows of grid codes and the digits below them (SPEC 6.16)."""
+    """Return the rows of a scalar stream refined by digits (SPEC 6.16)."""
     columns: list[Row] = []
     coarse = _entries(params)
     fine, radices = digits.params[: 12 * len(coarse)], digits.params[12 * len(coarse) :]
     plane, below = 0, 0
     entries = zip(coarse, _entries(fine), radices, strict=True)
     for (_, _, levels), (minimum, step, _), radix in entries:
-        count = _planes_for(levels)
+        count = _bytes_per_code(levels)
         codes = _codes(record, plane, count, record.rows)
         plane += count
         if radix > 1:
             digit = digits.plane(below, record.rows)
             below += 1
             codes = [code * radix + low for code, low in zip(codes, digit, strict=True)]
-        columns.append([_on_grid(code, minimum, step) for code in codes])
+        columns.append([_grid_value(code, minimum, step) for code in codes])
     return [list(row) for row in zip(*columns, strict=True)]
 
 
@@ -151,29 +151,29 @@ def _floats(record: Record) -> list[Row]:
 
 
 class _Bits:
-    """Fields without gaps, lowest bit first (SPEC 6.5)."""
+    """Reader of bit fields without gaps, lowest bit first (SPEC 6.5)."""
 
     def __init__(self, data: bytes) -> None:
         self._left = int.from_bytes(data, "little")
 
-    def take(self, width: int) -> int:
+    def read(self, width: int) -> int:
         field = self._left & (1 << width) - 1
         self._left >>= width
         return field
 
 
-def _bytes_for(bits: int) -> int:
+def _byte_count(bits: int) -> int:
     return (bits + 7) // 8
 
 
 def _cells(record: Record) -> list[list[int]]:
     """Return the cells of a sorted stream from its planes 0 and 1 (SPEC 6.5)."""
     classes = record.plane(0, record.rows)
-    bits = _Bits(record.plane(1, _bytes_for(sum(max(c - 1, 0) for c in classes))))
+    bits = _Bits(record.plane(1, _byte_count(sum(max(c - 1, 0) for c in classes))))
     code, out = 0, []
     for length in classes:
         if length:
-            code += bits.take(length - 1) | 1 << length - 1
+            code += bits.read(length - 1) | 1 << length - 1
         out.append([sum((code >> 3 * b + axis & 1) << b for b in range(17)) for axis in range(3)])
     return out
 
@@ -192,26 +192,26 @@ def extra_bits(params: bytes, scales: Row) -> int:
 
 
 def _sorted(record: Record, scales: list[Row], refinement: Record | None) -> list[Row]:
-    """Return means from cells, extra bits and those of a refinement (SPEC 6.5, 6.17)."""
+    """Return means from cells, extra bits and refinement bits (SPEC 6.5, 6.17)."""
     grid, model = _entries(record.params[:36]), record.params[36:]
     cells = _cells(record)
     extra = [extra_bits(model, row) for row in scales]
-    low = _Bits(record.plane(2, _bytes_for(sum(3 * h for h in extra))))
+    low = _Bits(record.plane(2, _byte_count(sum(3 * h for h in extra))))
     more, digits = 0, _Bits(b"")
     if refinement is not None:
         more = refinement.params[0]
-        digits = _Bits(refinement.plane(0, _bytes_for(3 * more * record.rows)))
+        digits = _Bits(refinement.plane(0, _byte_count(3 * more * record.rows)))
     rows = []
     for cell, h in zip(cells, extra, strict=True):
-        codes = [axis << h | low.take(h) for axis in cell]
-        codes = [(code << more) + digits.take(more) - (1 << more) // 2 for code in codes]
+        codes = [axis << h | low.read(h) for axis in cell]
+        codes = [(code << more) + digits.read(more) - (1 << more) // 2 for code in codes]
         steps = [f32(step * 2.0 ** -(h + more)) for _, step, _ in grid]
-        rows.append([_on_grid(codes[i], grid[i][0], steps[i]) for i in range(3)])
+        rows.append([_grid_value(codes[i], grid[i][0], steps[i]) for i in range(3)])
     return rows
 
 
 def _differences(record: Record, digits: Record | None) -> list[Row]:
-    """Return scales from their differences (SPEC 6.12)."""
+    """Return log scales from a stream of differences (SPEC 6.12)."""
     rows = []
     for long, first, second in _scalar(record, record.params, 0, digits):
         middle = f32(long - first)
@@ -220,7 +220,7 @@ def _differences(record: Record, digits: Record | None) -> list[Row]:
 
 
 def _sh0_basis(record: Record, digits: Record | None) -> list[Row]:
-    """Return sh0 on three axes (SPEC 6.13)."""
+    """Return sh0 from coordinates on three axes (SPEC 6.13)."""
     axes = struct.unpack("<9f", record.params[36:])
     rows = []
     for x, y, z in _scalar(record, record.params[:36], 0, digits):
@@ -235,13 +235,13 @@ def _sh0_basis(record: Record, digits: Record | None) -> list[Row]:
 def numbers(
     record: Record, scales: list[Row] | None = None, refinement: Record | None = None
 ) -> list[Row]:
-    """Return the rows of any stream but of quats and vq.
+    """Decode a stream of any kind except quat, swing_twist and vq.
 
     Parameters
     ----------
     record : Record
     scales : list of list of float, optional
-        Of the same rows, for sorted means: those that the head alone gives.
+        Log scales of the same rows without refinement; needed for sorted means.
     refinement : Record, optional
         The digits or the bits that refine the stream.
     """
@@ -265,16 +265,16 @@ def _unit(row: Row) -> Row:
 
 
 def _component(record: Record, extra: list[int], first: int) -> Row:
-    """Return a component of swing and twist, whose seven planes start at `first` (SPEC 6.11)."""
+    """Decode a component of a swing-twist stream from seven planes from `first` on (SPEC 6.11)."""
     symbols = {
         m: list(record.plane(first + m - 1, sum(min(h, 6) == m for h in extra)))
         for m in range(1, 7)
     }
-    bits = _Bits(record.plane(first + 6, _bytes_for(sum(max(h - 6, 0) for h in extra))))
+    bits = _Bits(record.plane(first + 6, _byte_count(sum(max(h - 6, 0) for h in extra))))
     out = []
     for h in extra:
         low = max(h - 6, 0)
-        code = symbols[min(h, 6)].pop(0) << low | bits.take(low) if h else 0
+        code = symbols[min(h, 6)].pop(0) << low | bits.read(low) if h else 0
         out.append(f32(f32(code * 2.0 ** (1 - h)) - 1) if h else 0.0)
     return out
 
@@ -291,7 +291,7 @@ def _swing_twist(record: Record, scales: list[Row]) -> list[Row]:
 
 
 def quats(record: Record, scales: list[Row] | None = None) -> list[Row]:
-    """Return unit quaternions, w at least 0; swing-twist needs the scales of the head alone."""
+    """Return unit quaternions, w at least 0; swing-twist needs the unrefined log scales."""
     if record.kind == SWING_TWIST and scales is not None:
         return _swing_twist(record, scales)
     largest = record.params[0]
@@ -310,7 +310,7 @@ def quats(record: Record, scales: list[Row] | None = None) -> list[Row]:
 def indices(record: Record, size: int) -> list[int]:
     """Return the indices into a codebook of `size` rows and the escape rows behind (SPEC 6.7)."""
     escape = struct.unpack("<II", record.params)[1]
-    return _codes(record, 0, _planes_for(size + escape), record.rows)
+    return _codes(record, 0, _bytes_per_code(size + escape), record.rows)
 
 
 def shn_basis(record: Record, basis: list[Row]) -> list[Row]:

@@ -1,4 +1,4 @@
-"""Vectors of refinements (SPEC 6.16, 6.17, 7.4): valid ones, and others to refuse."""
+"""Conformance vectors of refinements, valid and must-reject (SPEC 6.16, 6.17, 7.4)."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ _ROWS: Final = 24
 _CELLS: Final = 9
 
 _COARSE: Final = StepModel((-2.75, 1.0, 0.75, -0.25, 1.0, 0.5))
-"""Gives from 0 to 10 extra bits over the scales of `coarse.differences`."""
+"""Step model that gives 0 to 10 extra bits for the scales of `coarse.differences`."""
 
 
 def digits(attribute: Attribute, head: Stream, radices: Sequence[int], seed: int) -> Stream:
-    """Return digits for a stream of a head, of which the first and the last that there may be."""
+    """Return pseudo-random digits for a stream of a head, including the lowest and the highest."""
     entries = list(struct.iter_unpack("<ffI", head.params[: len(radices) * ENTRY_BYTES]))
     grid = handmade.grid(
         [(-1.5 - i, 2.5 + i, entries[i][2] * radix) for i, radix in enumerate(radices)]
@@ -46,9 +46,9 @@ def digits(attribute: Attribute, head: Stream, radices: Sequence[int], seed: int
 def refined_means(
     scales: Stream, bits: int, seed: int, *, model: StepModel = _COARSE, cells: int = _CELLS
 ) -> tuple[Stream, Stream]:
-    """Return the sorted means of a head, and so many bits that refine them.
+    """Return the sorted means of a head, and their refinement by `bits` bits per axis.
 
-    The first row stands in the first cell, and is refined to the very first code.
+    The first row is in the first cell, and its refined code is 0.
     """
     extra = coarse.extra_bits(scales, model)
     count = scales.rows
@@ -76,7 +76,7 @@ def _chunk(head: bytes, rows: int, refined: bytes) -> Draft:
 
 
 def _body(seed: int) -> tuple[list[Stream], list[Stream]]:
-    """Return a head of all kinds that can be refined, and what refines it."""
+    """Return the streams of a head whose kinds can all be refined, and of its refinement."""
     scales = coarse.differences(_ROWS, seed)
     moved, bits = refined_means(scales, 4, seed + 3)
     clear = handmade.random_scalar(Attribute.OPACITIES, _ROWS, seed + 4, span=5.0, levels=30)
@@ -90,7 +90,7 @@ def _body(seed: int) -> tuple[list[Stream], list[Stream]]:
 
 
 def valid() -> list[Valid]:
-    """Return the vectors, in the order of the manifest."""
+    """Return the valid vectors, in the order of the manifest."""
     head, below = _body(1)
     plain = handmade.random_head(12, 3)
     own = {stream.attribute: stream for stream in plain}
@@ -142,7 +142,7 @@ def _late() -> Draft:
 
 
 def invalid_order() -> list[Invalid]:
-    """Return the vectors of SPEC 5.4 about refinements."""
+    """Return the must-reject vectors of the order of refinement segments (SPEC 5.4)."""
     head, below = _body(1)
     good = _chunk(pack_streams(head), _ROWS, pack_streams(below))
     first, refined = good.groups[0].segments
@@ -161,7 +161,7 @@ def invalid_order() -> list[Invalid]:
 
 
 def _padded() -> Invalid:
-    """Return the file of five rows of three bits each, and a bit behind them that is set."""
+    """Return the vector with a padding bit set: five rows of three bits leave one bit."""
     scales = coarse.differences(5, 1)
     means, bits = refined_means(scales, 1, 5)
     octets = bytearray(bits.planes[0].tobytes())
@@ -173,7 +173,7 @@ def _padded() -> Invalid:
 
 
 def invalid() -> list[Invalid]:
-    """Return the vectors of SPEC 6.16, 6.17 and 7.4."""
+    """Return the must-reject vectors of SPEC 6.16, 6.17 and 7.4."""
     head, below = _body(1)
     sizes, bits, clear, _ = below
 
@@ -198,7 +198,7 @@ def invalid() -> list[Invalid]:
     few = bytearray(clear.params)
     struct.pack_into("<I", few, 8, 140)
     low = bits.planes[0].tobytes()
-    # The first row's code in the head is 0: without its bits it falls below.
+    # The first row's code in the head is 0: with refinement bits of 0 it becomes negative.
     below_zero = int.from_bytes(low, "little") & ~0xFFF
     under = below_zero.to_bytes(len(low), "little")
     infinite = handmade.scalar(

@@ -1,4 +1,4 @@
-"""Conformance of any decoder: all vectors through the protocol, failures by clause."""
+"""Conformance test of a decoder: sends all vectors, and reports failures by clause."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from .tolerance import beyond_tolerance
 Entry = Mapping[str, object]
 Arrays = dict[str, NDArray[np.float32]]
 
-# The code of a limit that another decoder may set higher (SPEC 9.2).
+# Code of a limit that other decoders may set higher (SPEC 9.2); decoding the file is no failure.
 _LIMIT: Final = "decoded-size"
 
 
 @dataclass(frozen=True)
 class Failure:
-    """One vector that a decoder did not pass.
+    """A failed check of one vector.
 
     Parameters
     ----------
     vector : str
-        ``valid/sh3`` or ``invalid/zstd-cut``, and for a part of it what part.
+        Name such as ``valid/sh3`` or ``invalid/zstd-cut``, and the part of the file if not all.
     clauses : tuple of str
-        Clauses of SPEC that the vector is about.
+        SPEC clauses that the vector covers.
     expected, found : str
     """
 
@@ -47,16 +47,16 @@ class Failure:
 
 @dataclass(frozen=True)
 class Report:
-    """How a decoder did.
+    """Result of a conformance test.
 
     Parameters
     ----------
     decoder : Hello
     passed : int
-        Checks that passed.
+        Number of checks that passed.
     failures : list of Failure
     by_clause : dict of str to (int, int)
-        Checks passed and checks made, for each clause.
+        Checks passed and checks made, by SPEC clause.
     """
 
     decoder: Hello
@@ -72,7 +72,7 @@ def run(
     timeout_s: float = 30.0,
     progress: Progress = silent,
 ) -> Report:
-    """Drive a decoder over all vectors.
+    """Test a decoder with all vectors.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def run(
     vectors : Path
         Folder with ``manifest.json``, ``valid`` and ``invalid``.
     timeout_s : float
-        Longest time for one answer, seconds.
+        Time limit for one answer, seconds.
     progress : Progress
         Called with ``("vectors", files done, files)``.
 
@@ -92,7 +92,7 @@ def run(
     Raises
     ------
     StorageError
-        ``not-found`` where there are no vectors, ``decoder`` where the decoder cannot be started.
+        ``not-found``: there are no vectors; ``decoder``: the decoder cannot be started.
     """
     try:
         manifest = json.loads((vectors / "manifest.json").read_text(encoding="utf-8"))
@@ -123,7 +123,7 @@ def run(
 
 
 class _Checker:
-    """Compares the answers of one decoder with the manifest."""
+    """Comparison of one decoder's answers with the manifest."""
 
     def __init__(
         self, decoder: DecoderProcess, hello: Hello, vectors: Path, folder: Path, arrays: list[str]
@@ -139,6 +139,7 @@ class _Checker:
         self._passed = 0
 
     def report(self) -> Report:
+        """Return the result of all checks so far."""
         by_clause = {
             clause: (passed, made)
             for clause, (passed, made) in sorted(
@@ -158,7 +159,7 @@ class _Checker:
             self._failures.append(Failure(vector, clauses, expected, found))
 
     def check_valid(self, entry: Entry) -> None:
-        """Try a file to decode: whole, without its refinements, and cut where its prefixes end."""
+        """Check a valid file: complete, without refinements, and truncated at each prefix."""
         name, clauses = str(entry["name"]), tuple(map(str, _list(entry["clauses"])))
         path = self._vectors / "valid" / f"{name}.cogs"
         whole = self._load_arrays(path.with_suffix(".f32"), entry)
@@ -172,7 +173,7 @@ class _Checker:
             wrong = "rows without refinements have another SHA-256"
         self._record(f"valid/{name} without refinements", clauses, coarse_hash, wrong)
         if wrong or not exact or not self._hello.partial:
-            # What is expected of prefixes is made of the rows without refinements.
+            # Expected rows of prefixes are built from the rows without refinements.
             return
         heads = self._split_arrays(coarse, whole)
         counts = _integers(entry["chunk_splats"])
@@ -199,7 +200,7 @@ class _Checker:
     def _decode(
         self, path: Path, *, partial: bool = False, refine: bool = True, verify: bool = False
     ) -> tuple[bytes, str]:
-        """Return the bytes of the arrays that the decoder gives, or what it did instead."""
+        """Return the decoded arrays as bytes and "", or no bytes and the reason of the failure."""
         self._out.unlink(missing_ok=True)
         answer, reason = self._decoder.decode(
             path, self._out, partial=partial, refine=refine, verify=verify
@@ -227,7 +228,7 @@ class _Checker:
         return out
 
     def _difference(self, given: bytes, expected: Arrays) -> str:
-        """Return what is wrong with decoded arrays, nothing where all is right."""
+        """Return a description of the first difference from the expected arrays, or ""."""
         size = 4 * sum(values.size for values in expected.values())
         if len(given) != size:
             return f"{len(given)} bytes of arrays, expected {size}"
@@ -246,13 +247,13 @@ class _Checker:
         return ""
 
     def check_invalid(self, entry: Entry) -> None:
-        """Try a file to refuse: with its code, or by a viewer with any."""
+        """Check that a must-reject file is refused with its code; a viewer may give any code."""
         if LEVELS.index(str(entry["level"])) > LEVELS.index(self._hello.level):
             return
         self._check_refusal(f"invalid/{entry['name']}", ".cogs", entry)
 
     def check_folder(self, entry: Entry, files: Mapping[str, Entry]) -> None:
-        """Try a folder to decode, by each of its manifests."""
+        """Check a valid folder through each of its manifests."""
         for manifest, stands_for in _texts(entry["manifests"]).items():
             path = self._vectors / "folders" / str(entry["name"]) / manifest
             arrays = self._vectors / "valid" / f"{stands_for}.f32"
@@ -264,7 +265,7 @@ class _Checker:
             )
 
     def check_invalid_folder(self, entry: Entry) -> None:
-        """Try a folder to refuse: with its code, or by a viewer with any."""
+        """Check that a must-reject folder is refused with its code; a viewer may give any code."""
         if entry["stage"] == "verify" and self._hello.level != "verifier":
             return
         self._check_refusal(f"invalid-folders/{entry['name']}", "/manifest.cogsm", entry)
@@ -295,7 +296,7 @@ def _prefixes(entry: Entry) -> list[tuple[int, int, list[int], list[int]]]:
 def _prefix_rows(
     whole: Arrays, heads: Arrays, counts: list[int], tails: list[int], refined: list[int]
 ) -> Arrays:
-    """Return the rows of a prefix: refined chunks from `whole`, the others from `heads`.
+    """Return the expected rows of a prefix: refined chunks from `whole`, the rest from `heads`.
 
     Chunks that are not in `tails` have no SH coefficients above DC.
     """

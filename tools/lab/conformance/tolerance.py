@@ -1,4 +1,4 @@
-"""How far a viewer's rows may lie from the exact ones (SPEC 8.6)."""
+"""Tolerances of a viewer's arrays against exact decoding (SPEC 8.6)."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ SHN: Final = 0.04
 
 
 def beyond_tolerance(name: str, given: F32, exact: F32, rows: dict[str, F32]) -> NDArray[np.bool_]:
-    """Mark the values of one attribute that lie further from the exact ones than SPEC 8.6 allows.
+    """Mark the values of one array whose error exceeds the tolerance of SPEC 8.6.
 
     Parameters
     ----------
     name : str
         ``means``, ``scales``, ``quats``, ``opacities``, ``sh0`` or ``shN``.
     given, exact : (n, ...) float32
+        Values of the viewer, and of an exact decoder.
     rows : dict of str to array
-        All attributes of the exact rows: what is allowed depends on a splat's size and opacity.
+        All exact arrays by name; the tolerance of means depends on the scales.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The valid conformance vectors: files that every reader must decode, to the bit."""
+"""Valid conformance vectors, which every reader must decode to the same bits."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ from .file_builder import (
 
 @dataclass(frozen=True)
 class Valid:
-    """A file to decode.
+    """A valid conformance file.
 
     Parameters
     ----------
     name : str
     data : bytes
     covers : tuple of str
-        SPEC clauses.
+        SPEC clauses that the file covers.
     note : str
-        What it is there for.
+        Description of the case.
     """
 
     name: str
@@ -51,11 +51,11 @@ class Valid:
 
 
 SMALLEST: Final = "one-splat"
-"""The file that SPEC's annotated dump shows."""
+"""Name of the file in SPEC's annotated dump."""
 
 
 def _chunk(rows: int, seed: int, number: int, degree: int = 0) -> list[Segment]:
-    """Return head and tail of a plain chunk."""
+    """Return the head of a pseudo-random chunk, and its tail if `degree` is above 0."""
     out = [Segment(SegmentKind.HEAD, number, pack_streams(handmade.random_head(rows, seed)))]
     if degree:
         tail = pack_streams(handmade.bands(degree, rows, seed + 50))
@@ -422,7 +422,7 @@ def _stored() -> Valid:
 
 
 def _frame_of_blocks() -> Valid:
-    """Write a zstd frame by hand, with a window descriptor as a streaming encoder has it."""
+    """Return the vector of a hand-made zstd frame with a window descriptor and RLE blocks."""
     rows = 64
     plane = np.array([row // 8 for row in range(rows)], np.uint8)
     opacities = handmade.scalar(Attribute.OPACITIES, [(-2.0, 2.0, 8)], [plane.tolist()])
@@ -441,7 +441,7 @@ def _frame_of_blocks() -> Valid:
 
 
 def valid() -> list[Valid]:
-    """Return all valid vectors, in the order of the manifest."""
+    """Return the valid vectors of scalar streams, codebooks and tables, in manifest order."""
     return [
         _empty(),
         _one_splat(),

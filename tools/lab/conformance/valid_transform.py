@@ -34,11 +34,11 @@ from .reference_streams import SCALE_FACTOR, SCALES, f32, numbers, parse
 from .valid import Valid
 
 _MODEL: Final = StepModel((3.25, 1.5, 0.75, -0.25, 2.0, 0.5))
-"""Gives from 0 to 15 extra bits over the scales of `differences`."""
+"""Step model that gives 0 to 15 extra bits for the scales of `differences`."""
 
 
 def differences(rows: int, seed: int) -> Stream:
-    """Return a differences stream of scales."""
+    """Return a differences stream of pseudo-random log scales."""
     ranges = [(-5.0, 6.0, 40), (0.0, 4.1, 30), (-0.5, 3.3, 300)]
     codes = [
         handmade.pseudo_random(rows, count, seed + i) for i, (_, _, count) in enumerate(ranges)
@@ -47,13 +47,13 @@ def differences(rows: int, seed: int) -> Stream:
 
 
 def extra_bits(scales: Stream, model: StepModel = _MODEL) -> NDArray[np.uint8]:
-    """Return the extra bits of each row of a scales stream."""
+    """Return the extra bits that a model gives each row of a scales stream."""
     stored = parse(pack_streams([scales]))[SCALES, 0]
     return model.extra_bits(np.array(numbers(stored), np.float32))
 
 
 def rotations(scales: Stream, seed: int, twist: StepModel = _MODEL) -> Stream:
-    """Return a swing_twist stream of pseudo-random codes, the first and the last among them."""
+    """Return a swing_twist stream of pseudo-random codes, with the lowest and highest code."""
     planes = []
     for column, model in enumerate((_MODEL, _MODEL, twist)):
         extra = extra_bits(scales, model)
@@ -68,21 +68,21 @@ def rotations(scales: Stream, seed: int, twist: StepModel = _MODEL) -> Stream:
 
 
 def sorted_means(scales: Stream, seed: int, levels: int = 9) -> Stream:
-    """Return a sorted stream of means with extra bits that follow from a scales stream."""
+    """Return a sorted stream of means whose extra bits depend on a scales stream."""
     cells = [handmade.pseudo_random(3, levels, seed + row) for row in range(scales.rows)]
     ranges = [(-3.0, 3.1, levels), (-2.0, 2.2, levels), (0.3, 0.9, levels)]
     return handmade.sorted_means(cells, ranges, _MODEL, extra_bits(scales).tolist(), seed)
 
 
 def sh0_basis(rows: int, seed: int) -> Stream:
-    """Return a basis stream of sh0."""
+    """Return a basis stream of pseudo-random sh0."""
     axes = (0.6, 0.57, 0.56, -0.71, 0.05, 0.7, 0.37, -0.82, 1.0)
     body = handmade.random_scalar(Attribute.SH0, rows, seed, span=1.5, levels=90)
     return replace(body, kind=Kind.BASIS, params=body.params + struct.pack("<9f", *axes))
 
 
 def shn_basis(codes: Sequence[Sequence[int]], book: int, step: float, shrink: float) -> Stream:
-    """Return a basis stream of shN of signed coordinates, row by row."""
+    """Return a basis stream of shN from the signed coordinates of each row."""
     return shn_transform.write(np.array(codes, np.int64), book, step, shrink)
 
 
@@ -93,7 +93,7 @@ def _one_stream(name: str, streams: Sequence[Stream], clauses: tuple[str, ...], 
 
 
 def pack_digits(body: Sequence[Stream], *, zstd: bool) -> bytes:
-    """Return a payload whose planes are packed where their symbols are few enough."""
+    """Return a payload whose planes of symbols below 16 are packed, in zstd frames if `zstd`."""
     records = [record(stream) for stream in body]
     for entry, stream in zip(records, body, strict=True):
         for number, plane in enumerate(stream.planes):
@@ -108,7 +108,7 @@ def pack_digits(body: Sequence[Stream], *, zstd: bool) -> bytes:
 
 
 def _packed() -> list[Valid]:
-    """Return files with planes of every radix."""
+    """Return vectors with planes of every radix from 2 to 16."""
     rows = 40
     bands, first = [], 0
     for band in SH_BANDS:
@@ -132,7 +132,7 @@ def _packed() -> list[Valid]:
 
 
 def _packed_ends() -> Valid:
-    """Return a file whose planes end at every place within a packed byte."""
+    """Return a file whose planes end after 1 to 8 symbols of their last packed byte."""
     segments, rows = [], []
     for chunk, count in enumerate(range(1, 10)):
         opacities = handmade.scalar(Attribute.OPACITIES, [(-1.0, 1.0, 2)], [[1] * count])
@@ -204,7 +204,7 @@ def _sorted_flat() -> Valid:
 
 
 def _sorted_shapes() -> Valid:
-    """Return a file whose extra bits follow from shapes of a codebook and their scale factors."""
+    """Return a file whose extra bits depend on a codebook's scales and scale factors."""
     rows = 12
     shape = handmade.vq(Attribute.SHAPE, [i % 5 for i in range(rows)], 0, 5, 0)
     factor = handmade.random_scalar(Attribute.SCALE_FACTOR, rows, 9, span=4.0, levels=50)
@@ -226,7 +226,7 @@ def _sorted_shapes() -> Valid:
 
 
 def _sorted_underflow(scales: Stream) -> Valid:
-    """Return a file of steps so small that halving them leaves float32's denormals."""
+    """Return a file with grid steps so small that half a step underflows float32."""
     cells = [handmade.pseudo_random(3, 9, 60 + row) for row in range(scales.rows)]
     ranges = [(0.0, 1e-40, 9), (-1e-41, 1e-41, 9), (1e-45, 3e-45, 9)]
     means = handmade.sorted_means(cells, ranges, _MODEL, extra_bits(scales).tolist(), 7)
@@ -262,7 +262,7 @@ def _all_of_it() -> Valid:
 
 
 def valid() -> list[Valid]:
-    """Return the vectors, in the order of the manifest."""
+    """Return the valid vectors, in the order of the manifest."""
     scales = differences(24, 1)
     plain = handmade.random_scalar(Attribute.SCALES, 24, 8, span=6.0)
     never, always = StepModel.constant(-9), StepModel.constant(1_000_000)

@@ -23,7 +23,7 @@ _ROWS = 3
 
 
 def _stored_plane(differences: bytes) -> bytes:
-    """Return a plane as it is with its word."""
+    """Return an uncompressed plane after its length word."""
     return struct.pack("<I", len(differences)) + differences
 
 
@@ -37,12 +37,12 @@ def _table(views: int, codes: bytes) -> dict[str, Value]:
     }
 
 
-# Codes 0, 1, 254 and 255 among them, and differences that wrap around.
+# Includes codes 0, 1, 254 and 255, and differences that wrap around.
 _THREE = _table(3, _stored_plane(bytes([0, 1, 254, 255, 1, 255, 1, 1, 239, 250, 2, 0])))
 
 
 def _draft(payloads: Sequence[bytes]) -> Draft:
-    """Return a file of four chunks with view tables before the head of chunk 1."""
+    """Return a file of four chunks with one view table per payload before chunk 1's head."""
     segments = []
     for chunk in range(_CHUNKS):
         if chunk == 1:
@@ -65,7 +65,7 @@ def _in_pages(draft: Draft) -> Draft:
 
 
 def _compressed_table() -> dict[str, Value]:
-    """Return a table of 64 viewpoints that all see the same: a zstd frame, mostly of zeros."""
+    """Return a table of 64 viewpoints with equal codes, its differences in a zstd frame."""
     differences = np.frombuffer(bytes([200, 201, 0, 240]) + bytes(63 * _CHUNKS), np.uint8)
     word, stored = pack_plane(differences)
     return _table(64, struct.pack("<I", word) + stored)

@@ -1,7 +1,7 @@
-"""A chunk of the transform kinds, decoded step by step: what SPEC's appendix A.2 shows.
+"""A chunk of the transform kinds, decoded step by step for SPEC's appendix A.2.
 
-The file is put together byte by byte from codes. The decoded values that are shown come from the
-second decoder; what leads to them is computed here by the formulas of SPEC.
+The file is built byte by byte from codes. The decoded values shown come from the reference decoder;
+the intermediate values are computed here by the formulas of SPEC.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def _grids(rows: Sequence[_GRID]) -> bytes:
 
 
 def _fields(pairs: Sequence[tuple[int, int]]) -> bytes:
-    """Return numbers of so many bits each without gaps, the lowest bit first (SPEC 6.15)."""
+    """Return bit fields of (number, width) pairs without gaps, lowest bit first (SPEC 6.15)."""
     total, at = 0, 0
     for number, width in pairs:
         total |= number << at
@@ -110,7 +110,7 @@ def _sorted_record() -> Record:
 
 
 def swing_twist_record() -> Record:
-    """Return the record of the quaternions, of whose 21 planes most have 0 bytes."""
+    """Return the record of the quaternions; most of its 21 planes have 0 bytes."""
     planes: list[bytes] = []
     swing, twist = _extra(_SWING_MODEL), _extra(_TWIST_MODEL)
     for codes, extra in zip(_SWING_TWIST_CODES, (swing, swing, twist), strict=True):
@@ -180,7 +180,7 @@ def _payloads(quats: Record | None) -> dict[SegmentKind, bytes]:
 
 
 def with_quats(quats: Record | None) -> bytes:
-    """Return the file, another record in the place of its quaternions."""
+    """Return the file with the record of its quaternions replaced, or unchanged for None."""
     segments = [
         Segment(kind, 0, data, (0,) if kind == SegmentKind.TAIL else ())
         for kind, data in _payloads(quats).items()
@@ -197,7 +197,7 @@ def valid() -> Valid:
 
 
 def _text(value: float) -> str:
-    """Return a number as short as gives the same float32 again."""
+    """Return the shortest decimal text that rounds to the same float32."""
     if value == int(value):
         return str(int(value))
     return next(

@@ -1,4 +1,4 @@
-"""Conformance vectors of zstd frame headers: every field that SPEC 6.3 speaks of, by hand."""
+"""Conformance vectors of hand-made zstd frame headers, with each field of SPEC 6.3."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ _LITERALS: Final = bytes.fromhex(
     "578893d69c6750264254385a267015d1c9504d5a6432886cb7c66ac84971825d801e8f5090cb0142539eb726ea79"
     "3a1626af6448be8ee6e7efe99c90353b04d8d40a00"
 )
-# Where that block states how many literals it has, and how many sequences.
+# Offsets of the block's literal count and sequence count.
 _LITERALS_AT: Final = 11
 _SEQUENCES_AT: Final = 112
 
 
 def _file(frame: bytes) -> bytes:
-    """Return a file of 300 splats whose opacities are one zstd frame."""
+    """Return a file of 300 splats whose opacities are this zstd frame."""
     opacities = handmade.scalar(Attribute.OPACITIES, [(-2.0, 2.0, 8)], [[0] * _ROWS])
     head = handmade.uniform_head(_ROWS, opacities)
     records = [record(stream) for stream in head]
@@ -55,7 +55,7 @@ _THREE_BYTES: Final = (1 | 1 << 1 | 3 << 3).to_bytes(3, "little") + b"\0"
 
 
 def _file_of_empty(frame: bytes) -> bytes:
-    """Return a file in which the first plane of 0 bytes is one zstd frame."""
+    """Return a file whose first plane of 0 bytes is this zstd frame."""
     quats = worked_example.swing_twist_record()
     place = next(i for i, (_, stored) in enumerate(quats.planes) if not stored)
     quats.planes[place] = (len(frame) | 1 << 31, frame)
@@ -63,7 +63,7 @@ def _file_of_empty(frame: bytes) -> bytes:
 
 
 def valid() -> list[Valid]:
-    """Return the valid vectors: headers that encoders seldom write."""
+    """Return the valid vectors of headers that encoders seldom write."""
 
     def good(name: str, frame: bytes, note: str) -> Valid:
         return Valid(name, _file(frame), ("6.3",), note)

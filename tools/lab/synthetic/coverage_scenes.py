@@ -1,7 +1,7 @@
-"""Scenes of which some views show little: long, thin, hollow, flat, or seen from inside.
+"""Test scenes that are hard to cover with views: long, thin, hollow, flat, or seen from inside.
 
-Each comes with views to judge it by, drawn at random around an object or where somebody can walk in
-a building. No part of the encoder sees these views.
+Each scene comes with held-out test views, at random poses around an object or along the floors of
+a building. The encoder does not use these views.
 """
 
 from __future__ import annotations
@@ -18,77 +18,77 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.splats import Splats
 
 from .lighting import TO_SCENE, Occluders
-from .materials import Surfels, collected, covered, mixed, shares
+from .materials import Surfels, blend, concatenate, cover, split_count
 from .patches import Patch, noise, quad, revolve, smooth_curve, smoothstep, tube, unit
-from .terrace import camera_at, splats_of
+from .terrace import camera_at, splats_from_surfels
 
 F64 = NDArray[np.float64]
 Point = tuple[float, float, float]
 Part = Callable[[int, np.random.Generator], Surfels]
 Floor = tuple[float, float, float, float]
 
-JUDGE_VIEWS: Final = 24
-_JUDGE_WIDTH, _JUDGE_HEIGHT = 480, 360
+TEST_VIEWS: Final = 24
+_WIDTH, _HEIGHT = 480, 360
 
-# Height of the eyes of visitors of a building, scene units.
+# Range of eye heights of visitors of a building, scene units.
 _EYES_LOW, _EYES_HIGH = 1.1, 1.8
 
 
 @dataclass(frozen=True, eq=False)
 class CoverageScene:
-    """A scene and the views that judge it.
+    """A scene and its held-out test views.
 
     Parameters
     ----------
     splats : Splats
         In rows of no particular order, axes "RDF".
-    judges : list of Camera
+    test_views : list of Camera
         480 x 360 px, horizontal field of view 60 degrees.
     """
 
     splats: Splats
-    judges: list[Camera]
+    test_views: list[Camera]
 
 
-def _painted(patch: Patch, rng: np.random.Generator, grain: float, hue: int) -> Surfels:
-    """Cover a patch with a colour that varies over lengths of 1 / `grain`."""
+def _paint(patch: Patch, rng: np.random.Generator, grain: float, hue: int) -> Surfels:
+    """Return surfels of a patch, with a colour pattern of spatial frequency `grain`."""
     palette = np.array(
         [[0.70, 0.32, 0.16], [0.16, 0.42, 0.62], [0.30, 0.52, 0.20], [0.62, 0.58, 0.50]]
     )
     light = palette[hue % 4]
     coarse = noise(patch.points, grain, 3, salt=hue)
     fine = smoothstep(0.45, 0.55, noise(patch.points, 4.0 * grain, 2, salt=hue + 7))
-    albedo = mixed(0.25 * light, light, coarse) * (0.55 + 0.45 * fine)[:, None]
-    return covered(patch, rng, albedo, 0.15, spread=0.3)
+    albedo = blend(0.25 * light, light, coarse) * (0.55 + 0.45 * fine)[:, None]
+    return cover(patch, rng, albedo, 0.15, spread=0.3)
 
 
 def _bar(start: Point, end: Point, radius: float, hue: int, grain: float) -> Part:
     path = np.linspace(start, end, 33)
 
     def make(n: int, rng: np.random.Generator) -> Surfels:
-        return _painted(tube(path, np.full(33, radius), n, rng), rng, grain, hue)
+        return _paint(tube(path, np.full(33, radius), n, rng), rng, grain, hue)
 
     return make
 
 
-def _turned(outline: list[tuple[float, float]], offset: Point, hue: int, grain: float) -> Part:
+def _lathe(outline: list[tuple[float, float]], offset: Point, hue: int, grain: float) -> Part:
     profile = smooth_curve([*outline])
 
     def make(n: int, rng: np.random.Generator) -> Surfels:
-        return _painted(revolve(profile, n, rng).moved(0.0, offset), rng, grain, hue)
+        return _paint(revolve(profile, n, rng).move(0.0, offset), rng, grain, hue)
 
     return make
 
 
 def _sheet(corner: Point, u: Point, v: Point, hue: int, grain: float) -> Part:
     def make(n: int, rng: np.random.Generator) -> Surfels:
-        return _painted(quad(corner, u, v, n, rng), rng, grain, hue)
+        return _paint(quad(corner, u, v, n, rng), rng, grain, hue)
 
     return make
 
 
 def _crate(low: Point, high: Point, hue: int, grain: float) -> list[tuple[float, Part]]:
-    """Return the six sides of a box, each with its area."""
+    """Return the six sides of a box as (area, part) pairs."""
     a, size = np.array(low), np.array(high) - np.array(low)
     sides: list[tuple[float, Part]] = []
     for axis in range(3):
@@ -111,10 +111,10 @@ def _lamp() -> list[tuple[float, Part]]:
     head = [(0.02, 0.0), (0.22, 0.10), (0.26, 0.30), (0.12, 0.48), (0.01, 0.52)]
     foot = [(0.20, 0.0), (0.19, 0.15), (0.10, 0.35), (0.06, 0.6)]
     return [
-        (0.20, _turned(foot, (0.0, 0.0, 0.0), 0, 6.0)),
+        (0.20, _lathe(foot, (0.0, 0.0, 0.0), 0, 6.0)),
         (0.25, _bar((0.0, 0.5, 0.0), (0.0, 6.0, 0.0), 0.05, 3, 8.0)),
         (0.10, _bar((0.0, 5.9, 0.0), (1.6, 6.3, 0.0), 0.035, 1, 8.0)),
-        (0.45, _turned(head, (1.6, 5.85, 0.0), 2, 8.0)),
+        (0.45, _lathe(head, (1.6, 5.85, 0.0), 2, 8.0)),
     ]
 
 
@@ -128,12 +128,12 @@ def _fence() -> list[tuple[float, Part]]:
 
 
 def _shell() -> list[tuple[float, Part]]:
-    # Open at the top: the inner side is seen from above alone.
+    # Open at the top: the inner side is visible only from above.
     outside = [(0.05, -1.0), (0.7, -0.75), (1.0, 0.0), (0.8, 0.62), (0.5, 0.85)]
     inside = [(0.47, 0.82), (0.76, 0.58), (0.94, 0.0), (0.66, -0.70), (0.05, -0.94)]
     return [
-        (0.55, _turned(outside, (0.0, 0.0, 0.0), 1, 5.0)),
-        (0.45, _turned(inside, (0.0, 0.0, 0.0), 0, 5.0)),
+        (0.55, _lathe(outside, (0.0, 0.0, 0.0), 1, 5.0)),
+        (0.45, _lathe(inside, (0.0, 0.0, 0.0), 0, 5.0)),
     ]
 
 
@@ -149,7 +149,7 @@ def _room() -> list[tuple[float, Part]]:
 
 
 def _two_rooms() -> list[tuple[float, Part]]:
-    """Return two rooms on both sides of a wall at x = 0, which has a door 0.9 wide."""
+    """Return the parts of two rooms, joined by a door 0.9 wide in a wall at x = 0."""
     parts = _crate((-5.0, 0.0, -2.0), (0.0, 2.6, 2.0), 3, 2.0)
     del parts[1]
     far = _crate((0.1, 0.0, -2.0), (4.5, 2.6, 2.0), 1, 2.0)
@@ -166,12 +166,12 @@ def _two_rooms() -> list[tuple[float, Part]]:
 
 
 def _statue() -> list[tuple[float, Part]]:
-    """Return a figure that holds a staff: much of the detail in little of the height."""
+    """Return the parts of a figure with a staff: most detail in a small part of the height."""
     body = [(0.32, 0.0), (0.36, 0.35), (0.24, 0.75), (0.30, 1.05), (0.10, 1.30)]
     head = [(0.01, 0.0), (0.13, 0.08), (0.15, 0.20), (0.09, 0.30), (0.01, 0.33)]
     return [
-        (0.55, _turned(body, (0.0, 0.0, 0.0), 0, 9.0)),
-        (0.20, _turned(head, (0.0, 1.28, 0.0), 3, 14.0)),
+        (0.55, _lathe(body, (0.0, 0.0, 0.0), 0, 9.0)),
+        (0.20, _lathe(head, (0.0, 1.28, 0.0), 3, 14.0)),
         (0.10, _bar((0.25, 1.0, 0.0), (0.70, 0.85, 0.10), 0.05, 1, 14.0)),
         (0.10, _bar((0.70, 0.0, 0.10), (0.70, 3.6, 0.10), 0.018, 2, 14.0)),
         (0.05, _bar((0.70, 3.5, 0.10), (1.70, 3.6, 0.10), 0.010, 1, 14.0)),
@@ -181,8 +181,8 @@ def _statue() -> list[tuple[float, Part]]:
 _OBJECTS: Final[Mapping[str, Callable[[], list[tuple[float, Part]]]]] = MappingProxyType(
     {"lamp": _lamp, "fence": _fence, "shell": _shell, "card": _card, "statue": _statue}
 )
-# What a building is made of, and where its visitors may be: x and z of opposite corners of floors
-# that keep clear of walls and furniture.
+# Parts of each building, and the floor areas where visitors may stand, clear of walls and
+# furniture: x and z of opposite corners.
 _BUILDINGS: Final[
     Mapping[str, tuple[Callable[[], list[tuple[float, Part]]], tuple[Floor, ...]]]
 ] = MappingProxyType(
@@ -196,7 +196,7 @@ _BUILDINGS: Final[
 )
 
 COVERAGE_SCENES: Final = (*_OBJECTS, *_BUILDINGS)
-"""Names that `coverage_scene` takes."""
+"""Names of the scenes of `coverage_scene`."""
 
 
 def coverage_scene(
@@ -211,14 +211,14 @@ def coverage_scene(
     splats : int
         Number of splats.
     seed : int
-        Start of the random generators of the scene and of its judges.
+        Seed of the scene and of its test views.
     sh_degree : int
         0 to 3.
 
     Returns
     -------
     CoverageScene
-        The same for the same arguments on one platform.
+        Equal for equal arguments on one platform.
 
     Raises
     ------
@@ -229,35 +229,37 @@ def coverage_scene(
         raise ValueError(f"scene {name!r}, expected one of {COVERAGE_SCENES}")
     rng = np.random.default_rng(seed)
     parts = _OBJECTS[name]() if name in _OBJECTS else _BUILDINGS[name][0]()
-    counts = shares(splats, [share for share, _ in parts])
-    surfels = collected([make(n, rng) for n, (_, make) in zip(counts, parts, strict=True) if n])
+    counts = split_count(splats, [share for share, _ in parts])
+    surfels = concatenate([make(n, rng) for n, (_, make) in zip(counts, parts, strict=True) if n])
     surfels = surfels.take(rng.permutation(splats))
-    made = splats_of(surfels, Occluders(np.zeros((0, 5)), np.zeros((0, 7))), rng, sh_degree)
-    # A generator of its own: the judges do not move when a scene takes more random numbers.
+    made = splats_from_surfels(
+        surfels, Occluders(np.zeros((0, 5)), np.zeros((0, 7))), rng, sh_degree
+    )
+    # A second generator keeps the test views when the scene draws more random numbers.
     draws = np.random.default_rng([seed, COVERAGE_SCENES.index(name)])
     if name in _OBJECTS:
-        return CoverageScene(made, _around(surfels.patch.points, draws))
-    return CoverageScene(made, _walking(_BUILDINGS[name][1], draws))
+        return CoverageScene(made, _orbit_views(surfels.patch.points, draws))
+    return CoverageScene(made, _visitor_views(_BUILDINGS[name][1], draws))
 
 
-def _around(points: F64, rng: np.random.Generator) -> list[Camera]:
-    """Return views all around an object: from where it overflows a picture to where it is small."""
+def _orbit_views(points: F64, rng: np.random.Generator) -> list[Camera]:
+    """Return test views around an object, from close-ups to views in which it is small."""
     low, high = points.min(axis=0), points.max(axis=0)
     radius = 0.5 * float(np.linalg.norm(high - low))
     cameras: list[Camera] = []
-    for view in range(JUDGE_VIEWS):
+    for view in range(TEST_VIEWS):
         rise, angle = rng.uniform(-0.3, 0.9), 2.0 * np.pi * rng.random()
         ring = np.sqrt(1.0 - rise * rise)
         back = np.array([ring * np.cos(angle), rise, ring * np.sin(angle)])
         target = 0.5 * (low + high) + 0.2 * (high - low) * rng.uniform(-1.0, 1.0, 3)
-        cameras.append(_judge(view, target + radius * rng.uniform(0.9, 2.2) * back, -back))
+        cameras.append(_camera(view, target + radius * rng.uniform(0.9, 2.2) * back, -back))
     return cameras
 
 
-def _walking(floors: tuple[Floor, ...], rng: np.random.Generator) -> list[Camera]:
-    """Return views of somebody who walks through a building and looks about."""
+def _visitor_views(floors: tuple[Floor, ...], rng: np.random.Generator) -> list[Camera]:
+    """Return test views from random points of a building's floors, in random directions."""
     cameras: list[Camera] = []
-    for view in range(JUDGE_VIEWS):
+    for view in range(TEST_VIEWS):
         x0, z0, x1, z1 = floors[view % len(floors)]
         place = np.array(
             [
@@ -268,16 +270,16 @@ def _walking(floors: tuple[Floor, ...], rng: np.random.Generator) -> list[Camera
         )
         turn, rise = 2.0 * np.pi * rng.random(), rng.uniform(-0.5, 0.2)
         forward = unit(np.array([np.cos(turn), rise, np.sin(turn)]))
-        cameras.append(_judge(view, place, forward))
+        cameras.append(_camera(view, place, forward))
     return cameras
 
 
-def _judge(view: int, eye: F64, forward: F64) -> Camera:
+def _camera(view: int, eye: F64, forward: F64) -> Camera:
     return camera_at(
         eye * TO_SCENE,
         forward * TO_SCENE,
-        _JUDGE_WIDTH,
-        _JUDGE_HEIGHT,
-        0.5 * _JUDGE_WIDTH / np.tan(np.radians(30.0)),
-        f"judge_{view:02d}",
+        _WIDTH,
+        _HEIGHT,
+        0.5 * _WIDTH / np.tan(np.radians(30.0)),
+        f"test_{view:02d}",
     )

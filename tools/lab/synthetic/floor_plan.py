@@ -1,4 +1,4 @@
-"""The plan of a house of many rooms: walls, doors, windows, and where a visitor walks and looks.
+"""Floor plan of a house of many rooms: walls, doors, windows, and poses of its visitors.
 
 Lengths are metres, y is up. Rooms stand in rows and columns on the floor of the house, x to the
 right and z towards the front.
@@ -25,21 +25,21 @@ HALF_WALL: Final = 0.07
 
 MOST_ROOMS: Final = 400
 SPLATS_PER_ROOM: Final = 100_000
-"""Size of a house, at most, and splats that show the pattern of its wallpaper. With more rooms, a
-scene of 20 million splats has so few in each that walls have gaps."""
+"""Rooms of a house at most, and splats per room that resolve the wallpaper's pattern. With more
+rooms, a scene of 20 million splats has gaps in its walls."""
 
 EYES: Final = 1.55
 """Height of a visitor's eyes."""
 
 # Width and depth of a room, at least and at most.
 _WIDTHS, _DEPTHS = (3.7, 5.2), (3.5, 4.8)
-# Doors keep this far from the corners of a room, which belong to the furniture.
-_CORNER = 1.3
-# Share of the walls between neighbours that have a door although the rooms are connected already.
-_MORE_DOORS = 0.2
-# A visitor's step, and the largest turn between two poses: those of somebody who films a house.
+# Distance of a door's middle from a room's corners at least: corners hold furniture, metres.
+_DOOR_TO_CORNER = 1.3
+# Probability of a door between neighbours that are already connected.
+_EXTRA_DOOR_PROBABILITY = 0.2
+# Largest step (metres) and turn (radians) between two poses, as of a visitor who films a house.
 _STEP, _TURN = 0.5, np.radians(20.0)
-# How far before and behind a door a visitor is in line with it.
+# Distance from a door within which a visitor walks straight through it, metres.
 _BEFORE_DOOR = 0.55
 
 
@@ -50,13 +50,13 @@ class Opening:
     Parameters
     ----------
     middle : float
-        Where its middle is along the wall, from the wall's left end as seen from inside.
+        Position of its middle along the wall, from the wall's left end seen from inside, metres.
     half : float
-        Half its width.
+        Half its width, metres.
     low, high : float
-        Heights of its lower and upper edge.
+        Heights of its lower and upper edge, metres.
     to_room : int
-        The room behind a door; -1 for a window.
+        Number of the room behind a door; -1 for a window.
     """
 
     middle: float
@@ -68,14 +68,14 @@ class Opening:
 
 @dataclass(frozen=True)
 class Room:
-    """A room: its floor, and what opens in its walls.
+    """A room: its floor, and the doors and windows in its walls.
 
     Parameters
     ----------
     x0, z0, x1, z1 : float
-        Opposite corners of the floor.
+        Opposite corners of the floor, metres.
     walls : tuple of list of Opening
-        Of the walls at z0, x1, z1 and x0, in this order.
+        Openings of the walls at z0, x1, z1 and x0, in this order.
     """
 
     x0: float
@@ -110,9 +110,9 @@ class Door:
     Parameters
     ----------
     first, second : int
-        The rooms.
+        Numbers of the rooms.
     x, z : float
-        Its middle, in the middle of the wall.
+        Position of its middle, halfway through the wall, metres.
     across : tuple of float
         Unit vector (x, z) through the door from the first room to the second.
     """
@@ -126,7 +126,7 @@ class Door:
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """Rooms and the doors between them; every room can be reached.
+    """Rooms of a house and the doors between neighbouring rooms, which connect the whole house.
 
     Parameters
     ----------
@@ -139,19 +139,19 @@ class FloorPlan:
 
 
 def floor_plan(rooms: int, rng: np.random.Generator) -> FloorPlan:
-    """Draw a house.
+    """Generate a random floor plan.
 
     Parameters
     ----------
     rooms : int
-        At least 1.
+        Number of rooms, at least 1.
     rng : numpy.random.Generator
         Source of the sizes of the rooms, their doors and their windows.
 
     Raises
     ------
     ValueError
-        No rooms.
+        The number of rooms is below 1.
     """
     if rooms < 1:
         raise ValueError(f"{rooms} rooms, expected at least 1")
@@ -170,12 +170,12 @@ def floor_plan(rooms: int, rng: np.random.Generator) -> FloorPlan:
             )
         )
     doors = []
-    for first, second in _connected(rooms, columns, rng):
-        # Of neighbours, the second is to the right or to the front.
+    for first, second in _choose_doors(rooms, columns, rng):
+        # The second of two neighbours is to the right of the first, or in front of it.
         beside = second == first + 1
         one, other = made[first], made[second]
         low, high = (one.z0, one.z1) if beside else (one.x0, one.x1)
-        at = float(rng.uniform(low + _CORNER, high - _CORNER))
+        at = float(rng.uniform(low + _DOOR_TO_CORNER, high - _DOOR_TO_CORNER))
         for room, number, to_room in ((one, 1 if beside else 2, second), (other, -1, first)):
             number = number if number > 0 else 3 if beside else 0
             start, along, _ = room.wall(number)
@@ -189,8 +189,8 @@ def floor_plan(rooms: int, rng: np.random.Generator) -> FloorPlan:
     return FloorPlan(made, doors)
 
 
-def _connected(rooms: int, columns: int, rng: np.random.Generator) -> list[tuple[int, int]]:
-    """Return the neighbours that have a door between them: a tree of all rooms, and a few more."""
+def _choose_doors(rooms: int, columns: int, rng: np.random.Generator) -> list[tuple[int, int]]:
+    """Return pairs of neighbours to connect by doors: a spanning tree, and a few random pairs."""
     pairs = [(i, i + 1) for i in range(rooms - 1) if (i + 1) % columns]
     pairs += [(i, i + columns) for i in range(rooms - columns)]
     group = list(range(rooms))
@@ -201,7 +201,7 @@ def _connected(rooms: int, columns: int, rng: np.random.Generator) -> list[tuple
             joined = group[second]
             group = [group[first] if of == joined else of for of in group]
             chosen.append(pairs[index])
-        elif rng.random() < _MORE_DOORS:
+        elif rng.random() < _EXTRA_DOOR_PROBABILITY:
             chosen.append(pairs[index])
     return sorted(chosen)
 
@@ -222,8 +222,8 @@ def _add_windows(rooms: list[Room], columns: int, rng: np.random.Generator) -> N
                 room.walls[wall].append(Opening(middle, float(rng.uniform(0.5, 0.8)), 0.9, 2.2, -1))
 
 
-def walk(plan: FloorPlan) -> list[tuple[F64, float]]:
-    """Return the poses of a walk through all rooms, each entered through a door.
+def walk_poses(plan: FloorPlan) -> list[tuple[F64, float]]:
+    """Return the poses of a visitor who walks through all rooms by their doors.
 
     Returns
     -------
@@ -254,7 +254,7 @@ def _eyes(place: F64) -> F64:
 
 
 def _corners(plan: FloorPlan) -> list[F64]:
-    """Return the corners of the walk, (x, z) each: depth first, and back where a room is an end."""
+    """Return the (x, z) corners of a depth-first walk, with backtracking from dead ends."""
     beside: dict[int, list[tuple[int, Door]]] = {i: [] for i in range(len(plan.rooms))}
     for door in plan.doors:
         beside[door.first].append((door.second, door))
@@ -281,18 +281,18 @@ def _corners(plan: FloorPlan) -> list[F64]:
     return corners
 
 
-def looks_around(
+def capture_poses(
     plan: FloorPlan, views: int, rng: np.random.Generator
 ) -> list[tuple[int, F64, F64]]:
-    """Return poses of a capture: from several places of each room to all sides.
+    """Return the poses of a capture that shows each room from several positions.
 
     Parameters
     ----------
     plan : FloorPlan
     views : int
-        Of each room.
+        Views per room.
     rng : numpy.random.Generator
-        Source of small differences between the poses.
+        Source of the random offsets of the poses.
 
     Returns
     -------
@@ -304,7 +304,7 @@ def looks_around(
         reach = 0.22 * np.array([room.x1 - room.x0, room.z1 - room.z0])
         for view in range(views):
             angle = 2.0 * np.pi * (view + 0.5 * rng.random()) / views
-            # From the far side of the room's middle, so that a picture shows much of the room.
+            # The position is opposite the viewing direction, so that much of the room is visible.
             place = room.middle - reach * np.array([np.cos(angle), np.sin(angle)])
             eyes = _eyes(place) + np.array([0.0, rng.uniform(-0.35, 0.25), 0.0])
             sink = rng.uniform(-0.35, 0.02)

@@ -1,4 +1,4 @@
-"""The cottage of the synthetic scene, at the origin, its front towards +z."""
+"""Cottage of the synthetic scene, at the origin, with its front towards +z."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .materials import Colour, Edges, Surfels, collected, covered, mixed, shares
-from .patches import Patch, any_tangents, joined, noise, quad, smoothstep, unit
+from .materials import Colour, Edges, Surfels, blend, concatenate, cover, split_count
+from .patches import Patch, any_tangents, join_patches, noise, quad, smoothstep, unit
 
 F64 = NDArray[np.float64]
 
@@ -20,12 +20,12 @@ _BEAM_HALF_WIDTH = 0.027
 
 
 def cottage(n: int, rng: np.random.Generator) -> Surfels:
-    """Return a half-timbered cottage with a tiled roof, lit windows and a chimney."""
+    """Return n surfels of a half-timbered cottage with a tiled roof, lit windows and a chimney."""
     hx, hz, h = WALLS
     wall_areas = [2 * hx * h, 2 * hx * h, 2 * hz * h, 2 * hz * h]
     roof_area = 2 * (hx + _OVERHANG) * float(np.hypot(hz + _OVERHANG, ROOF_RISE * 1.2))
     gable = hz * ROOF_RISE
-    counts = shares(n, [*wall_areas, gable, gable, roof_area, roof_area, 0.2])
+    counts = split_count(n, [*wall_areas, gable, gable, roof_area, roof_area, 0.2])
     walls = [
         ((-hx, 0.0, hz), (2 * hx, 0.0, 0.0)),
         ((hx, 0.0, -hz), (-2 * hx, 0.0, 0.0)),
@@ -53,18 +53,18 @@ def cottage(n: int, rng: np.random.Generator) -> Surfels:
         )
         parts.append(_tiles(patch, 2 * wide, rng))
     parts.append(_chimney(counts[8], rng))
-    return collected(parts)
+    return concatenate(parts)
 
 
 def _plaster(patch: Patch, middles: Edges, rng: np.random.Generator) -> Surfels:
-    """Return the splats of a plastered wall with beams; `middles` are the beams' middle lines."""
+    """Return surfels of a plastered wall with beams; `middles` are the beams' centre lines."""
     tone = noise(patch.points, 9.0, 4, 71)
-    plaster = mixed((0.66, 0.58, 0.44), (0.84, 0.79, 0.68), tone)
+    plaster = blend((0.66, 0.58, 0.44), (0.84, 0.79, 0.68), tone)
     beam = np.array(_BEAM) * (0.7 + 0.6 * noise(patch.points, 30.0, 2, 72))[:, None]
     from_beam = middles.distance - _BEAM_HALF_WIDTH
-    albedo = mixed(beam, plaster, smoothstep(-0.003, 0.003, from_beam))
+    albedo = blend(beam, plaster, smoothstep(-0.003, 0.003, from_beam))
     edges = Edges(np.abs(from_beam), middles.along)
-    return covered(patch, rng, albedo, 0.03, 0.4, edges=edges)
+    return cover(patch, rng, albedo, 0.03, 0.4, edges=edges)
 
 
 def _sides(patch: Patch) -> tuple[F64, F64]:
@@ -136,10 +136,10 @@ def _tiles(patch: Patch, width: float, rng: np.random.Generator) -> Surfels:
     column = patch.uv[:, 0] * columns + 0.5 * (row % 2.0)
     across = np.abs(column % 1.0 - 0.5) * 2.0
     ids = np.stack([np.floor(column), row, patch.normals[:, 2] * 40.0], axis=1)
-    albedo = mixed((0.30, 0.075, 0.035), (0.62, 0.22, 0.09), noise(ids + 0.5, 1.0, 1, 73))
+    albedo = blend((0.30, 0.075, 0.035), (0.62, 0.22, 0.09), noise(ids + 0.5, 1.0, 1, 73))
     albedo *= (0.35 + 0.65 * smoothstep(0.0, 0.35, down) * smoothstep(1.02, 0.80, across))[:, None]
     moss = smoothstep(0.58, 0.75, noise(patch.points, 4.0, 3, 74))
-    albedo = mixed(albedo, (0.14, 0.17, 0.045), 0.7 * moss)
+    albedo = blend(albedo, (0.14, 0.17, 0.045), 0.7 * moss)
     raised = patch.points + patch.normals * (0.02 * (1.0 - down))[:, None]
     uphill = np.cross(patch.normals, patch.tangents)
     bent = unit(
@@ -147,13 +147,13 @@ def _tiles(patch: Patch, width: float, rng: np.random.Generator) -> Surfels:
     )
     patch = Patch(raised, bent, any_tangents(bent), patch.areas, patch.uv)
     edges = Edges(width / columns * 0.5 * (1.0 - across), uphill)
-    return covered(patch, rng, albedo, 0.16, 0.22, edges=edges)
+    return cover(patch, rng, albedo, 0.16, 0.22, edges=edges)
 
 
 def _chimney(n: int, rng: np.random.Generator) -> Surfels:
     x, z, r, low, high = 0.30, -0.16, 0.085, 0.78, 1.34
     tall = high - low
-    counts = shares(n, [tall, tall, tall, tall, 2 * r])
+    counts = split_count(n, [tall, tall, tall, tall, 2 * r])
     sides = [
         quad((x - r, low, z + r), (2 * r, 0.0, 0.0), (0.0, tall, 0.0), counts[0], rng),
         quad((x + r, low, z - r), (-2 * r, 0.0, 0.0), (0.0, tall, 0.0), counts[1], rng),
@@ -161,11 +161,11 @@ def _chimney(n: int, rng: np.random.Generator) -> Surfels:
         quad((x - r, low, z - r), (0.0, 0.0, 2 * r), (0.0, tall, 0.0), counts[3], rng),
         quad((x - r, high, z + r), (2 * r, 0.0, 0.0), (0.0, 0.0, -2 * r), counts[4], rng),
     ]
-    patch = joined(sides)
+    patch = join_patches(sides)
     course = patch.points[:, 1] * 22.0
     brick = (patch.uv[:, 0] * 2.0 + 0.5 * (np.floor(course) % 2.0)) % 1.0
     mortar = smoothstep(0.12, 0.22, np.minimum(course % 1.0, brick))
-    albedo = mixed((0.45, 0.42, 0.38), (0.36, 0.11, 0.06), mortar)
+    albedo = blend((0.45, 0.42, 0.38), (0.36, 0.11, 0.06), mortar)
     top = patch.normals[:, 1] > 0.5
     albedo[top] = (0.02, 0.02, 0.02)
-    return covered(patch, rng, albedo * (0.7 + 0.6 * noise(patch.points, 20.0, 2, 75))[:, None])
+    return cover(patch, rng, albedo * (0.7 + 0.6 * noise(patch.points, 20.0, 2, 75))[:, None])

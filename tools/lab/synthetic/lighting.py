@@ -24,7 +24,7 @@ BOUNCE_COLOUR = np.array([0.22, 0.18, 0.13])
 # From y up to the axes of SceneInfo's default, "RDF": half a turn about x.
 TO_SCENE = np.array([1.0, -1.0, -1.0])
 
-# Where glossy surfaces see a second, wide light: the bright sky across from the sun.
+# Direction of a second, wide light in highlights: the bright sky opposite the sun.
 _WINDOW_DIRECTION = np.array([0.55, 0.62, -0.56]) / np.sqrt(0.55**2 + 0.62**2 + 0.56**2)
 _WINDOW_SPREAD = 0.34
 _WINDOW_SHARE = 0.30
@@ -37,17 +37,17 @@ _BANDS = ((0, 1), (1, 4), (4, 9), (9, 16))
 _RIM = (2.0 / 3.0, -2.0 / 5.0, -2.0 / 3.0, 2.0 / 5.0)
 
 BLOCK = 8192
-"""Rows that `bake` works on at a time: the intermediates stay in the cache."""
+"""Rows per block of `bake`, so that intermediates fit in the cache."""
 
 
 @dataclass(frozen=True, eq=False)
 class Occluders:
-    """Spheres that cast shadows in place of the objects.
+    """Spheres and boxes that cast shadows in place of the objects.
 
     Parameters
     ----------
     balls : (m, 5) float64
-        Centre, radius and share of light stopped.
+        Centre, radius and share of light blocked.
     boxes : (k, 7) float64
         Centre, half extents and turn about +y in radians.
     """
@@ -56,21 +56,21 @@ class Occluders:
     boxes: F64
 
 
-def display(linear: F64) -> F64:
-    """Return display colours in [0, 1) of linear light, tone-mapped by a shoulder and gamma 2."""
+def tone_map(linear: F64) -> F64:
+    """Return display colours in [0, 1) of linear light: exponential shoulder, then gamma 2."""
     result: F64 = np.sqrt(1.0 - np.exp(-linear))
     return result
 
 
 def bake(surfels: Surfels, occluders: Occluders, rng: np.random.Generator) -> F32:
-    """Return SH coefficients of the light that the surfels reflect to every direction.
+    """Return SH coefficients of the light that each surfel reflects.
 
     Parameters
     ----------
     surfels : Surfels
-        n of them.
+        n surfels.
     occluders : Occluders
-        Spheres that cast shadows.
+        Shapes that cast shadows.
     rng : numpy.random.Generator
         Source of the noise that training leaves in the higher bands.
 
@@ -100,7 +100,7 @@ def _bake_block(
     up = 0.5 + 0.5 * normals[:, 1:2]
     ambient = (BOUNCE_COLOUR + up * (SKY_COLOUR - BOUNCE_COLOUR)) * open_sky[:, None]
     sun = SUN_COLOUR * (np.maximum(towards_sun, 0.0) * sunlit)[:, None]
-    diffuse = display(albedo * np.where(glow > 0.5, 1.0, ambient + sun))
+    diffuse = tone_map(albedo * np.where(glow > 0.5, 1.0, ambient + sun))
 
     gloss = surfels.gloss[rows]
     strength = (
@@ -111,7 +111,7 @@ def _bake_block(
         ],
         gloss * (_RIM_SHARE * open_sky)[:, None],
     )
-    # Highlights fill what the diffuse colour leaves below 1 and no more.
+    # Highlights are limited to the headroom between diffuse colour and 1.
     total = strength[0] + strength[1] + strength[2]
     fit = np.minimum(1.0, np.maximum(1.0 - diffuse, 0.0) / np.maximum(total, 1e-9))
 
@@ -123,7 +123,7 @@ def _bake_block(
     )
     for amount, (axis, weights) in zip(strength, lobes, strict=True):
         lit = np.flatnonzero(amount.max(axis=1) > 1e-4)
-        # The highlight shows to a camera that looks against the mirrored light.
+        # The highlight is visible to a camera that looks against the mirrored light.
         basis = sh.basis(-axis[lit] * TO_SCENE, 3)
         of_row = weights[lit] if len(weights) > 1 else weights
         for band, (first, last) in enumerate(_BANDS):
@@ -157,7 +157,7 @@ def _lobe_weights(spread: F64) -> F64:
 
 
 def _ambient(points: F64, normals: F64, occluders: Occluders) -> F64:
-    """Return the share of the hemisphere above each point that is open, (n,)."""
+    """Return the unoccluded share of the hemisphere above each point, (n,)."""
     open_sky = np.ones(len(points))
     balls = [tuple(ball) for ball in occluders.balls]
     for x, y, z, hx, hy, hz, _ in occluders.boxes:
@@ -168,7 +168,7 @@ def _ambient(points: F64, normals: F64, occluders: Occluders) -> F64:
         facing = dx * normals[:, 0] + dy * normals[:, 1] + dz * normals[:, 2]
         facing = np.maximum(facing / np.sqrt(squared), 0.0)
         open_sky *= 1.0 - 0.9 * stopped * facing * np.minimum(radius * radius / squared, 1.0)
-    # The ground, by how near it is and how far down the surface looks.
+    # Occlusion by the ground depends on height and on how far the surface faces down.
     near = np.exp(-2.2 * np.maximum(points[:, 1], 0.0))
     result: F64 = open_sky * (1.0 - 0.45 * near * np.maximum(0.35 - normals[:, 1], 0.0))
     return result
@@ -188,8 +188,8 @@ def _sunlight(points: F64, occluders: Occluders) -> F64:
     for *centre, hx, hy, hz, turn in occluders.boxes:
         c, s = np.cos(turn), np.sin(turn)
         to_box = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
-        local = _rotated(points - np.array(centre), to_box)
-        ray = _rotated(SUN_DIRECTION[None, :], to_box)[0]
+        local = _rotate(points - np.array(centre), to_box)
+        ray = _rotate(SUN_DIRECTION[None, :], to_box)[0]
         enter, leave = np.full(len(points), -np.inf), np.full(len(points), np.inf)
         for axis, half in enumerate((hx, hy, hz)):
             slope = ray[axis] if abs(ray[axis]) > 1e-6 else 1e-6
@@ -201,12 +201,12 @@ def _sunlight(points: F64, occluders: Occluders) -> F64:
     return share
 
 
-def _rotated(vectors: F64, matrix: F64) -> F64:
+def _rotate(vectors: F64, matrix: F64) -> F64:
     """Return ``vectors @ matrix.T`` summed in a fixed order."""
     return np.stack([dot(vectors, matrix[i]) for i in range(3)], axis=1)
 
 
-def facing_sky(direction: F64) -> F64:
+def sky_light(direction: F64) -> F64:
     """Return the linear colour of the clear sky in (n, 3) unit directions, y up."""
     height = np.clip(direction[:, 1], 0.0, 1.0)[:, None]
     horizon, zenith = np.array([0.72, 0.95, 1.10]), np.array([0.05, 0.22, 0.80])

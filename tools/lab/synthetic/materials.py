@@ -1,4 +1,4 @@
-"""Surface splats of the synthetic scene: their sizes, opacities and materials."""
+"""Surfels of the synthetic scenes, with their sizes, opacities and materials."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .patches import Patch, dot, joined, unit
+from .patches import Patch, dot, join_patches, unit
 
 F64 = NDArray[np.float64]
 Colour = tuple[float, float, float]
 
-# Standard deviation of a surface splat over the distance to its neighbours: the smallest that
-# leaves no holes between them.
+# Standard deviation of a surface splat divided by the distance to its neighbours. The smallest
+# value without holes.
 COVER = 0.79
 
 
@@ -25,19 +25,19 @@ class Surfels:
     Parameters
     ----------
     patch : Patch
-        Where they lie.
+        Positions, normals and tangents.
     sizes : (n, 3) float64
         Standard deviations along tangent, bitangent and normal, scene units.
     albedo : (n, 3) float64
-        Diffuse reflectance; the light itself where `glow` is 1.
+        Diffuse reflectance, or emitted light where `glow` is 1.
     gloss : (n, 3) float64
         Brightness of the highlight, display space.
     spread : (n,) float64
         Width of the highlight: decay of band l is exp(-l(l+1)·spread).
     opacities_unit : (n,) float64
-        In (0, 1).
+        Opacity in (0, 1).
     glow : (n,) float64
-        1 where light and shadow do not matter, as in the sky.
+        1 for self-luminous surfels such as the sky, else 0.
     """
 
     patch: Patch
@@ -49,7 +49,7 @@ class Surfels:
     glow: F64
 
     def take(self, rows: NDArray[np.integer] | slice) -> Surfels:
-        """Return the chosen rows."""
+        """Return a selection of rows."""
         return Surfels(
             self.patch.take(rows),
             self.sizes[rows],
@@ -63,12 +63,12 @@ class Surfels:
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """The nearest edge of a tile, stripe or beam for each splat; splats do not reach across it.
+    """Nearest edge of a tile, stripe or beam for each splat, which the splat does not cross.
 
     Parameters
     ----------
     distance : (n,) float64
-        Scene units; infinite where there is none.
+        Distance to the edge, scene units; infinite without an edge.
     along : (n, 3) float64
         Unit vectors along the edge.
     """
@@ -78,11 +78,11 @@ class Edges:
 
     @classmethod
     def none(cls, patch: Patch) -> Edges:
-        """Return the edges of a patch that has none."""
+        """Return the edges of a patch without edges: infinite distances."""
         return cls(np.full(len(patch.points), np.inf), patch.tangents)
 
     def nearer(self, distance: F64, along: F64) -> Edges:
-        """Return the nearer of these edges and another, row by row."""
+        """Return per splat the nearer of its edge and another edge."""
         closer = distance < self.distance
         along = np.broadcast_to(along, self.along.shape)
         return Edges(
@@ -91,8 +91,8 @@ class Edges:
         )
 
 
-def shares(n: int, weights: Sequence[float]) -> list[int]:
-    """Return whole numbers that sum to n, as near to the weights' ratios as they can be."""
+def split_count(n: int, weights: Sequence[float]) -> list[int]:
+    """Split a count in proportion to weights: integers that sum to n, by largest remainder."""
     exact = np.array(weights) * (n / sum(weights))
     counts = np.floor(exact).astype(int)
     order = np.argsort(counts - exact, kind="stable")
@@ -100,7 +100,7 @@ def shares(n: int, weights: Sequence[float]) -> list[int]:
     return [int(count) for count in counts]
 
 
-def covered(
+def cover(
     patch: Patch,
     rng: np.random.Generator,
     albedo: F64 | Colour,
@@ -109,23 +109,23 @@ def covered(
     glow: F64 | float = 0.0,
     edges: Edges | None = None,
 ) -> Surfels:
-    """Return flat splats that cover a patch with sizes and opacities as training leaves them.
+    """Return flat surfels that cover a patch, with sizes and opacities as in trained scenes.
 
     Parameters
     ----------
     patch : Patch
-        n points.
+        Surface with n points.
     rng : numpy.random.Generator
-        Source of sizes, opacities and turns.
+        Source of sizes, opacities and rotations.
     albedo, gloss, spread, glow
-        As in `Surfels`; single values hold for every splat.
+        See `Surfels`; a single value applies to every surfel.
     edges : Edges, optional
-        Splats near an edge are drawn narrow and laid along it.
+        Surfels near an edge are narrowed and aligned with it.
 
     Returns
     -------
     Surfels
-        Sizes are log-normal, and one splat in eight is faint.
+        n surfels; sizes are log-normal, and one surfel in eight is faint.
     """
     n = len(patch.points)
     full = COVER * np.sqrt(patch.areas)
@@ -133,7 +133,7 @@ def covered(
     width = np.clip(0.5 * edges.distance + 0.002, 0.4 * full, full)
     held = width < 0.95 * full
     length = np.where(held, 1.15 * full, full)
-    # Held splats vary less, or they would poke through the edge.
+    # Surfels at an edge vary less, so that they do not cross it.
     vary = np.where(held, 0.4, 1.0)
     size = np.exp(0.22 * vary * rng.standard_normal(n))
     aspect = np.exp(0.25 * vary * rng.standard_normal(n))
@@ -158,10 +158,10 @@ def covered(
     )
 
 
-def collected(parts: list[Surfels]) -> Surfels:
-    """Return several batches of surfels as one."""
+def concatenate(parts: list[Surfels]) -> Surfels:
+    """Concatenate several batches of surfels."""
     return Surfels(
-        joined([part.patch for part in parts]),
+        join_patches([part.patch for part in parts]),
         np.concatenate([part.sizes for part in parts]),
         np.concatenate([part.albedo for part in parts]),
         np.concatenate([part.gloss for part in parts]),
@@ -171,13 +171,13 @@ def collected(parts: list[Surfels]) -> Surfels:
     )
 
 
-def mixed(a: F64 | Colour, b: F64 | Colour, share: F64) -> F64:
-    """Return colours from `a` where `share` (n,) is 0 to `b` where it is 1, (n, 3)."""
+def blend(a: F64 | Colour, b: F64 | Colour, share: F64) -> F64:
+    """Interpolate colours from `a` at `share` 0 to `b` at 1; (n,) shares give (n, 3)."""
     low, high = np.asarray(a, np.float64), np.asarray(b, np.float64)
     result: F64 = low + (high - low) * share[:, None]
     return result
 
 
-def placed(surfels: Surfels, turn: float, offset: tuple[float, float, float]) -> Surfels:
+def move(surfels: Surfels, turn: float, offset: tuple[float, float, float]) -> Surfels:
     """Return the surfels turned about +y by `turn` radians, then shifted by `offset`."""
-    return replace(surfels, patch=surfels.patch.moved(turn, offset))
+    return replace(surfels, patch=surfels.patch.move(turn, offset))

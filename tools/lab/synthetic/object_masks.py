@@ -1,4 +1,4 @@
-"""Masks of a labelled scene: pictures of which object each pixel shows."""
+"""Object masks of a labelled scene: images of the label at each pixel."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ _CHANNELS = 3
 def synth_masks(
     splats: Splats, labels: NDArray[np.integer], cameras: Sequence[Camera]
 ) -> list[NDArray[np.uint8]]:
-    """Draw the masks of a scene's objects.
+    """Render the object masks of a scene.
 
     Parameters
     ----------
     splats : Splats
     labels : (N,) integer
-        0 to 255, 0 for what is no object.
+        Label of each splat, 0 to 255; 0 for the background.
     cameras : sequence of Camera
 
     Returns
     -------
     list of (H, W) uint8
-        At each pixel the label that most of its colour comes from; 0 where nothing is.
+        Label with the largest blending weight at each pixel; 0 for empty pixels.
     """
     found = np.unique(labels).tolist()
     best = [np.zeros((camera.height, camera.width), np.float32) for camera in cameras]

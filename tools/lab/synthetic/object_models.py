@@ -10,24 +10,24 @@ from numpy.typing import NDArray
 
 from .house import ROOF_RISE, WALLS, cottage
 from .lighting import Occluders
-from .materials import COVER, Colour, Edges, Surfels, collected, covered, mixed, placed, shares
+from .materials import COVER, Colour, Edges, Surfels, blend, concatenate, cover, move, split_count
 from .patches import (
     Patch,
     annulus,
     any_tangents,
     noise,
     revolve,
+    rotate_about_y,
     smooth_curve,
     smoothstep,
     tube,
-    turned_about_y,
     unit,
 )
 
 F64 = NDArray[np.float64]
 
-# The teapot stands in the middle, the others on a ring about it, by their angles in degrees: far
-# enough apart for boxes that do not meet.
+# The teapot stands in the middle, the others on a ring around it at these angles, degrees. Their
+# bounding boxes do not overlap.
 _RING_RADIUS = 2.25
 _RING = {"knot": 40.0, "tree": 130.0, "marbles": 220.0, "house": 310.0}
 
@@ -41,9 +41,9 @@ def stand(name: str) -> tuple[float, tuple[float, float, float]]:
     return 0.5 * float(np.pi) - angle, (x, 0.0, z)
 
 
-def stood(name: str, surfels: Surfels) -> Surfels:
-    """Return an object, made at the origin with its front towards +z, moved to its place."""
-    return placed(surfels, *stand(name))
+def move_to_stand(name: str, surfels: Surfels) -> Surfels:
+    """Move an object from the origin, where its front faces +z, to its stand."""
+    return move(surfels, *stand(name))
 
 
 def _ball(
@@ -51,7 +51,7 @@ def _ball(
 ) -> Patch:
     angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 65)
     profile = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
-    return revolve(profile, n, rng).moved(0.0, centre)
+    return revolve(profile, n, rng).move(0.0, centre)
 
 
 def _plinth(radius: float, height: float, n: int, rng: np.random.Generator) -> Surfels:
@@ -63,17 +63,17 @@ def _plinth(radius: float, height: float, n: int, rng: np.random.Generator) -> S
     profile = np.stack([np.interp(fine, knots, corners[:, i]) for i in range(2)], axis=1)
     patch = revolve(profile, n, rng)
     veins = np.abs(noise(patch.points, 3.0, 4, 31) - 0.5) * 2.0
-    albedo = mixed((0.50, 0.47, 0.44), (0.74, 0.72, 0.70), smoothstep(0.0, 0.25, veins))
+    albedo = blend((0.50, 0.47, 0.44), (0.74, 0.72, 0.70), smoothstep(0.0, 0.25, veins))
     steps = np.diff(corners, axis=0)
     lengths = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
     along = patch.uv[:, 0] * lengths[-1]
     edge = np.abs(along[:, None] - lengths[1:-1]).min(axis=1)
-    return covered(patch, rng, albedo, 0.28, 0.14, edges=Edges(edge, patch.tangents))
+    return cover(patch, rng, albedo, 0.28, 0.14, edges=Edges(edge, patch.tangents))
 
 
 def teapot(n: int, rng: np.random.Generator) -> Surfels:
-    """Return a glazed teapot with a painted band and a gilded lid, on a marble plinth."""
-    plinth, body, spout, handle = shares(n, (0.24, 0.58, 0.10, 0.08))
+    """Return n surfels of a glazed teapot with a painted band and gilded lid, on a plinth."""
+    plinth, body, spout, handle = split_count(n, (0.24, 0.58, 0.10, 0.08))
     outline = [(0.0, 0.0), (0.30, 0.0), (0.33, 0.025), (0.47, 0.13), (0.565, 0.30), (0.53, 0.47)]
     outline += [
         (0.40, 0.585),
@@ -86,24 +86,24 @@ def teapot(n: int, rng: np.random.Generator) -> Surfels:
     outline += [(0.045, 0.78), (0.085, 0.82), (0.075, 0.865), (0.0, 0.89)]
     patch = revolve(smooth_curve(list(outline)), body, rng)
     y, angle = patch.points[:, 1], patch.uv[:, 1]
-    glaze = mixed((0.012, 0.16, 0.19), (0.035, 0.33, 0.34), noise(patch.points, 5.0, 3, 41))
-    cream = mixed((0.80, 0.73, 0.58), (0.86, 0.80, 0.68), noise(patch.points, 12.0, 2, 42))
+    glaze = blend((0.012, 0.16, 0.19), (0.035, 0.33, 0.34), noise(patch.points, 5.0, 3, 41))
+    cream = blend((0.80, 0.73, 0.58), (0.86, 0.80, 0.68), noise(patch.points, 12.0, 2, 42))
     # A frieze of petals and a vine between two gilded lines.
     petal = np.abs(np.sin(6.0 * angle)) * 0.085 - np.abs(y - 0.33)
     vine = 0.012 - np.abs(y - 0.33 - 0.05 * np.sin(12.0 * angle))
     soft = 0.004 + 0.25 * float(np.sqrt(patch.areas[:1].sum()))
     painted = np.maximum(smoothstep(-soft, soft, petal - 0.03), smoothstep(-soft, soft, vine))
     band = smoothstep(-soft, soft, 0.115 - np.abs(y - 0.33))
-    albedo = mixed(glaze, mixed(cream, (0.03, 0.06, 0.30), painted), band)
+    albedo = blend(glaze, blend(cream, (0.03, 0.06, 0.30), painted), band)
     gilt = smoothstep(-soft, soft, 0.012 - np.abs(np.abs(y - 0.33) - 0.125))
     gilt = np.maximum(gilt, smoothstep(0.765 - soft, 0.765 + soft, y))
     gilt = np.maximum(gilt, smoothstep(-soft, soft, 0.014 - np.abs(y - 0.637)))
-    albedo = mixed(albedo, (0.55, 0.33, 0.08), gilt)
-    shine = mixed((0.75, 0.75, 0.75), (0.85, 0.65, 0.30), gilt)
+    albedo = blend(albedo, (0.55, 0.33, 0.08), gilt)
+    shine = blend((0.75, 0.75, 0.75), (0.85, 0.65, 0.30), gilt)
     edges = Edges.none(patch)
     for line in (np.abs(y - 0.33) - 0.125, y - 0.637):
         edges = edges.nearer(np.abs(line), patch.tangents)
-    parts = [covered(patch, rng, albedo, shine, 0.075, edges=edges)]
+    parts = [cover(patch, rng, albedo, shine, 0.075, edges=edges)]
 
     path = smooth_curve(
         [(0.44, 0.24, 0.0), (0.66, 0.30, 0.0), (0.78, 0.47, 0.0), (0.93, 0.62, 0.0)]
@@ -112,17 +112,17 @@ def teapot(n: int, rng: np.random.Generator) -> Surfels:
     radii = 0.125 - 0.085 * smoothstep(0.0, 0.8, along) + 0.015 * smoothstep(0.9, 1.0, along)
     patch = tube(path, radii, spout, rng)
     lip = smoothstep(0.93, 0.95, patch.uv[:, 0])
-    glaze = mixed((0.012, 0.16, 0.19), (0.035, 0.33, 0.34), noise(patch.points, 5.0, 3, 41))
-    parts.append(covered(patch, rng, mixed(glaze, (0.55, 0.33, 0.08), lip), 0.75, 0.075))
+    glaze = blend((0.012, 0.16, 0.19), (0.035, 0.33, 0.34), noise(patch.points, 5.0, 3, 41))
+    parts.append(cover(patch, rng, blend(glaze, (0.55, 0.33, 0.08), lip), 0.75, 0.075))
 
     loop = [(-0.43, 0.50, 0.0), (-0.66, 0.60, 0.0), (-0.84, 0.52, 0.0), (-0.84, 0.32, 0.0)]
     path = smooth_curve([*loop, (-0.68, 0.18, 0.0), (-0.46, 0.16, 0.0)])
     patch = tube(path, np.full(len(path), 0.042), handle, rng)
-    glaze = mixed((0.012, 0.16, 0.19), (0.035, 0.33, 0.34), noise(patch.points, 5.0, 3, 41))
-    parts.append(covered(patch, rng, glaze, 0.75, 0.075))
+    glaze = blend((0.012, 0.16, 0.19), (0.035, 0.33, 0.34), noise(patch.points, 5.0, 3, 41))
+    parts.append(cover(patch, rng, glaze, 0.75, 0.075))
 
-    raised = [placed(part, 0.0, (0.0, 0.28, 0.0)) for part in parts]
-    return stood("teapot", collected([_plinth(0.62, 0.28, plinth, rng), *raised]))
+    raised = [move(part, 0.0, (0.0, 0.28, 0.0)) for part in parts]
+    return move_to_stand("teapot", concatenate([_plinth(0.62, 0.28, plinth, rng), *raised]))
 
 
 def _knot_path() -> F64:
@@ -134,16 +134,16 @@ def _knot_path() -> F64:
 
 
 def knot(n: int, rng: np.random.Generator) -> Surfels:
-    """Return a trefoil knot of anodised metal standing on a marble plinth."""
-    plinth, metal = shares(n, (0.30, 0.70))
+    """Return n surfels of a trefoil knot of anodised metal on a marble plinth."""
+    plinth, metal = split_count(n, (0.30, 0.70))
     path = _knot_path()
     patch = tube(path, np.full(len(path), 0.105), metal, rng)
     # Anodised: violet where it faces the eye, its highlights run to cyan.
     stain = noise(patch.points, 2.5, 3, 45)
-    albedo = mixed((0.05, 0.010, 0.17), (0.30, 0.020, 0.22), smoothstep(0.3, 0.7, stain))
-    tubing = covered(patch, rng, albedo, (0.62, 0.85, 0.95), 0.075)
+    albedo = blend((0.05, 0.010, 0.17), (0.30, 0.020, 0.22), smoothstep(0.3, 0.7, stain))
+    tubing = cover(patch, rng, albedo, (0.62, 0.85, 0.95), 0.075)
     parts = [_plinth(0.46, 0.34, plinth, rng), tubing]
-    return stood("knot", collected(parts))
+    return move_to_stand("knot", concatenate(parts))
 
 
 _MARBLES: tuple[tuple[tuple[float, float, float], float], ...] = (
@@ -155,9 +155,9 @@ _MARBLES: tuple[tuple[tuple[float, float, float], float], ...] = (
 
 
 def marbles(n: int, rng: np.random.Generator) -> Surfels:
-    """Return four balls: red lacquer, striped satin, cobalt glass and brass."""
+    """Return n surfels of four balls: red lacquer, striped satin, cobalt glass and brass."""
     parts = []
-    for i, count in enumerate(shares(n, [radius**1.6 for _, radius in _MARBLES])):
+    for i, count in enumerate(split_count(n, [radius**1.6 for _, radius in _MARBLES])):
         centre, radius = _MARBLES[i]
         patch = _ball(centre, radius, count, rng)
         albedo: F64 | Colour
@@ -170,25 +170,25 @@ def marbles(n: int, rng: np.random.Generator) -> Surfels:
             soft = 0.05 + 0.8 * float(np.sqrt(patch.areas[:1].sum())) / radius
             stripe = smoothstep(-soft, soft, np.sin(height * 34.0))
             albedo, gloss, spread = (
-                mixed((0.80, 0.74, 0.62), (0.70, 0.26, 0.03), stripe),
+                blend((0.80, 0.74, 0.62), (0.70, 0.26, 0.03), stripe),
                 0.22,
                 0.30,
             )
         elif i == 2:
             swirl = noise(patch.points * np.array([1.0, 3.0, 1.0]), 4.0, 3, 51)
             albedo, gloss, spread = (
-                mixed((0.006, 0.02, 0.20), (0.02, 0.16, 0.62), swirl),
+                blend((0.006, 0.02, 0.20), (0.02, 0.16, 0.62), swirl),
                 0.9,
                 0.115,
             )
         else:
             albedo, gloss, spread = (0.30, 0.19, 0.06), (0.8, 0.68, 0.4), 0.12
-        parts.append(covered(patch, rng, albedo, gloss, spread))
-    return stood("marbles", collected(parts))
+        parts.append(cover(patch, rng, albedo, gloss, spread))
+    return move_to_stand("marbles", concatenate(parts))
 
 
 def _crown() -> F64:
-    """Return the clumps of the tree's crown, (12, 4): centre and radius, tree at the origin."""
+    """Return centre and radius of the clumps of the tree's crown, (12, 4), tree at the origin."""
     i = np.arange(12.0)
     height = 1.0 - 2.0 * (i + 0.5) / 12.0
     ring, angle = np.sqrt(1.0 - height**2), i * (np.pi * (3.0 - np.sqrt(5.0)))
@@ -198,26 +198,24 @@ def _crown() -> F64:
 
 
 def tree(n: int, rng: np.random.Generator) -> Surfels:
-    """Return a blossoming tree in a glazed pot: every petal and leaf a thin splat."""
-    pot, soil, trunk, twigs, leaves = shares(n, (0.14, 0.02, 0.07, 0.07, 0.70))
+    """Return n surfels of a blossoming tree in a glazed pot; each petal and leaf is one."""
+    pot, soil, trunk, twigs, leaves = split_count(n, (0.14, 0.02, 0.07, 0.07, 0.70))
     outline = [(0.0, 0.0), (0.24, 0.0), (0.26, 0.02), (0.34, 0.20), (0.37, 0.30), (0.40, 0.32)]
     patch = revolve(smooth_curve([*outline, (0.40, 0.36), (0.35, 0.36), (0.34, 0.31)]), pot, rng)
     ring = np.abs(patch.points[:, 1] - 0.20) < 0.02
     edges = Edges(np.abs(patch.points[:, 1] - 0.33), patch.tangents)
     albedo = np.where(ring[:, None], [0.75, 0.66, 0.50], [0.10, 0.19, 0.42])
     albedo = albedo * (0.75 + 0.5 * noise(patch.points, 8.0, 3, 61))[:, None]
-    parts = [covered(patch, rng, albedo, 0.45, 0.14, edges=edges)]
-    patch = annulus(0.0, 0.35, soil, rng).moved(0.0, (0.0, 0.32, 0.0))
-    parts.append(
-        covered(patch, rng, mixed((0.03, 0.02, 0.01), (0.10, 0.06, 0.03), rng.random(soil)))
-    )
+    parts = [cover(patch, rng, albedo, 0.45, 0.14, edges=edges)]
+    patch = annulus(0.0, 0.35, soil, rng).move(0.0, (0.0, 0.32, 0.0))
+    parts.append(cover(patch, rng, blend((0.03, 0.02, 0.01), (0.10, 0.06, 0.03), rng.random(soil))))
 
     stem = [(0.0, 0.30, 0.0), (0.03, 0.60, 0.02), (-0.04, 0.90, 0.0), (0.02, 1.25, -0.02)]
     path = smooth_curve(list(stem))
     patch = tube(path, np.linspace(0.10, 0.05, len(path)), trunk, rng)
     parts.append(_bark(patch, rng))
     crown = _crown()
-    for clump, count in zip(crown, shares(twigs, [1.0] * len(crown)), strict=True):
+    for clump, count in zip(crown, split_count(twigs, [1.0] * len(crown)), strict=True):
         x, y, z, _ = (float(value) for value in clump)
         foot = (0.0, 0.95 + 0.12 * (y - 1.3), 0.0)
         bough = smooth_curve([foot, (0.45 * x, 0.5 * (foot[1] + y) - 0.05, 0.45 * z), (x, y, z)])
@@ -236,14 +234,14 @@ def tree(n: int, rng: np.random.Generator) -> Surfels:
     patch = Patch(
         spot, normals, any_tangents(normals), np.full(leaves, (size / COVER) ** 2), spot[:, :2]
     )
-    petal = mixed(
+    petal = blend(
         (0.72, 0.16, 0.30),
         (0.95, 0.66, 0.74),
         np.clip(depth - 0.3 + 0.5 * rng.random(leaves), 0.0, 1.0),
     )
-    green = mixed((0.10, 0.20, 0.03), (0.28, 0.36, 0.06), rng.random(leaves))
+    green = blend((0.10, 0.20, 0.03), (0.28, 0.36, 0.06), rng.random(leaves))
     kind = rng.random(leaves) < 0.20
-    leaf = covered(patch, rng, np.where(kind[:, None], green, petal), 0.10, 0.25)
+    leaf = cover(patch, rng, np.where(kind[:, None], green, petal), 0.10, 0.25)
     longer = np.where(kind, 1.7, 1.15)[:, None] ** np.array([1.0, -1.0, 0.0])
     parts.append(
         Surfels(
@@ -256,21 +254,21 @@ def tree(n: int, rng: np.random.Generator) -> Surfels:
             leaf.glow,
         )
     )
-    return stood("tree", collected(parts))
+    return move_to_stand("tree", concatenate(parts))
 
 
 def _bark(patch: Patch, rng: np.random.Generator) -> Surfels:
     tone = noise(patch.points * np.array([1.0, 0.35, 1.0]), 28.0, 2, 62)
-    return covered(patch, rng, mixed((0.05, 0.028, 0.016), (0.20, 0.13, 0.085), tone))
+    return cover(patch, rng, blend((0.05, 0.028, 0.016), (0.20, 0.13, 0.085), tone))
 
 
 def house(n: int, rng: np.random.Generator) -> Surfels:
-    """Return the cottage, its front door outwards."""
-    return stood("house", cottage(n, rng))
+    """Return n surfels of the cottage on its stand, with its front door outwards."""
+    return move_to_stand("house", cottage(n, rng))
 
 
 def occluders() -> Occluders:
-    """Return the spheres that cast the objects' shadows."""
+    """Return the spheres and boxes that cast the objects' shadows."""
     arc = np.linspace(-0.9, 0.9, 8) * np.pi
     spout = [(0.62, 0.57, 0.0, 0.09), (0.72, 0.65, 0.0, 0.08), (0.80, 0.77, 0.0, 0.06)]
     handle = [(-0.64 + 0.21 * np.sin(a), 0.66 + 0.21 * np.cos(a), 0.0, 0.04) for a in arc]
@@ -286,7 +284,7 @@ def occluders() -> Occluders:
     rows = []
     for name, group in balls.items():
         turn, offset = stand(name)
-        centres = turned_about_y(np.array([ball[:3] for ball in group]), turn) + np.array(offset)
+        centres = rotate_about_y(np.array([ball[:3] for ball in group]), turn) + np.array(offset)
         for centre, ball in zip(centres, group, strict=True):
             rows.append([*centre, ball[3], ball[4] if len(ball) > 4 else 1.0])
 
@@ -300,7 +298,7 @@ def occluders() -> Occluders:
     return Occluders(np.array(rows), np.array(boxes))
 
 
-# Where the inside of each object is out of sight, before it is put in its place: middle, radius.
+# Centre and radius of a hidden sphere inside each object, before it is moved to its stand.
 _INSIDES = {
     "teapot": ((0.0, 0.55, 0.0), 0.28),
     "knot": ((0.0, 0.16, 0.0), 0.14),
@@ -310,12 +308,12 @@ _INSIDES = {
 }
 
 
-def hidden(name: str, n: int, rng: np.random.Generator) -> Surfels:
-    """Return splats inside closed objects that no view sees, as training leaves them."""
+def hidden_splats(name: str, n: int, rng: np.random.Generator) -> Surfels:
+    """Return n surfels inside an object, hidden from all views, as in trained scenes."""
     middle, reach = _INSIDES[name]
     away = unit(rng.standard_normal((n, 3)))
     spot = away * (reach * np.cbrt(rng.random(n)))[:, None] + np.array(middle)
     normals = unit(rng.standard_normal((n, 3)))
     areas = np.minimum(0.04 * np.exp(0.6 * rng.standard_normal(n)), 0.07) ** 2
     patch = Patch(spot, normals, any_tangents(normals), areas, spot[:, :2])
-    return stood(name, covered(patch, rng, rng.random((n, 3)) * 0.25))
+    return move_to_stand(name, cover(patch, rng, rng.random((n, 3)) * 0.25))

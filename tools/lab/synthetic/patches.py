@@ -1,4 +1,4 @@
-"""Shapes of the synthetic scene as evenly spread points, and value noise to colour them."""
+"""Surfaces of the synthetic scenes as evenly spread points, and value noise for textures."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _OUTLINE_STEPS = 24
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """n points spread evenly over a surface, with normals, y up.
+    """n points spread evenly over a surface, with normals; y is up.
 
     Parameters
     ----------
@@ -28,9 +28,9 @@ class Patch:
     normals, tangents : (n, 3) float64
         Unit and orthogonal; normals point outwards.
     areas : (n,) float64
-        Surface that each point stands for, scene units².
+        Surface area per point, scene units².
     uv : (n, 2) float64
-        Coordinates on the surface, for textures; their meaning is the shape's.
+        Texture coordinates, defined by each shape.
     """
 
     points: F64
@@ -39,18 +39,18 @@ class Patch:
     areas: F64
     uv: F64
 
-    def moved(self, turn: float, offset: tuple[float, float, float]) -> Patch:
+    def move(self, turn: float, offset: tuple[float, float, float]) -> Patch:
         """Return the patch turned about +y by `turn` radians, then shifted by `offset`."""
         return Patch(
-            turned_about_y(self.points, turn) + np.array(offset),
-            turned_about_y(self.normals, turn),
-            turned_about_y(self.tangents, turn),
+            rotate_about_y(self.points, turn) + np.array(offset),
+            rotate_about_y(self.normals, turn),
+            rotate_about_y(self.tangents, turn),
             self.areas,
             self.uv,
         )
 
     def take(self, rows: NDArray[np.integer] | slice) -> Patch:
-        """Return the chosen rows."""
+        """Return a selection of rows."""
         return Patch(
             self.points[rows],
             self.normals[rows],
@@ -60,7 +60,7 @@ class Patch:
         )
 
 
-def turned_about_y(vectors: F64, turn: float) -> F64:
+def rotate_about_y(vectors: F64, turn: float) -> F64:
     """Return (n, 3) vectors turned about +y by `turn` radians, +z towards +x."""
     c, s = np.cos(turn), np.sin(turn)
     x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]
@@ -109,7 +109,7 @@ def revolve(profile: F64, n: int, rng: np.random.Generator) -> Patch:
     Parameters
     ----------
     profile : (m, 2) float64
-        Outline as (radius, height) from bottom to top; the outside is to its right.
+        Outline as (radius, height) from bottom to top; normals point to its right.
     n : int
         Points.
     rng : numpy.random.Generator
@@ -151,7 +151,7 @@ def tube(path: F64, radii: F64, n: int, rng: np.random.Generator) -> Patch:
     path : (m, 3) float64
         Centre line.
     radii : (m,) float64
-        Radius at each of its points.
+        Radius at each point of the centre line.
     n : int
         Points.
     rng : numpy.random.Generator
@@ -212,7 +212,7 @@ def quad(
     rng: np.random.Generator,
     triangle: bool = False,
 ) -> Patch:
-    """Spread points over a parallelogram, or its half at the corner; normal is u × v.
+    """Spread points over a parallelogram, or the triangle at its corner; the normal is u × v.
 
     Returns
     -------
@@ -248,7 +248,7 @@ def annulus(
     rng : numpy.random.Generator
         Source of the start of the lattice.
     growth : float
-        0 for even points; at 1 the distance between points grows with the radius.
+        0 for uniform density; at 1 the point spacing is proportional to the radius.
 
     Returns
     -------
@@ -275,8 +275,8 @@ def annulus(
     )
 
 
-def joined(patches: list[Patch]) -> Patch:
-    """Return several patches as one."""
+def join_patches(patches: list[Patch]) -> Patch:
+    """Concatenate several patches."""
     return Patch(
         np.concatenate([patch.points for patch in patches]),
         np.concatenate([patch.normals for patch in patches]),

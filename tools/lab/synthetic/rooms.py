@@ -1,7 +1,7 @@
-"""A house of many furnished rooms: a scene of which each view shows a small part.
+"""Synthetic house of many furnished rooms, of which each view shows a small part.
 
-Who stands in a room sees its walls, and through a door a part of the next. So most of the scene is
-hidden from any one place, as in captures of buildings and unlike in the scene of objects.
+From inside a room, its walls and, through a door, a part of the next room are visible. So most of
+the scene is hidden from any one position, as in captures of buildings.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from .floor_plan import (
     FloorPlan,
     Opening,
     Room,
+    capture_poses,
     floor_plan,
-    looks_around,
-    walk,
+    walk_poses,
 )
 from .furniture import (
     Paint,
@@ -36,23 +36,23 @@ from .furniture import (
     books,
     box,
     bricks,
-    daylight,
+    earthenware,
     fabric,
     face,
-    glazed,
+    lampshade,
+    lathe,
     painting,
     planks,
     plaster,
     rug,
-    shining,
     tiles,
-    turned,
     wallpaper,
+    window_view,
 )
 from .lighting import TO_SCENE, Occluders
-from .materials import Colour, Surfels, collected, shares
+from .materials import Colour, Surfels, concatenate, split_count
 from .patches import dot, unit
-from .terrace import camera_at, splats_of
+from .terrace import camera_at, splats_from_surfels
 
 F64 = NDArray[np.float64]
 
@@ -78,15 +78,14 @@ _WOOD: Final[tuple[tuple[Colour, Colour], ...]] = (
 )
 _WHITE: Final[Colour] = (0.72, 0.70, 0.66)
 
-# What the lamp and the windows of a room give, linear, one metre from them; and what comes from
-# everywhere.
-_LAMP, _AMBIENT = np.array([1.7, 1.35, 0.9]), np.array([0.34, 0.33, 0.33])
-_WINDOW = np.array([1.5, 1.8, 2.2])
+# Linear light of a room's lamp and windows at a distance of one metre, and ambient light.
+_LAMP_LIGHT, _AMBIENT_LIGHT = np.array([1.7, 1.35, 0.9]), np.array([0.34, 0.33, 0.33])
+_WINDOW_LIGHT = np.array([1.5, 1.8, 2.2])
 
 
 @dataclass(frozen=True)
 class _Footprint:
-    """Where a piece of furniture stands: x and z of opposite corners."""
+    """Floor area of a piece of furniture: x and z of opposite corners."""
 
     x0: float
     z0: float
@@ -95,18 +94,18 @@ class _Footprint:
 
 
 def synth_rooms(rooms: int, splats: int, seed: int = 7, sh_degree: int = 3) -> Splats:
-    """Make a house.
+    """Generate a house of furnished rooms.
 
     Parameters
     ----------
     rooms : int
-        1 to `floor_plan.MOST_ROOMS`, in rows and columns; doors lead to all of them.
+        Number of rooms, 1 to `floor_plan.MOST_ROOMS`, in a grid; doors connect all of them.
     splats : int
-        Number of splats, at least 1; from about 20,000 a room its walls are whole.
+        Number of splats, at least 1; below about 20,000 per room its walls have gaps.
     seed : int
-        Start of the random generators: the same seed gives the same bytes on one platform.
+        Seed; equal seeds give equal bytes on one platform.
     sh_degree : int
-        0 to 3; a lower degree is the same scene cut.
+        SH degree, 0 to 3; a lower degree truncates the same scene.
 
     Returns
     -------
@@ -124,46 +123,46 @@ def synth_rooms(rooms: int, splats: int, seed: int = 7, sh_degree: int = 3) -> S
         raise ValueError(f"{splats} splats, expected at least 1")
     plan = _plan(rooms, seed)
     rng = np.random.default_rng([seed, 1])
-    furnished = [_furnished(room, rng) for room in plan.rooms]
-    reveals = [_reveal(door) for door in plan.doors]
+    furnished = [_furnish(room, rng) for room in plan.rooms]
+    reveals = [_doorway(door) for door in plan.doors]
     pieces = [piece for made, _ in furnished for piece in made]
     pieces += [piece for made in reveals for piece in made]
-    counts = shares(splats, [piece.area for piece in pieces])
+    counts = split_count(splats, [piece.area for piece in pieces])
     parts = []
     start = 0
     for room, (made, footprints) in zip(plan.rooms, furnished, strict=True):
-        here = _made(made, counts[start : start + len(made)], rng)
+        here = _make_surfels(made, counts[start : start + len(made)], rng)
         start += len(made)
         if here is not None:
-            parts.append(_lit(here, room, footprints))
+            parts.append(_bake_room_light(here, room, footprints))
     for door, made in zip(plan.doors, reveals, strict=True):
-        here = _made(made, counts[start : start + len(made)], rng)
+        here = _make_surfels(made, counts[start : start + len(made)], rng)
         start += len(made)
         if here is not None:
-            parts.append(_lit(here, plan.rooms[door.first], []))
-    surfels = collected(parts)
+            parts.append(_bake_room_light(here, plan.rooms[door.first], []))
+    surfels = concatenate(parts)
     parts.clear()
     order = rng.permutation(splats)
     nothing = Occluders(np.zeros((0, 5)), np.zeros((0, 7)))
-    return splats_of(surfels, nothing, rng, sh_degree, order)
+    return splats_from_surfels(surfels, nothing, rng, sh_degree, order)
 
 
 def rooms_cameras(rooms: int, seed: int = 7, views: int = VIEWS_PER_ROOM) -> list[Camera]:
-    """Return the cameras of a capture: from each room of a house of `synth_rooms` to all sides.
+    """Return the cameras of a capture that shows every room of a `synth_rooms` house.
 
     Parameters
     ----------
     rooms, seed : int
-        As given to `synth_rooms`.
+        Arguments of `synth_rooms`.
     views : int
-        Of each room.
+        Views per room.
 
     Returns
     -------
     list of Camera
         480 x 360 px, 75 degrees wide, named ``room_000_view_0`` and so on.
     """
-    poses = looks_around(_plan(rooms, seed), views, np.random.default_rng([seed, 2]))
+    poses = capture_poses(_plan(rooms, seed), views, np.random.default_rng([seed, 2]))
     return [
         _camera(position, forward, f"room_{room:03d}_view_{index % views}")
         for index, (room, position, forward) in enumerate(poses)
@@ -176,7 +175,7 @@ def rooms_walk(rooms: int, seed: int = 7) -> list[Camera]:
     Parameters
     ----------
     rooms, seed : int
-        As given to `synth_rooms`.
+        Arguments of `synth_rooms`.
 
     Returns
     -------
@@ -186,7 +185,7 @@ def rooms_walk(rooms: int, seed: int = 7) -> list[Camera]:
     """
     return [
         _camera(eyes, np.array([np.cos(heading), -0.08, np.sin(heading)]), f"walk_{index:04d}")
-        for index, (eyes, heading) in enumerate(walk(_plan(rooms, seed)))
+        for index, (eyes, heading) in enumerate(walk_poses(_plan(rooms, seed)))
     ]
 
 
@@ -200,13 +199,15 @@ def _camera(position: F64, forward: F64, name: str) -> Camera:
     return camera_at(position * TO_SCENE, unit(forward) * TO_SCENE, _WIDTH, _HEIGHT, _FOCAL, name)
 
 
-def _made(pieces: list[Piece], counts: list[int], rng: np.random.Generator) -> Surfels | None:
+def _make_surfels(
+    pieces: list[Piece], counts: list[int], rng: np.random.Generator
+) -> Surfels | None:
     parts = [piece.make(count, rng) for piece, count in zip(pieces, counts, strict=True) if count]
-    return collected(parts) if parts else None
+    return concatenate(parts) if parts else None
 
 
-def _furnished(room: Room, rng: np.random.Generator) -> tuple[list[Piece], list[_Footprint]]:
-    """Return all that a room shows, and where furniture stands on its floor."""
+def _furnish(room: Room, rng: np.random.Generator) -> tuple[list[Piece], list[_Footprint]]:
+    """Return the pieces of a room, and the floor areas of its furniture."""
     salt = int(rng.integers(1, 10_000))
     ground, figure = _COLOURS[int(rng.integers(len(_COLOURS)))]
     paper: Paint = (
@@ -215,7 +216,7 @@ def _furnished(room: Room, rng: np.random.Generator) -> tuple[list[Piece], list[
         wallpaper(figure, ground, salt),
     )[int(rng.integers(3))]
     wood = _WOOD[int(rng.integers(len(_WOOD)))]
-    ceiling_light = _LAMP / _LAMP.max() * 2.0
+    ceiling_light = _LAMP_LIGHT / _LAMP_LIGHT.max() * 2.0
     floor: Paint = (
         planks(*wood, salt + 20),
         planks(*wood, salt + 20, turned_by=True),
@@ -233,10 +234,10 @@ def _furnished(room: Room, rng: np.random.Generator) -> tuple[list[Piece], list[
             rug(figure, ground, salt),
             1.5,
         ),
-        turned(
+        lathe(
             [(0.03, 0.42), (0.10, 0.36), (0.24, 0.16), (0.27, 0.03), (0.01, 0.0)][::-1],
             (x, CEILING - 0.45, z),
-            shining((float(ceiling_light[0]), float(ceiling_light[1]), float(ceiling_light[2]))),
+            lampshade((float(ceiling_light[0]), float(ceiling_light[1]), float(ceiling_light[2]))),
         ),
     ]
     bare = int(rng.integers(4))
@@ -251,18 +252,18 @@ def _furnished(room: Room, rng: np.random.Generator) -> tuple[list[Piece], list[
             footprints.append(footprint)
     for corner in range(4):
         added, spot = _in_corner(room, corner, wood, salt + 60 + corner, rng)
-        if spot is not None and not any(_meet(spot, other) for other in footprints):
+        if spot is not None and not any(_overlap(spot, other) for other in footprints):
             pieces += added
             footprints.append(spot)
     return pieces, footprints
 
 
-def _meet(one: _Footprint, other: _Footprint) -> bool:
+def _overlap(one: _Footprint, other: _Footprint) -> bool:
     return one.x0 < other.x1 and other.x0 < one.x1 and one.z0 < other.z1 and other.z0 < one.z1
 
 
 def _wall(room: Room, number: int, paint: Paint, salt: int) -> list[Piece]:
-    """Return a wall around its openings, with its windows."""
+    """Return the pieces of a wall around its openings, and of its windows."""
     start, along, length = room.wall(number)
 
     def pane(s0: float, s1: float, low: float, high: float, with_paint: Paint) -> Piece:
@@ -279,14 +280,14 @@ def _wall(room: Room, number: int, paint: Paint, salt: int) -> list[Piece]:
         pieces.append(pane(left, right, opening.high, CEILING, paint))
         if opening.low > 0.0:
             pieces.append(pane(left, right, 0.0, opening.low, paint))
-            pieces.append(pane(left, right, opening.low, opening.high, daylight(salt)))
+            pieces.append(pane(left, right, opening.low, opening.high, window_view(salt)))
         done = right
     pieces.append(pane(done, length, 0.0, CEILING, paint))
     return pieces
 
 
-def _reveal(door: Door) -> list[Piece]:
-    """Return the inside of a doorway: its two sides, its top and its threshold."""
+def _doorway(door: Door) -> list[Piece]:
+    """Return the pieces inside a doorway: two sides, top and threshold."""
     paint = plaster(_WHITE, 11)
     ax, az = door.across
     # Along the wall, to the left of somebody who walks through.
@@ -318,7 +319,7 @@ def _along_wall(
     salt: int,
     rng: np.random.Generator,
 ) -> tuple[list[Piece], _Footprint]:
-    """Return a sofa, a sideboard or bookshelves in the middle of a wall, and a picture above."""
+    """Return furniture at the middle of a wall, perhaps with a picture, and its floor area."""
     wood, cloth = colours
     start, along, length = room.wall(number)
     inwards = np.array([-along[1], along[0]])
@@ -362,21 +363,21 @@ def _in_corner(
     salt: int,
     rng: np.random.Generator,
 ) -> tuple[list[Piece], _Footprint | None]:
-    """Return a plant, a lamp, a small table or nothing for a corner of a room."""
+    """Return a plant, lamp, table or nothing in a room's corner, and its floor area if any."""
     x = room.x0 + 0.36 if corner in (0, 3) else room.x1 - 0.36
     z = room.z0 + 0.36 if corner < 2 else room.z1 - 0.36
     footprint = _Footprint(x - 0.3, z - 0.3, x + 0.3, z + 0.3)
     kind = int(rng.integers(4))
     if kind == 0:
         pot = [(0.0, 0.0), (0.15, 0.01), (0.20, 0.30), (0.17, 0.32), (0.15, 0.28)]
-        pieces = [turned(pot, (x, 0.0, z), glazed((0.40, 0.16, 0.08), salt))]
+        pieces = [lathe(pot, (x, 0.0, z), earthenware((0.40, 0.16, 0.08), salt))]
         pieces += [_leaf((x, 0.28, z), rng, salt + i) for i in range(11)]
     elif kind == 1:
         foot = [(0.0, 0.0), (0.16, 0.0), (0.15, 0.025), (0.02, 0.05), (0.016, 1.0), (0.016, 1.35)]
         shade = [(0.23, 0.0), (0.19, 0.14), (0.14, 0.30)]
         pieces = [
-            turned(foot, (x, 0.0, z), glazed((0.10, 0.09, 0.08), salt)),
-            turned(shade, (x, 1.32, z), shining((1.5, 1.1, 0.6))),
+            lathe(foot, (x, 0.0, z), earthenware((0.10, 0.09, 0.08), salt)),
+            lathe(shade, (x, 1.32, z), lampshade((1.5, 1.1, 0.6))),
         ]
     elif kind == 2:
         low: Point = (x - 0.26, 0.0, z - 0.26)
@@ -392,11 +393,11 @@ def _vase(foot: Point, salt: int, rng: np.random.Generator) -> Piece:
     outline = [(0.0, 0.0), (0.6 * wide, 0.0), (wide, 0.35 * tall), (0.5 * wide, 0.8 * tall)]
     hue = rng.uniform(0.05, 0.6, 3)
     colour: Colour = (float(hue[0]), float(hue[1]), float(hue[2]))
-    return turned([*outline, (0.62 * wide, tall)], foot, glazed(colour, salt), 3.0)
+    return lathe([*outline, (0.62 * wide, tall)], foot, earthenware(colour, salt), 3.0)
 
 
 def _leaf(foot: Point, rng: np.random.Generator, salt: int) -> Piece:
-    """Return one long leaf that rises from a pot."""
+    """Return a long leaf of a potted plant."""
     angle, lean = float(rng.uniform(0.0, 2.0 * np.pi)), float(rng.uniform(0.1, 0.5))
     long = float(rng.uniform(0.5, 1.0))
     rise = np.array([lean * np.cos(angle), 1.0, lean * np.sin(angle)]) * long
@@ -411,44 +412,44 @@ def _leaf(foot: Point, rng: np.random.Generator, salt: int) -> Piece:
     )
 
 
-def _lit(surfels: Surfels, room: Room, footprints: list[_Footprint]) -> Surfels:
-    """Return surfels that show the light of their room, as if they gave it themselves."""
+def _bake_room_light(surfels: Surfels, room: Room, footprints: list[_Footprint]) -> Surfels:
+    """Bake the light of a room into its surfels, which become self-luminous."""
     points, normals = surfels.patch.points, surfels.patch.normals
     x, z = room.middle
-    light = _AMBIENT * _open_share(points, normals, room, footprints)[:, None]
+    light = _AMBIENT_LIGHT * _ambient_occlusion(points, normals, room, footprints)[:, None]
     lamp = np.array([x, CEILING - 0.35, z]) - points
-    light = light + _LAMP * _received(lamp, normals, 0.5)[:, None]
+    light = light + _LAMP_LIGHT * _light_share(lamp, normals, 0.5)[:, None]
     for number in range(4):
         start, along, _ = room.wall(number)
         for opening in room.walls[number]:
             if opening.to_room < 0:
-                light = light + _through(opening, start, along, points, normals)
+                light = light + _window_light(opening, start, along, points, normals)
     shown = np.where(surfels.glow[:, None] > 0.5, surfels.albedo, surfels.albedo * light)
     return replace(surfels, albedo=shown, glow=np.ones(len(points)))
 
 
-def _received(towards: F64, normals: F64, soft: float) -> F64:
-    """Return what reaches a surface from a small light, by its distance and slant."""
+def _light_share(towards: F64, normals: F64, soft: float) -> F64:
+    """Return the share of a small lamp's light that each point receives, by distance and angle."""
     squared = dot(towards, towards)
     facing = dot(towards, normals) / np.sqrt(np.maximum(squared, 1e-6))
-    # Walls send back much of what they get, so that light falls off slower than from a point.
+    # Walls reflect light, so it falls off more slowly than from a point source.
     share: F64 = np.maximum(0.25 + 0.75 * facing, 0.0) / (soft + np.sqrt(squared))
     return share
 
 
-def _through(opening: Opening, start: F64, along: F64, points: F64, normals: F64) -> F64:
-    """Return the light of a window, (n, 3)."""
+def _window_light(opening: Opening, start: F64, along: F64, points: F64, normals: F64) -> F64:
+    """Return the light of a window at each point, (n, 3)."""
     x, z = start + along * opening.middle
     towards = np.array([x, 0.5 * (opening.low + opening.high), z]) - points
     inwards = np.array([-along[1], 0.0, along[0]])
     distance = np.sqrt(np.maximum(dot(towards, towards), 1e-6))
     sideways = np.maximum(-dot(towards, inwards) / distance, 0.0)
-    received: F64 = _received(towards, normals, 0.8) * sideways
-    return _WINDOW * (2.0 * opening.half / 1.3 * received)[:, None]
+    received: F64 = _light_share(towards, normals, 0.8) * sideways
+    return _WINDOW_LIGHT * (2.0 * opening.half / 1.3 * received)[:, None]
 
 
-def _open_share(points: F64, normals: F64, room: Room, footprints: list[_Footprint]) -> F64:
-    """Return how open the surroundings of each point are: less in corners and under furniture."""
+def _ambient_occlusion(points: F64, normals: F64, room: Room, footprints: list[_Footprint]) -> F64:
+    """Return the ambient light share of each point, lower in corners and under furniture."""
     share = np.ones(len(points))
     for axis, low, high in ((0, room.x0, room.x1), (1, 0.0, CEILING), (2, room.z0, room.z1)):
         near = np.minimum(points[:, axis] - low, high - points[:, axis])

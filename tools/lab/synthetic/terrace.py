@@ -1,8 +1,8 @@
-"""A procedural scene with its cameras and labels, with known ground truth.
+"""Procedural scene with cameras, labels and ground truth: objects on a terrace in a meadow.
 
-Objects on a stone terrace in a meadow, hills and sky around. What makes trained scenes hard is in
-it: splats of very different sizes and opacities, gloss that moves with the view, noise in the
-higher SH bands, splats that no view sees, floaters, quaternions of any length, shuffled rows.
+It has the difficulties of trained scenes: a wide range of sizes and opacities, view-dependent
+gloss, noise in the higher SH bands, hidden splats, floaters, unnormalised quaternions, and rows in
+random order.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, empty
 from . import landscape as land
 from . import object_models as objects
 from .lighting import BLOCK, TO_SCENE, Occluders, bake
-from .materials import Surfels, collected, shares
+from .materials import Surfels, concatenate, split_count
 from .patches import dot, unit
 
 F64 = NDArray[np.float64]
 Maker = Callable[[int, np.random.Generator], Surfels]
 
-# Rows that are made at a time: whole blocks of `bake`, which draws its noise block by block.
+# Rows per block: a multiple of `BLOCK`, since `bake` draws its noise block by block.
 _BLOCK = 8 * BLOCK
 
 LABELS = ("ground", "teapot", "knot", "marbles", "tree", "house", "surroundings")
-"""What each label of `synth_labels` means, by its number."""
+"""Names of the labels of `synth_labels`."""
 
 OBJECTS = ("teapot", "knot", "marbles")
-"""Those that `synth_objects` tells apart."""
+"""Names of the objects that `synth_objects` labels."""
 
 
 def _hidden(name: str) -> Maker:
-    return lambda n, rng: objects.hidden(name, n, rng)
+    return lambda n, rng: objects.hidden_splats(name, n, rng)
 
 
-# Label, share of the splats, maker. Shares follow what the views show, as densification does.
+# Label, share of the splats, maker. Shares follow visibility in the views, as by densification.
 _PARTS: tuple[tuple[int, float, Maker], ...] = (
     (0, 0.185, land.terrace),
     (0, 0.150, land.meadow),
@@ -61,25 +61,25 @@ _PARTS: tuple[tuple[int, float, Maker], ...] = (
 
 
 def _layout(splats: int, seed: int) -> tuple[np.random.Generator, list[int], NDArray[np.intp]]:
-    """Return the generator, the splats of each part, and the order of the rows."""
+    """Return the random generator, the splat count of each part, and the order of the rows."""
     if splats < 1:
         raise ValueError(f"{splats} splats, expected at least 1")
     rng = np.random.default_rng(seed)
-    counts = shares(splats, [share for _, share, _ in _PARTS])
+    counts = split_count(splats, [share for _, share, _ in _PARTS])
     return rng, counts, rng.permutation(splats)
 
 
 def synth(splats: int = 120_000, seed: int = 7, sh_degree: int = 3) -> Splats:
-    """Make the scene.
+    """Generate the scene.
 
     Parameters
     ----------
     splats : int
-        Number of splats, at least 1; from about 10,000 the scene is whole, detail follows.
+        Number of splats, at least 1; below about 10,000 surfaces have gaps.
     seed : int
-        Start of the one random generator; the same seed gives the same bytes on one platform.
+        Seed; equal seeds give equal bytes on one platform.
     sh_degree : int
-        0 to 3; a lower degree is the same scene cut.
+        SH degree, 0 to 3; a lower degree truncates the same scene.
 
     Returns
     -------
@@ -95,47 +95,47 @@ def synth(splats: int = 120_000, seed: int = 7, sh_degree: int = 3) -> Splats:
         raise ValueError(f"SH degree {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
     rng, counts, order = _layout(splats, seed)
     parts = [make(count, rng) for (_, _, make), count in zip(_PARTS, counts, strict=True) if count]
-    surfels = collected(parts)
-    # Surfels take nearly as much as the splats that are made of them.
+    surfels = concatenate(parts)
+    # Frees the parts: surfels need nearly as much memory as the splats.
     parts.clear()
-    return splats_of(surfels, objects.occluders(), rng, sh_degree, order)
+    return splats_from_surfels(surfels, objects.occluders(), rng, sh_degree, order)
 
 
-def splats_of(
+def splats_from_surfels(
     surfels: Surfels,
     occluders: Occluders,
     rng: np.random.Generator,
     sh_degree: int,
     order: NDArray[np.intp] | None = None,
 ) -> Splats:
-    """Return lit surfels as the splats that training would make of them.
+    """Convert surfels into splats, with their lighting baked into SH.
 
     Parameters
     ----------
     surfels : Surfels
-        n of them, y up.
+        n surfels, y up.
     occluders : Occluders
-        What stands in the light.
+        Shapes that cast shadows.
     rng : numpy.random.Generator
-        Source of the noise of training and of the order of axes.
+        Source of training noise and of the order of axes.
     sh_degree : int
         0 to 3.
     order : (n,) int, optional
-        Order of the rows; as they are where it is not given.
+        Surfel of each row; the order of the surfels by default.
 
     Returns
     -------
     Splats
-        n rows in that order, axes "RDF".
+        n splats, axes "RDF".
     """
     n = len(surfels.spread)
     splats = empty(sh_degree, n)
-    turns = _Turns.drawn(n, rng)
+    axis_choices = _AxisChoices.draw(n, rng)
     for start in range(0, n, _BLOCK):
         rows = slice(start, min(start + _BLOCK, n))
         part = surfels.take(rows if order is None else order[rows])
         out = splats.take(rows)
-        out.quats[:], out.scales[:] = _orientation(part, turns.take(rows))
+        out.quats[:], out.scales[:] = _orientation(part, axis_choices.take(rows))
         sh = bake(part, occluders, rng)
         out.means[:] = part.patch.points * TO_SCENE
         out.opacities[:] = np.log(part.opacities_unit / (1.0 - part.opacities_unit))
@@ -145,18 +145,18 @@ def splats_of(
 
 
 def synth_labels(splats: int = 120_000, seed: int = 7) -> NDArray[np.uint16]:
-    """Return which object each splat of `synth` belongs to.
+    """Return the label of each splat of `synth`.
 
     Parameters
     ----------
     splats, seed : int
-        As given to `synth`.
+        Arguments of `synth`.
 
     Returns
     -------
     (splats,) uint16
-        Index into `LABELS`: 0 the ground, then five objects whose boxes do not meet, the last the
-        hills, the sky and the floaters.
+        Index into `LABELS`: 0 is the ground, 1 to 5 objects with disjoint bounding boxes, 6 hills,
+        sky and floaters.
     """
     _, counts, order = _layout(splats, seed)
     labels = np.repeat([label for label, _, _ in _PARTS], counts).astype(np.uint16)
@@ -169,12 +169,12 @@ def synth_objects(splats: int = 120_000, seed: int = 7) -> NDArray[np.uint8]:
     Parameters
     ----------
     splats, seed : int
-        As given to `synth`.
+        Arguments of `synth`.
 
     Returns
     -------
     (splats,) uint8
-        1 + index into `OBJECTS`, 0 for all else.
+        1 + index into `OBJECTS`, or 0.
     """
     numbers = np.array([OBJECTS.index(name) + 1 if name in OBJECTS else 0 for name in LABELS])
     return numbers.astype(np.uint8)[synth_labels(splats, seed)]
@@ -186,7 +186,7 @@ def synth_cameras(views: int = 48, width: int = 480, height: int = 360) -> list[
     Parameters
     ----------
     views : int
-        Number of cameras; every eighth, as evaluation holds out, is in all three groups at 48.
+        Number of cameras; of 48, every eighth (held out by evaluation) covers all three groups.
     width, height : int
         Image size, px.
 
@@ -195,7 +195,7 @@ def synth_cameras(views: int = 48, width: int = 480, height: int = 360) -> list[
     list of Camera
         Horizontal field of view 54°, named ``view_00``, ``view_01`` …
     """
-    low, high, close = shares(views, (20, 16, 12))
+    low, high, close = split_count(views, (20, 16, 12))
     poses: list[tuple[F64, F64]] = []
     for count, distance, eye, aim in ((low, 5.9, 1.25, 0.62), (high, 6.4, 3.3, 0.35)):
         for i in range(count):
@@ -204,7 +204,7 @@ def synth_cameras(views: int = 48, width: int = 480, height: int = 360) -> list[
     for i in range(close):
         _, (x, _, z) = objects.stand(LABELS[1 + i % 5])
         target = np.array([x, 0.6, z])
-        # The teapot is seen through the gaps of the ring, the others from outside it.
+        # The teapot is viewed through the gaps of the ring, the others from outside it.
         if i % 5 == 0:
             angle, distance = np.radians(85.0 + 90.0 * (i // 5)), 1.8
         else:
@@ -222,7 +222,7 @@ def synth_cameras(views: int = 48, width: int = 480, height: int = 360) -> list[
 def camera_at(
     position: F64, forward: F64, width: int, height: int, focal: float, name: str
 ) -> Camera:
-    """Return a level camera.
+    """Return a camera without roll.
 
     Parameters
     ----------
@@ -231,12 +231,12 @@ def camera_at(
     forward : (3,) float64
         Unit vector, not straight up or down.
     width, height : int
-        Px.
+        Image size, px.
     focal : float
         Focal length, px.
     name : str
     """
-    rotation = _looking(forward)
+    rotation = _level_rotation(forward)
     return Camera(
         width=width,
         height=height,
@@ -254,20 +254,20 @@ def _polar(distance: float, angle: float, height: float) -> F64:
     return np.array([distance * np.cos(angle), height, distance * np.sin(angle)])
 
 
-def _looking(forward: F64) -> F64:
-    """Return world to camera rotation for a level camera; scene axes, +y down."""
+def _level_rotation(forward: F64) -> F64:
+    """Return the world-to-camera rotation of a level camera, in scene axes with +y down."""
     right = unit(np.cross(np.array([0.0, 1.0, 0.0]), forward))
     return np.stack([right, np.cross(forward, right), forward])
 
 
 @dataclass(frozen=True)
-class _Turns:
-    """What is random about the axes of n splats.
+class _AxisChoices:
+    """Random order of axes and norm of quaternions of n splats.
 
     Parameters
     ----------
     first : (n,) int64
-        Axis that comes first, 0 to 2.
+        Index of the axis that comes first, 0 to 2.
     norm : (n,) float64
         Norm of the quaternion, 0.5 to 2, with its sign.
     """
@@ -276,25 +276,25 @@ class _Turns:
     norm: F64
 
     @classmethod
-    def drawn(cls, n: int, rng: np.random.Generator) -> _Turns:
+    def draw(cls, n: int, rng: np.random.Generator) -> _AxisChoices:
         first = rng.integers(0, 3, n)
         norm = np.clip(np.exp(0.25 * rng.standard_normal(n)), 0.5, 2.0)
         norm *= rng.choice([-1.0, 1.0], n)
         return cls(first, norm)
 
-    def take(self, rows: slice) -> _Turns:
-        return _Turns(self.first[rows], self.norm[rows])
+    def take(self, rows: slice) -> _AxisChoices:
+        return _AxisChoices(self.first[rows], self.norm[rows])
 
 
-def _orientation(surfels: Surfels, turns: _Turns) -> tuple[F64, F64]:
+def _orientation(surfels: Surfels, axis_choices: _AxisChoices) -> tuple[F64, F64]:
     """Return quaternions (n, 4) of norms 0.5 to 2 and log scales (n, 3) in scene axes."""
     normals, tangents = surfels.patch.normals, surfels.patch.tangents
     axes = np.stack([tangents, np.cross(normals, tangents), normals], axis=1) * TO_SCENE
-    # Training keeps no axis for the thin direction: it may be any of the three.
-    chosen = (turns.first[:, None] + np.arange(3)) % 3
+    # In trained scenes the thin direction can be any of the three axes.
+    chosen = (axis_choices.first[:, None] + np.arange(3)) % 3
     axes = np.take_along_axis(axes, chosen[:, :, None], axis=1)
     scales = np.log(np.take_along_axis(surfels.sizes, chosen, axis=1))
-    quats = _quaternions(axes) * turns.norm[:, None]
+    quats = _quaternions(axes) * axis_choices.norm[:, None]
     return quats, scales
 
 

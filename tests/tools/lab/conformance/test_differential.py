@@ -28,7 +28,7 @@ def test_all_our_decoders_say_the_same_of_every_mutant(web_package: Path) -> Non
     assert [(d.number, d.verdicts) for d in report.disagreements] == []
     assert report.mutants == sum(report.verdicts.values()) == COUNT
     assert report.verdicts["accepted"] > COUNT / 10
-    assert report.most_memory[0] < 1 << 30
+    assert report.peak_memory[0] < 1 << 30
 
 
 @pytest.mark.parametrize(

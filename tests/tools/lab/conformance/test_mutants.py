@@ -51,7 +51,7 @@ REFERENCE = [
     ),
     Mutant(
         "a shift of 0 is not added",
-        reference_compensation.added,
+        reference_compensation.add_shift,
         "return [_f32(value + shift) for value in values]",
         "return [_f32(value + shift) if shift else value for value in values]",
         ("8.5",),
@@ -79,7 +79,7 @@ REFERENCE = [
     ),
     Mutant(
         "codes above 2^24 are not rounded to float32",
-        reference_streams._on_grid,
+        reference_streams._grid_value,
         "f32(f32(f32(code) * step) + minimum)",
         "f32(f32(code * step) + minimum)",
         ("6.5", "6.17"),

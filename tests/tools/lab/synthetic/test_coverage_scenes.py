@@ -1,4 +1,4 @@
-"""Scenes that views cover badly: the same each time, and judged from where they can be seen."""
+"""Coverage scenes: repeatable, and visible in all their test views."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.tools.lab.synthetic.coverage_scenes import (
     COVERAGE_SCENES,
-    JUDGE_VIEWS,
+    TEST_VIEWS,
     coverage_scene,
 )
 
@@ -20,26 +20,26 @@ def test_a_scene_is_valid_and_the_same_each_time(name: str) -> None:
     assert scene.splats.sh_degree == 0
     scene.splats.require_valid()
     np.testing.assert_array_equal(scene.splats.means, again.splats.means)
-    assert len(scene.judges) == JUDGE_VIEWS
-    for one, other in zip(scene.judges, again.judges, strict=True):
+    assert len(scene.test_views) == TEST_VIEWS
+    for one, other in zip(scene.test_views, again.test_views, strict=True):
         np.testing.assert_array_equal(one.translation, other.translation)
 
 
 @pytest.mark.parametrize("name", COVERAGE_SCENES)
-def test_every_judge_sees_the_scene(name: str) -> None:
+def test_every_test_view_shows_the_scene(name: str) -> None:
     scene = coverage_scene(name, 4000)
-    for judge in scene.judges:
-        assert render(scene.splats, judge).max() > 0.1, judge.name
+    for view in scene.test_views:
+        assert render(scene.splats, view).max() > 0.1, view.name
 
 
 @pytest.mark.parametrize("name", BUILDINGS)
-def test_judges_of_a_building_are_inside(name: str) -> None:
+def test_test_views_of_a_building_are_inside(name: str) -> None:
     scene = coverage_scene(name, 4000)
     low, high = scene.splats.means.min(axis=0), scene.splats.means.max(axis=0)
-    for judge in scene.judges:
-        assert ((judge.position > low) & (judge.position < high)).all()
+    for view in scene.test_views:
+        assert ((view.position > low) & (view.position < high)).all()
         # Walls all around: hardly a pixel stays black.
-        picture = render(scene.splats, judge)
+        picture = render(scene.splats, view)
         assert (picture.max(axis=2) > 0.02).mean() > 0.9
 
 

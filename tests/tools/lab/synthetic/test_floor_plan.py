@@ -10,9 +10,9 @@ from cogsplat.tools.lab.synthetic.floor_plan import (
     HALF_DOOR,
     HALF_WALL,
     FloorPlan,
+    capture_poses,
     floor_plan,
-    looks_around,
-    walk,
+    walk_poses,
 )
 
 
@@ -73,7 +73,7 @@ def test_openings_lie_in_their_walls_and_apart() -> None:
 @pytest.mark.parametrize("rooms", [1, 2, 7, 12])
 def test_a_walk_visits_all_rooms_and_no_wall(rooms: int) -> None:
     plan = planned(rooms)
-    poses = walk(plan)
+    poses = walk_poses(plan)
     visited = {room_at(plan, place[0], place[2]) for place, _ in poses}
     assert visited - {None} == set(range(rooms))
     for place, _ in poses:
@@ -89,7 +89,7 @@ def test_a_walk_visits_all_rooms_and_no_wall(rooms: int) -> None:
 
 def test_looks_around_stay_in_their_rooms_and_go_to_all_sides() -> None:
     plan = planned(4)
-    poses = looks_around(plan, 8, np.random.default_rng(0))
+    poses = capture_poses(plan, 8, np.random.default_rng(0))
     assert len(poses) == 32
     for room, place, forward in poses:
         assert room_at(plan, place[0], place[2]) == room

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cogsplat.tools.lab.synthetic import furniture
-from cogsplat.tools.lab.synthetic.furniture import Paint, box, face, turned
+from cogsplat.tools.lab.synthetic.furniture import Paint, box, face, lathe
 
 WHITE = (0.7, 0.7, 0.7)
 DARK = (0.2, 0.1, 0.05)
@@ -19,9 +19,9 @@ PAINTS: dict[str, Paint] = {
     "fabric": furniture.fabric(WHITE, 7),
     "books": furniture.books(8),
     "painting": furniture.painting(9),
-    "daylight": furniture.daylight(10),
-    "shining": furniture.shining(WHITE),
-    "glazed": furniture.glazed(DARK, 11),
+    "daylight": furniture.window_view(10),
+    "shining": furniture.lampshade(WHITE),
+    "glazed": furniture.earthenware(DARK, 11),
 }
 
 
@@ -62,7 +62,7 @@ def test_a_box_has_five_sides_that_look_outwards() -> None:
 
 
 def test_a_turned_piece_has_the_area_of_its_surface() -> None:
-    upright = turned([(0.5, 0.0), (0.5, 1.0), (0.5, 2.0)], (3.0, 1.0, 4.0), PAINTS["glazed"], 1.0)
+    upright = lathe([(0.5, 0.0), (0.5, 1.0), (0.5, 2.0)], (3.0, 1.0, 4.0), PAINTS["glazed"], 1.0)
     assert upright.area == pytest.approx(2.0 * np.pi * 0.5 * 2.0, rel=1e-6)
     patch = upright.make(300, np.random.default_rng(3)).patch
     away = patch.points - np.array([3.0, 1.0, 4.0])
