@@ -78,9 +78,9 @@ def plane_words(data: U8, start: int, length: int) -> U64:
 
 @inner_exact
 def is_padded(data: U8, start: int, bits: int) -> bool:
-    """Tell whether the bits after the first `bits` bits of a plane are zeros up to its last byte.
+    """Tell whether the padding of a plane is zero: the unused bits of its last byte.
 
-    The plane begins at byte `start`.
+    The plane begins at byte `start` and has `bits` used bits.
     """
     return not (bits & 7 and signed(data[start + (bits >> 3)]) >> (bits & 7))
 

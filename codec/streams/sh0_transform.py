@@ -21,14 +21,14 @@ _AXES_BYTES: Final = 36
 
 
 def write(coordinates: F32, axes: F32, grid: Grid) -> Stream:
-    """Return a basis stream of sh0.
+    """Return a stream of sh0, stored as coordinates on three colour axes.
 
     Parameters
     ----------
     coordinates : (n, 3) float32
         Coordinates of sh0 on the axes.
     axes : (3, 3) float32
-        Row j is the sh0, R G B, of one unit on axis j; magnitudes at most 1.
+        Colour axes: row j is the direction of axis j in R G B; magnitudes at most 1.
     grid : Grid
         Grid of the coordinates.
     """

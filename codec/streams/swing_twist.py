@@ -134,21 +134,21 @@ def extra_bits_of(scales: F32, swing: StepModel, twist: StepModel) -> list[U8]:
 def split_component(codes: U32, extra_bits: U8) -> list[U8]:
     """Split the codes of one component into planes.
 
-    The high bits of a code, `SYMBOL_BITS` at most, are its symbol. The remaining low bits are
-    packed. Symbols are grouped by the bit width of their codes.
+    A row with h extra bits has a code from 0 to 2^h. If h exceeds `SYMBOL_BITS`, the lowest
+    h - `SYMBOL_BITS` bits of the code are packed; the rest of the code is its symbol.
 
     Parameters
     ----------
     codes : (n,) uint32
         Codes of one component.
     extra_bits : (n,) uint8
-        Bit width of each row's code (SPEC 6.10).
+        Number of extra bits of each row (SPEC 6.10).
 
     Returns
     -------
     list of uint8 arrays
-        One plane of symbols for each width from 1 to `SYMBOL_BITS`, then the plane of low bits.
-        Codes wider than `SYMBOL_BITS` have their symbols in the last plane of symbols.
+        One plane of symbols for each number of extra bits from 1 to `SYMBOL_BITS`, the last one
+        also for rows with more; then the plane of low bits.
     """
     capped = np.minimum(extra_bits, SYMBOL_BITS)
     low = extra_bits - capped
