@@ -27,7 +27,7 @@ from cogsplat.codec.splats import Splats
 from .encoded import EncodedScene
 from .partial_prefixes import decode_partial_prefixes
 from .prefix_sampling import choose_prefixes, interpolate_prefixes
-from .shift_optimiser import FitConfig, ShiftOptimiser, codebook_rows, coded_splats
+from .shift_optimiser import FitConfig, ShiftOptimiser, coded_splats, shift_codebook_rows
 
 F64 = NDArray[np.float64]
 
@@ -391,7 +391,7 @@ def placeholder_compensation(
     for chunks, size in zip(layers, sizes, strict=True):
         layer = _identity_layer(chunks)
         if size <= coded:
-            rows = codebook_rows(config.code_bits, size - first)
+            rows = shift_codebook_rows(config.code_bits, size - first)
             layer = replace(
                 layer, book=np.zeros((rows, 2), np.int8), codes=np.zeros(size - first, np.uint8)
             )

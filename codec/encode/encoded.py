@@ -248,7 +248,9 @@ class EncodedScene:
     compressed: bool = True
 
     def prefix_splats(self, chunks: int) -> Splats:
-        """Return the refined splats of a prefix, without replaced chunks (SPEC 5.10).
+        """Return the refined splats of the first chunks.
+
+        Chunks that have ended, because later ones replace them, are left out (SPEC 5.10).
 
         Parameters
         ----------

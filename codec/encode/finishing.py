@@ -195,7 +195,7 @@ class Finisher:
         return encoded
 
     def file_bytes(self, encoded: EncodedScene) -> int:
-        """Return the size of the file after `finish`, in bytes, without fitting anything.
+        """Return the size of the file after `finish`, bytes, before compensation is fitted.
 
         Parameters
         ----------
@@ -225,10 +225,10 @@ class Finisher:
         )
 
     def _encode_measured(self, quality_db: float) -> EncodedScene:
-        """Encode at a nominal quality; measure the PSNR in each test view into the report.
+        """Encode at a nominal quality, and add the PSNR in each test view to the report.
 
-        Another quality may follow, so compression is left to `finish`; but not with mapped arrays,
-        since uncompressed planes take several times the memory.
+        The planes stay uncompressed until `finish`, since a search may discard this encode. With
+        mapped arrays they are compressed at once, to save memory.
         """
         encoded = encode_chunks(
             self.prepared,

@@ -60,14 +60,16 @@ def received_parts(encoded: EncodedScene) -> list[ReceivedParts]:
         half = int((2 * ends <= ends[-1:]).sum())
         there = [*before, *places[:half]]
         found.append(
-            ReceivedParts(_owners(there, OrderedKind.REFINEMENT), _owners(there, OrderedKind.TAIL))
+            ReceivedParts(
+                _chunks_with(there, OrderedKind.REFINEMENT), _chunks_with(there, OrderedKind.TAIL)
+            )
         )
         before += places
     return found
 
 
-def _owners(places: Sequence[OrderedSegment], kind: OrderedKind) -> frozenset[int]:
-    """Return the chunks of the segments of one kind."""
+def _chunks_with(places: Sequence[OrderedSegment], kind: OrderedKind) -> frozenset[int]:
+    """Return the numbers of the chunks that have a segment of a kind among `places`."""
     return frozenset(place.chunk for place in places if place.kind is kind)
 
 

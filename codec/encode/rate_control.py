@@ -326,8 +326,8 @@ def _search(
 ) -> tuple[SearchResult, list[_Trial]]:
     """Try nominal qualities until a value is near enough; return the best encode and all trials.
 
-    With `keep` the best scene stays in memory, as much as its source. Without, it is encoded again
-    if it was not the last trial.
+    With `keep` the best scene stays in memory during further trials, about the memory of its
+    source. Without, it is encoded again after the search, unless it was the last trial.
     """
     trials: list[_Trial] = []
     best: _Trial | None = None

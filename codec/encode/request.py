@@ -98,7 +98,7 @@ class EncodeRequest:
 
     @property
     def effort(self) -> Preset:
-        """The preset itself."""
+        """Settings of the preset that `preset` names."""
         return PRESETS[self.preset]
 
     @property

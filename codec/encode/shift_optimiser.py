@@ -83,7 +83,7 @@ class FitConfig:
 
 
 def coded_splats(sizes: Sequence[int], effective_splats: int, config: FitConfig) -> int:
-    """Return the number of first splats that have codes.
+    """Return the number of splats, from the first on, that have codes.
 
     Parameters
     ----------
@@ -98,15 +98,15 @@ def coded_splats(sizes: Sequence[int], effective_splats: int, config: FitConfig)
     return coded[-1] if coded and config.code_bits else 0
 
 
-def codebook_rows(code_bits: int, splats: int) -> int:
-    """Return the number of codebook rows for the new splats of a layer.
+def shift_codebook_rows(code_bits: int, splats: int) -> int:
+    """Return the rows of a layer's codebook: one per code, at most one per new splat.
 
     Parameters
     ----------
     code_bits : int
-        Bits of a code.
+        Number of bits of a code.
     splats : int
-        New splats of the layer.
+        Number of new splats of the layer.
     """
     return min(1 << code_bits, max(splats, 1))
 
@@ -211,7 +211,7 @@ class ShiftOptimiser:
         for size in self._sizes:
             if size > self._coded:
                 break
-            rows = codebook_rows(self._config.code_bits, size - first)
+            rows = shift_codebook_rows(self._config.code_bits, size - first)
             shifts = np.clip(self._splat_shifts[first:size].astype(np.float64), -_LIMITS, _LIMITS)
             book = few_rows.train(shifts / _SPREAD, rows) * _SPREAD
             self._codebooks.append(_in_steps(book))

@@ -26,14 +26,15 @@ _CHUNK_KINDS: Final = (
 
 @dataclass(frozen=True)
 class StoredSize:
-    """Bytes of one kind of stream, or one attribute, in all segments of one kind.
+    """Bytes of all streams with one label, in all segments of one kind.
 
     Parameters
     ----------
     segment : str
         Kind of the segments; ``index`` for bytes outside streams.
     label : str
-        Attribute, kind and flag of the stream (`StoredStream.label`), or an extra attribute.
+        Label such as ``scales scalar escape`` (`StoredStream.label`), or name of an extra
+        attribute.
     stored_bytes : int
         Compressed size, bytes.
     """

@@ -87,7 +87,7 @@ class VqPlan:
 
 @dataclass(frozen=True, eq=False)
 class VqStart:
-    """Rows of codebooks of an earlier encode of nearly the same scene.
+    """Initial codebooks of a training, from an earlier encode of nearly the same scene.
 
     Parameters
     ----------
