@@ -211,6 +211,7 @@ def compare(
 
 
 def _write_npz(scene: Path, cameras: Path, target: Path) -> None:
+    """Write a scene as npz, in the process started by `_npz_command`."""
     from cogsplat.codec.scoring.contribution import ScoreConfig, score
 
     from . import c3dgs_npz

@@ -138,7 +138,7 @@ class Row:
 
     @property
     def is_identical(self) -> bool:
-        """Whether all held-out views equal those of the source."""
+        """Whether the held-out views equal renders of the source."""
         return self.held_out_db >= PSNR_CAP_DB
 
     def report(self) -> dict[str, object]:
@@ -382,6 +382,7 @@ def _cogs_methods(
 def _encoder(
     given: BenchInput, config: EncodeConfig, progress: Progress
 ) -> Callable[[Path], EncodeReport]:
+    """Return the function that encodes the scene to a path."""
     from cogsplat.codec.encode.request import EncodeRequest
 
     def write(path: Path) -> EncodeReport:
@@ -420,6 +421,7 @@ def _foreign_methods(given: BenchInput, names: Sequence[str]) -> list[_Method]:
 
 
 def _writer(given: BenchInput, format_: Format) -> Callable[[Path], None]:
+    """Return the function that writes the scene in a foreign format."""
     write_scene = format_.write
     if write_scene is None:
         raise ValueError(f"format {format_.name!r} is not written, expected one of {FOREIGN}")
@@ -431,6 +433,7 @@ def _writer(given: BenchInput, format_: Format) -> Callable[[Path], None]:
 
 
 def _stages(method: _Method, report: EncodeReport) -> list[StageTime]:
+    """Return the stage times of an encode."""
     return [
         StageTime(
             method.name,

@@ -179,6 +179,7 @@ def _synthesise(splats: int, scene: Path) -> None:
 def _encode(
     scene: Path, out: Path, views: int, preset: str, memory: int | None, threads: int
 ) -> None:
+    """Encode a scene file with synthetic training views."""
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.request import EncodeRequest
 
@@ -201,7 +202,7 @@ def charts(steps: Sequence[Step]) -> dict[str, str]:
     """Return SVG charts by file name: processor time and memory per splat, by scene size."""
     kinds = list(dict.fromkeys(step.what for step in steps))
 
-    def drawn(title: str, unit: str, value: Callable[[Step], float]) -> str:
+    def draw(title: str, unit: str, value: Callable[[Step], float]) -> str:
         series = [
             Series(
                 what,
@@ -213,12 +214,12 @@ def charts(steps: Sequence[Step]) -> dict[str, str]:
         return line_chart(title, "splats", unit, series, x_text=lambda x: f"{x:,.0f}")
 
     return {
-        _TIME_CHART: drawn(
+        _TIME_CHART: draw(
             "Processor time per splat",
             "µs per splat",
             lambda step: 1e6 * step.cpu_seconds / step.splats,
         ),
-        _MEMORY_CHART: drawn(
+        _MEMORY_CHART: draw(
             "Peak memory per splat",
             "kB per splat",
             lambda step: step.peak_bytes / step.splats / 1e3,

@@ -185,6 +185,16 @@ class PictureComparison:
 def load_median(page: Page, server: SlowServer, contender: Contender, runs: int) -> list[float]:
     """Load a file several times until the last run is near the median time.
 
+    Parameters
+    ----------
+    page : Page
+        Page of `page_files`.
+    server : SlowServer
+        Server of the page, with its link.
+    contender : Contender
+    runs : int
+        Loads at least.
+
     Returns
     -------
     list of float
@@ -216,7 +226,21 @@ def measure(
     mbit: float,
     runs: int,
 ) -> Arrival:
-    """Load a file over the server's link and measure the quality of each snapshot."""
+    """Load a file over the server's link and measure the quality of each snapshot.
+
+    Parameters
+    ----------
+    page : Page
+        Page of `page_files`.
+    server : SlowServer
+        Server of the page, with its link.
+    contender : Contender
+    comparison : PictureComparison
+    mbit : float
+        Bandwidth of the link, Mbit/s, for the result.
+    runs : int
+        Loads of the file at least.
+    """
     seconds = load_median(page, server, contender, runs)
     kept = _sample_snapshots(seconds) if contender.way == "bytes" else range(len(seconds))
     qualities = [comparison.quality_db(_snapshot(page, contender, number)) for number in kept]
@@ -364,7 +388,7 @@ def main(
     scene: Path, cameras: Path, cogs: Path | None, out: Path, mbit: str, runs: int,
     node_modules: Path,
 ) -> None:  # fmt: skip
-    """Measure the time until SCENE is visible, in COGS and other formats."""
+    """Measure the time until SCENE is visible, by format."""
     source = cogsplat.read(scene)
     given, held_out = hold_out(read_cameras(cameras), _HELD_OUT)
     out.mkdir(parents=True, exist_ok=True)

@@ -84,30 +84,30 @@ def variants(config: TuneConfig, share: float, *, photos: bool) -> list[Variant]
         round_keep=0.01,
     )
     found = [
-        Variant("as it is", config),
+        Variant("default", config),
         Variant("1.5 times as many splats", replace(config, keep=min(1.0, 1.5 * share))),
         Variant("0.67 times as many splats", replace(config, keep=share / 1.5)),
         Variant(
-            "one cut in place of rounds",
+            "one pruning step instead of rounds",
             replace(config, round_keep=0.01, round_steps=rounds * config.round_steps),
         ),
-        Variant("splats left out, nothing trained", untrained),
+        Variant("pruned, not trained", untrained),
         Variant(
-            "not trained through the quantisers",
+            "no quantisation-aware training",
             replace(config, quantised_steps=1, encode_interval=1),
         ),
         Variant(
-            "through noise in place of the quantisers",
+            "noise instead of quantisers",
             replace(config, train=replace(train, noise=True)),
         ),
-        Variant("bits of values do not count", replace(config, rate_weight=0.0)),
-        Variant("all views count alike", replace(config, train=replace(train, worst_views=0.0))),
+        Variant("no rate term", replace(config, rate_weight=0.0)),
+        Variant("equal view weights", replace(config, train=replace(train, worst_views=0.0))),
         Variant("half of the views", config, views_share=0.5),
         Variant("a quarter of the views", config, views_share=0.25),
     ]
     if photos:
         taught = replace(config, train=replace(train, worst_views=0.0))
-        found.append(Variant("photos teach", taught, photos=True))
+        found.append(Variant("photos as ground truth", taught, photos=True))
     return found
 
 

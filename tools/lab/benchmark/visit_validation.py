@@ -156,9 +156,26 @@ def compare(
     budget_splats: int,
     browser: Browser,
 ) -> tuple[list[Comparison], dict[str, list[np.ndarray]]]:
-    """Compare a browser with the simulation; return rows and pictures by source.
+    """Compare the chunks of a browser with the simulation.
 
-    The key of the reference pictures is empty.
+    Parameters
+    ----------
+    simulation : Simulation
+    trace : Trace
+        Camera path of the visit.
+    link : Link
+    noted : list of PageState
+        Chunks recorded in the browser.
+    budget_splats : int
+        Memory limit, splats; 0 for no limit.
+    browser : Browser
+        Delays of the browser.
+
+    Returns
+    -------
+    tuple of list of Comparison and dict of str to list of pictures
+        One row per recorded time, and pictures by source: empty for the reference, ``browser``,
+        ``simulated``.
     """
     client = simulation.client("visit")
     arrivals = simulation.arrivals(

@@ -105,7 +105,7 @@ def _chunk_steps(scene: Splats) -> dict[str, float]:
 
 
 def _sog_steps(scene: Splats) -> dict[str, float]:
-    """Return the error bounds of SOG: half steps, and those of codebooks and palette."""
+    """Return the error bounds of SOG: half steps; wider for codebooks and palette."""
     logs = np.log1p(np.abs(scene.means.astype(np.float64)))
     furthest = float(np.expm1(logs.max()))
     return {

@@ -211,7 +211,7 @@ def check_spz(modules: Path, scene: Splats, folder: Path) -> list[Finding]:
 
 
 def _compare_sizes(scene: Splats, version: int, theirs: Path, folder: Path) -> Finding:
-    """Compare the file size at usual precision with that of the other program."""
+    """Compare file sizes of both programs at usual precision."""
     usual = folder / f"usual{version}.spz"
     write_spz(scene, usual, force=True, version=version, precision="usual")
     written = float(usual.stat().st_size)

@@ -39,6 +39,7 @@ class CutCosts:
         return self._parts((0, 0, 0, i, j, k))
 
     def _parts(self, box: Box) -> list[Box]:
+        """Return the cheapest guillotine partition of a box."""
         index = self.costs.index(box)
         if self.costs.cost[index] <= self.cut[index]:
             return [box]

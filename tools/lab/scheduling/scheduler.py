@@ -347,7 +347,7 @@ class _Round:
         self.chosen.append(chain[0])
 
     def _keep_value(self, unit: int) -> float:
-        """Return urgency × end: the value of keeping a unit, as memory has no position."""
+        """Return urgency × end: the value of a unit in memory, whatever its offset in the file."""
         return self._urgency[unit] * self._units[unit].end
 
     def _remaining_bytes(self, unit: int) -> int:

@@ -217,6 +217,7 @@ class _Run:
         return index_at
 
     def _pose(self, seconds: float) -> Pose:
+        """Return the pose at a time of the trace."""
         return Pose.from_camera(self._trace.camera_at(max(seconds, 0.0)))
 
     def _is_moving(self, now: float) -> bool:
@@ -242,6 +243,7 @@ class _Run:
             self._decide(now)
 
     def _client_state(self) -> ClientState:
+        """Return the input of the scheduler."""
         state = self._state
         received = {unit: int(size) for unit, size in state.received.items()}
         in_flight = frozenset([*state.in_flight(), *state.awaited])

@@ -17,14 +17,14 @@ SHORT = TuneConfig(round_steps=10, recovery_steps=80, quantised_steps=20)
 def test_every_variant_differs_in_what_it_is_named_after() -> None:
     found = {variant.name: variant for variant in tuning_ablation.variants(SHORT, 0.4, photos=True)}
     assert len(found) == 12
-    assert found["as it is"].config == SHORT
+    assert found["default"].config == SHORT
     assert found["1.5 times as many splats"].config.keep == pytest.approx(0.6)
     # 0.8⁵ is below 0.4: one cut is followed by the steps of five rounds.
-    assert found["one cut in place of rounds"].config.round_steps == 5 * SHORT.round_steps
-    assert found["through noise in place of the quantisers"].config == replace(
+    assert found["one pruning step instead of rounds"].config.round_steps == 5 * SHORT.round_steps
+    assert found["noise instead of quantisers"].config == replace(
         SHORT, train=replace(SHORT.train, noise=True)
     )
-    assert [name for name, variant in found.items() if variant.photos] == ["photos teach"]
+    assert [name for name, variant in found.items() if variant.photos] == ["photos as ground truth"]
     assert len(tuning_ablation.variants(SHORT, 0.4, photos=False)) == 11
 
 
@@ -48,7 +48,7 @@ def test_the_table_has_a_row_for_each_variant_at_one_size() -> None:
         # The photos are the source's pictures.
         assert float(row[6]) == pytest.approx(float(row[3]), abs=0.02)
     # In so few and small pictures a scene is learnt by heart, in fewer of them even more.
-    assert float(by_name["half of the views"][3]) < float(by_name["as it is"][3]) - 1.0
+    assert float(by_name["half of the views"][3]) < float(by_name["default"][3]) - 1.0
 
 
 @pytest.mark.slow
@@ -68,9 +68,9 @@ def test_some_variants_are_run_over_the_background_that_photos_have() -> None:
         SHORT,
         photos=(photos[0], photos[1]),
         background=pink,
-        only=["photos teach"],
+        only=["photos as ground truth"],
     )
-    assert [row[0] for row in rows] == ["photos teach"]
+    assert [row[0] for row in rows] == ["photos as ground truth"]
     # The photos are the source's pictures over this background.
     assert float(rows[0][6]) == pytest.approx(float(rows[0][3]), abs=0.02)
 

@@ -22,7 +22,7 @@ AHEAD = Camera(
 @pytest.mark.parametrize(
     ("size", "cuboids"), [((4.0, 2.0, 1.0), 64), ((1.0, 1.0, 1.0), 1000), ((9.0, 0.0, 0.0), 7)]
 )
-def test_cuboids_are_nearly_cubes_and_nearly_as_many(
+def test_cuboids_are_nearly_cubic_and_near_the_requested_number(
     size: tuple[float, float, float], cuboids: int
 ) -> None:
     means = np.random.default_rng(0).random((5000, 3)) * np.array(size)
@@ -35,7 +35,7 @@ def test_cuboids_are_nearly_cubes_and_nearly_as_many(
     assert grid.splats.sum() == 5000
 
 
-def test_floaters_count_outside_and_do_not_widen_the_grid() -> None:
+def test_floaters_do_not_widen_the_grid() -> None:
     means = np.random.default_rng(1).random((2000, 3))
     means[:3] *= 1e6
     grid = basic_cuboids(means, [], 27)
@@ -44,7 +44,7 @@ def test_floaters_count_outside_and_do_not_widen_the_grid() -> None:
     assert (grid.splats > 0).all()
 
 
-def test_views_count_the_means_in_their_pictures() -> None:
+def test_visible_splats_have_their_mean_in_the_frustum() -> None:
     rng = np.random.default_rng(2)
     means = rng.uniform(-4.0, 4.0, (3000, 3))
     grid = basic_cuboids(means, [AHEAD], 200)
@@ -56,12 +56,12 @@ def test_views_count_the_means_in_their_pictures() -> None:
     assert not grid.visible[0][:, :, behind].any()
 
 
-def test_nothing_to_cut_is_misuse() -> None:
+def test_empty_inputs_are_refused() -> None:
     with pytest.raises(ValueError, match="at least one"):
         basic_cuboids(np.zeros((0, 3)), [], 10)
     with pytest.raises(ValueError, match="at least one"):
         basic_cuboids(np.zeros((5, 3)), [], 0)
 
 
-def test_splats_in_one_place_make_one_cuboid() -> None:
+def test_coincident_splats_give_one_cuboid() -> None:
     assert basic_cuboids(np.ones((5, 3)), [], 10).splats.tolist() == [[[5]]]

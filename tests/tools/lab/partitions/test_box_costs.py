@@ -10,7 +10,7 @@ from cogsplat.tools.lab.partitions.box_costs import Spans, box_costs, cut_box, w
 
 
 @pytest.mark.parametrize("length", [1, 2, 5])
-def test_spans_have_every_range_once_and_short_ones_first(length: int) -> None:
+def test_spans_enumerate_ranges_by_length(length: int) -> None:
     spans = Spans(length)
     starts, ends = spans.ends()
     assert len(starts) == len(set(zip(starts.tolist(), ends.tolist(), strict=True))) == spans.count
@@ -21,7 +21,7 @@ def test_spans_have_every_range_once_and_short_ones_first(length: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_every_box_costs_what_counting_says(seed: int) -> None:
+def test_box_costs_match_direct_counting(seed: int) -> None:
     grid = random_grid((3, 2, 4), seed)
     costs = box_costs(grid)
     filled = (grid.splats > 0).sum()
@@ -38,7 +38,7 @@ def test_every_box_costs_what_counting_says(seed: int) -> None:
         assert costs.cost[place] == pytest.approx(expected)
 
 
-def test_waste_is_what_views_fetch_over_what_they_see() -> None:
+def test_waste_is_fetched_over_visible_splats() -> None:
     grid = random_grid((2, 1, 1), 0, views=2)
     grid.splats[:] = np.array([10, 40]).reshape(2, 1, 1)
     grid.visible[:] = np.array([[5, 0], [5, 20]]).reshape(2, 2, 1, 1)
@@ -48,5 +48,5 @@ def test_waste_is_what_views_fetch_over_what_they_see() -> None:
     assert waste(grid, [(0, 0, 0, 2, 1, 1)]) == 1.0
 
 
-def test_a_cut_leaves_two_parts() -> None:
+def test_cut_box_splits_at_a_plane() -> None:
     assert cut_box((0, 1, 2, 3, 4, 5), 1, 3) == ((0, 1, 2, 3, 3, 5), (0, 3, 2, 3, 4, 5))

@@ -13,7 +13,9 @@ SHAPES = ((3, 3, 1), (2, 2, 2), (3, 2, 2), (5, 2, 1), (4, 1, 2))
 
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("shape", SHAPES)
-def test_no_partition_of_a_random_grid_is_cheaper(shape: tuple[int, int, int], seed: int) -> None:
+def test_the_program_finds_the_cheapest_of_all_partitions(
+    shape: tuple[int, int, int], seed: int
+) -> None:
     costs = box_costs(random_grid(shape, 100 + seed))
     found = cheapest_partition(costs)
     assert is_partition(shape, found.boxes)
@@ -26,7 +28,7 @@ def test_no_partition_of_a_random_grid_is_cheaper(shape: tuple[int, int, int], s
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_pinwheel_that_no_straight_cut_makes_is_found(seed: int) -> None:
+def test_a_pinwheel_partition_is_found(seed: int) -> None:
     """Four boxes about a middle one: each straight cut through the grid cuts one of them."""
     costs = BoxCosts((Spans(3), Spans(3), Spans(1)), np.zeros((6, 6, 1)), np.ones((6, 6, 1), int))
     costs.cost[:] = 1.0 + np.random.default_rng(seed).random((6, 6, 1))

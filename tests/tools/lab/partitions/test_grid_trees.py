@@ -15,19 +15,19 @@ def spread(shape: tuple[int, int, int]) -> BasicCuboids:
 
 
 @pytest.mark.parametrize("cells", [1, 2, 3, 9, 24])
-def test_a_kd_tree_has_as_many_cells(cells: int) -> None:
+def test_a_kd_tree_has_the_requested_cells(cells: int) -> None:
     boxes = kd_partition(spread((4, 3, 2)), cells)
     assert len(boxes) == cells
     assert is_partition((4, 3, 2), boxes)
 
 
-def test_a_kd_tree_cuts_the_longest_axis_at_the_median() -> None:
+def test_a_kd_tree_splits_the_longest_axis_at_the_median() -> None:
     grid = spread((6, 2, 2))
     grid.splats[0] = 1000
     assert kd_partition(grid, 2) == [(0, 0, 0, 1, 2, 2), (1, 0, 0, 6, 2, 2)]
 
 
-def test_trees_end_where_nothing_can_be_cut() -> None:
+def test_trees_stop_at_single_cuboids() -> None:
     assert len(kd_partition(spread((2, 2, 1)), 50)) == 4
     assert len(octree_partition(spread((2, 2, 1)), 50)) == 4
     empty = spread((2, 2, 2))
@@ -36,7 +36,7 @@ def test_trees_end_where_nothing_can_be_cut() -> None:
     assert len(octree_partition(empty, 9)) == 1
 
 
-def test_an_octree_cuts_the_fullest_box_at_the_middle() -> None:
+def test_an_octree_splits_the_fullest_box_at_the_middle() -> None:
     grid = spread((4, 4, 4))
     assert len(octree_partition(grid, 7)) == 1
     eight = octree_partition(grid, 8)

@@ -23,7 +23,7 @@ def by_straight_cuts(boxes: list[Box], within: Box) -> bool:
 
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.parametrize("shape", [(1, 1, 1), (3, 3, 1), (2, 2, 2), (4, 1, 2)])
-def test_no_straight_cuts_are_cheaper(shape: tuple[int, int, int], seed: int) -> None:
+def test_guillotine_cuts_match_exhaustive_search(shape: tuple[int, int, int], seed: int) -> None:
     costs = box_costs(random_grid(shape, seed))
     found = cut_costs(costs).partition()
     assert is_partition(shape, found)
