@@ -81,4 +81,4 @@ def test_a_variant_that_does_not_exist_is_refused(
     monkeypatch.setattr("sys.argv", ["tuning_ablation", "--only", "magic"])
     with pytest.raises(SystemExit):
         tuning_ablation.main()
-    assert "expected some of ['as it is'" in capsys.readouterr().err
+    assert "expected some of ['default'" in capsys.readouterr().err
