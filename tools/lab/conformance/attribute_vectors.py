@@ -63,6 +63,7 @@ def with_attributes(draft: Draft, attributes: Sequence[Value], payloads: Sequenc
 
 
 def _all_types() -> Valid:
+    """Return a file with an attribute of each type and of several components."""
     ends: dict[str, list[float]] = {}
     for size in (1, 2, 4):
         ends[f"u{size}"] = [(1 << 8 * size) - 1, 0]
@@ -86,6 +87,7 @@ def _all_types() -> Valid:
 
 
 def _coded() -> Valid:
+    """Return a file whose attribute planes are packed."""
     rows = 3
     frame_of = [[row // 2 * 1000] for row in range(rows)]
     packed = bytes([3]) + pack_symbols(labels(rows)[0], 3)
@@ -101,6 +103,7 @@ def _coded() -> Valid:
 
 
 def _some_chunks() -> Valid:
+    """Return a file of two chunks of which one has attributes."""
     whole = two_chunks()
     segments = [
         *whole.groups[0].segments,
@@ -113,6 +116,7 @@ def _some_chunks() -> Valid:
 
 
 def _pages() -> Valid:
+    """Return a file whose attributes and cameras are listed in pages."""
     whole = two_chunks()
     segments = whole.groups[0].segments
     added = [Segment(SegmentKind.ATTRIBUTES, i, store_planes(labels(2))) for i in range(2)]
@@ -150,10 +154,12 @@ def camera_columns(count: int) -> dict[str, Value]:
 
 
 def _camera_segment(count: int, **changes: Value) -> Segment:
+    """Return a segment of `count` cameras; `changes` replace keys of its map."""
     return Segment(SegmentKind.CAMERAS, 0, pack(camera_columns(count) | changes))
 
 
 def _with_cameras(*segments: Segment) -> bytes:
+    """Return the file of one chunk followed by these camera segments."""
     draft = uniform_chunk()
     return build(with_segments(draft, [*draft.groups[0].segments, *segments]))
 

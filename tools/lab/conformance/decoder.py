@@ -63,6 +63,7 @@ def answer_request(kind: str, request: Answer) -> Answer:
 
 
 def _decode_by_reference(path: Path, out: Path, request: Answer) -> Answer:
+    """Answer a ``decode`` request with the reference decoder."""
     data = path.read_bytes()
     if path.suffix == MANIFEST_SUFFIX:
         objects = {f"segments/{x.name}": x.read_bytes() for x in path.parent.glob("segments/*")}

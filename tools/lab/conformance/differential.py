@@ -54,7 +54,7 @@ class FuzzReport:
     Parameters
     ----------
     decoders : tuple of Hello
-    most_memory : tuple of int
+    peak_memory : tuple of int
         Peak resident memory of each decoder, bytes; 0 where the system does not report it.
     mutants : int
         Number of mutants.
@@ -180,10 +180,12 @@ class _Decoders:
         return tuple(found)
 
     def _is_small_and_whole(self, verdict: str, mutant: Mutant) -> bool:
+        """Tell whether a mutant was accepted, is not truncated, and is small enough."""
         word, *rest = verdict.split()
         return word == "accepted" and not mutant.partial and int(rest[0]) <= _MOST_SPLATS_FOR_SLOW
 
     def _ask(self, numbers: Sequence[int], mutant: Mutant, *, verify: bool) -> dict[int, str]:
+        """Send the mutant to the decoders of these numbers; return their verdicts."""
         # All requests are sent before the first answer is read, so that decoders run in parallel.
         for number in numbers:
             out = self._outs[number]
@@ -197,6 +199,7 @@ class _Decoders:
 
     @staticmethod
     def _verdict(answer: Answer | None, reason: str, out: Path) -> str:
+        """Return an answer as text: reason code, or splat count and hash of the arrays."""
         if answer is None:
             return f"nothing: {reason}"
         if answer.get("ok") is not True:

@@ -78,6 +78,7 @@ class _Parts:
         return [(i, row) for i, group in enumerate(self.payloads) for row in range(len(group))]
 
     def kind(self, place: tuple[int, int]) -> int:
+        """Return the kind of the segment at (index, row)."""
         index, row = place
         return column(self.indexes[index], "segments", "kind")[row]
 
@@ -125,6 +126,7 @@ _CHANGES: Final = ("bytes", "bytes", "cut", "cut", "preamble") + ("payload",) * 
 
 
 def _parse(data: bytes) -> _Parts:
+    """Parse a valid file into its indexes and payloads."""
     root, behind = split_root(data)
     indexes = [unpack(root, "root")]
     payloads: list[list[bytes]] = []
@@ -139,6 +141,7 @@ def _parse(data: bytes) -> _Parts:
 
 
 def _read_payloads(index: Index, data: bytes, at: int, payloads: list[list[bytes]]) -> int:
+    """Append the payloads of one index to `payloads`; return the offset after them."""
     group = []
     for (length,) in struct.iter_unpack("<I", column(index, "segments", "length")):
         group.append(data[at : at + length])
@@ -166,6 +169,7 @@ def _mutate(change: str, parts: _Parts, other: _Parts, rng: random.Random) -> tu
 
 
 def _mutate_payload(parts: _Parts, other: _Parts, rng: random.Random) -> str:
+    """Mutate the payload of a random segment; return the kind of mutation."""
     place = rng.choice(parts.places)
     index, row = place
     payload = parts.payloads[index][row]
@@ -192,6 +196,7 @@ _WIDTHS: Final = {"kind": 1, "owner": 4, "length": 4, "crc": 4, "hash": 16, "nee
 
 
 def _mutate_segments(parts: _Parts, other: _Parts, rng: random.Random) -> str:
+    """Swap, move, drop, double or replace a random segment; return the kind of mutation."""
     a, b = rng.choice(parts.places), rng.choice(parts.places)
     index, row = a
     group = parts.payloads[index]
@@ -283,6 +288,7 @@ def _mutate_map(value: Index, rng: random.Random) -> None:
 
 
 def _mutate_value(value: Value, rng: random.Random) -> Value:
+    """Return a value near the given one, or a random value."""
     if isinstance(value, bytes) and rng.random() < 0.7:
         return mutate_number(value, rng)
     if isinstance(value, float) and rng.random() < 0.6:

@@ -318,6 +318,7 @@ def _read_indexes(data: bytes) -> list[_Index]:
 
 
 def _build_manifest(data: bytes, indexes: list[_Index], where: Mapping[int, _Placement]) -> bytes:
+    """Pack the manifest: preamble, root and pages, each with the placement of its segments."""
     stored = b""
     for index in indexes:
         rows = [where[segment.position] for segment in index.segments]
@@ -326,6 +327,7 @@ def _build_manifest(data: bytes, indexes: list[_Index], where: Mapping[int, _Pla
 
 
 def _placement_table(rows: Sequence[_Placement]) -> bytes:
+    """Pack the placement of segments in objects, with its CRC."""
     columns = b"".join(key for key, _, _ in rows)
     columns += struct.pack(f"<{len(rows)}I", *(size for _, size, _ in rows))
     columns += struct.pack(f"<{len(rows)}I", *(offset for _, _, offset in rows))
@@ -337,11 +339,13 @@ def _placement_bytes(segments: int) -> int:
 
 
 def _read_root(data: bytes) -> tuple[int, dict[str, list[dict[str, int]]]]:
+    """Return the root's end offset and its map."""
     (length,) = struct.unpack_from("<I", data, 12)
     return PREAMBLE_BYTES + length, msgpack.unpackb(data[PREAMBLE_BYTES : PREAMBLE_BYTES + length])
 
 
 def _read_segments(index: Mapping[str, object], position: int) -> list[_Segment]:
+    """Return the segments of an index whose first payload is at `position`."""
     table = index["segments"]
     assert isinstance(table, dict)
     found = []

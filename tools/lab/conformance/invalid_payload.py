@@ -34,6 +34,7 @@ _ROWS: Final = 300
 
 
 def _refused(name: str, data: bytes, code: str, clause: str, note: str) -> Invalid:
+    """Return a must-reject vector that decoding refuses."""
     return Invalid(name, data, code, clause, note, "decode")
 
 
@@ -404,6 +405,7 @@ def _book_streams(
     *,
     segment: int = 0,
 ) -> Invalid:
+    """Return a vector in which one codebook segment's streams are replaced."""
     draft = chunk_with_codebooks()
     segments = list(draft.groups[0].segments)
     segments[segment] = replace(segments[segment], payload=pack_streams(body))

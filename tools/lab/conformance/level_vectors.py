@@ -58,6 +58,7 @@ def _tail(chunk: int) -> Segment:
 
 
 def _refinement(chunk: int) -> Segment:
+    """Return a refinement of a chunk's scales and opacities."""
     own = {stream.attribute: stream for stream in handmade.random_head(_ROWS, 3 + chunk)}
     finer = [
         digits(Attribute.SCALES, own[Attribute.SCALES], (2, 3, 4), 5 + chunk),

@@ -155,6 +155,7 @@ _CHANGES: Final = ("plane",) * 8 + ("params",) * 6 + ("record field",) * 4 + (
 
 
 def _mutate_field(record: Record, rng: random.Random) -> None:
+    """Change one random field of a record."""
     number = rng.choice((0, 1, 1, 2, 3, 3, 4, 4))
     if number == 4:
         rows = record.fields[4]
@@ -182,6 +183,7 @@ def _mutate_list(entries: list[_T], rng: random.Random) -> None:
 
 
 def _mutate_plane(word: int, stored: bytes, rng: random.Random) -> tuple[int, bytes]:
+    """Return word and bytes of a plane after a mutation of its symbols or its stored form."""
     if rng.random() < 0.25:
         return _mutate_frame(word, stored, rng)
     raw = _decompress(word, stored)

@@ -74,6 +74,7 @@ class DecoderProcess:
         self._start()
 
     def _start(self) -> None:
+        """Start the process and the thread that reads its answers."""
         try:
             self._process = subprocess.Popen(
                 self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -117,6 +118,7 @@ class DecoderProcess:
         self._reap()
 
     def _reap(self) -> None:
+        """Wait for the ended process and its reader, and close the pipe."""
         self._process.wait()
         self._reader.join()
         self._output.close()
@@ -164,6 +166,7 @@ class DecoderProcess:
         return self._peak_memory
 
     def _restart(self, reason: str) -> str:
+        """Kill and restart the decoder; return `reason`."""
         self.peak_memory()
         self._process.kill()
         with suppress(OSError):  # closing flushes an unsent request, which fails

@@ -33,6 +33,7 @@ class _Layer:
         self.entries = [book[code] for code in codes] if book else [(0, 0)] * count
 
     def shift(self, chunk: int, entry: tuple[int, int]) -> Pair:
+        """Return the shifts of log scales and logit for a splat of a chunk (SPEC 5.9)."""
         scale = self.scales[chunk] / 128 + self.strengths[2 * chunk] / 64 * entry[0] / 128
         opacity = self.opacities[chunk] / 16 + self.strengths[2 * chunk + 1] / 64 * entry[1] / 16
         return scale, opacity

@@ -147,6 +147,7 @@ class _File:
             position = self._add(msgpack.unpackb(data[position:end]), end)
 
     def _add(self, index: dict[str, dict[str, bytes]], start: int) -> int:
+        """Append the segments and chunks of an index; return the offset after its payloads."""
         table = index["segments"]
         columns = [
             table["kind"],
@@ -195,6 +196,7 @@ def _bands(payload: Payload, degree: int, rows: int, flag: int = 0) -> list[Row]
 
 
 def _shapes(payload: Payload, flag: int) -> list[Row]:
+    """Return rows of log scales and quaternions."""
     scales = streams.numbers(payload[SCALES, flag])
     quats = streams.quats(payload[QUATS, flag], scales)
     return [row + quat for row, quat in zip(scales, quats, strict=True)]
@@ -262,6 +264,7 @@ def _tail(payload: Payload, books: dict[int, list[Row]], degree: int, rows: int)
 
 
 def _attribute_types(file: _File) -> list[tuple[str, str, int]]:
+    """Return name, type and component count of each extra attribute."""
     entries = file.root.get("attributes", [])
     return [(entry["name"], entry["type"], entry.get("components", 0)) for entry in entries]
 

@@ -92,11 +92,13 @@ def _bytes_per_code(codes: int) -> int:
 
 
 def _codes(record: Record, first: int, count: int, rows: int) -> list[int]:
+    """Return codes of `count` byte planes, lowest byte first, from plane `first` on."""
     planes = [record.plane(first + i, rows) for i in range(count)]
     return [sum(plane[row] << 8 * i for i, plane in enumerate(planes)) for row in range(rows)]
 
 
 def _grid_value(code: int, minimum: float, step: float) -> float:
+    """Return the value of a code on a component's grid (SPEC 6.4)."""
     return f32(f32(f32(code) * step) + minimum)
 
 
@@ -257,6 +259,7 @@ def numbers(
 
 
 def _unit(row: Row) -> Row:
+    """Normalise a quaternion, with w at least 0."""
     w, x, y, z = row
     squares = f32(f32(f32(w * w) + f32(x * x)) + f32(y * y))
     norm = f32(math.sqrt(f32(squares + f32(z * z))))

@@ -71,6 +71,7 @@ def refined_means(
 
 
 def _chunk(head: bytes, rows: int, refined: bytes) -> Draft:
+    """Return a file of one chunk with a refinement."""
     segments = [Segment(SegmentKind.HEAD, 0, head), Segment(SegmentKind.REFINEMENT, 0, refined)]
     return Draft(root_keys(rows, 0), [Group(segments, [ChunkRow(rows)])])
 
@@ -128,6 +129,7 @@ def valid() -> list[Valid]:
 
 
 def _late() -> Draft:
+    """Return a file of three chunks whose two refinements come last."""
     bodies = [_body(seed) for seed in (11, 31, 51)]
     heads = [
         Segment(SegmentKind.HEAD, chunk, pack_streams(head))

@@ -149,6 +149,7 @@ class _Checker:
         return Report(self._hello, self._passed, self._failures, by_clause)
 
     def _record(self, vector: str, clauses: tuple[str, ...], expected: str, found: str) -> None:
+        """Count one check by clause, and add a failure if `found` is not empty."""
         right = not found
         self._passed += right
         for clause in clauses:
@@ -214,11 +215,13 @@ class _Checker:
         return self._out.read_bytes(), ""
 
     def _load_arrays(self, path: Path, entry: Entry) -> Arrays:
+        """Load a valid vector's expected arrays."""
         shapes = _dict(entry["shapes"])
         blank = {name: np.empty(shapes[name], np.float32) for name in self._arrays}
         return self._split_arrays(path.read_bytes(), blank)
 
     def _split_arrays(self, data: bytes, like: Arrays) -> Arrays:
+        """Split decoded bytes into arrays with the shapes of `like`."""
         values, start = np.frombuffer(data, "<f4"), 0
         out: Arrays = {}
         for name in self._arrays:
@@ -271,6 +274,7 @@ class _Checker:
         self._check_refusal(f"invalid-folders/{entry['name']}", "/manifest.cogsm", entry)
 
     def _check_refusal(self, vector: str, rest: str, entry: Entry) -> None:
+        """Check that the decoder refuses a file or a manifest."""
         verifies = self._hello.level == "verifier"
         code = str(entry["code"])
         path = self._vectors / f"{vector}{rest}"
@@ -288,6 +292,7 @@ class _Checker:
 
 
 def _prefixes(entry: Entry) -> list[tuple[int, int, list[int], list[int]]]:
+    """Return the prefixes of a manifest's entry: size, chunks, tails, refined."""
     found = entry["prefixes"]
     assert isinstance(found, list)
     return [(size, chunks, tails, refined) for size, chunks, tails, refined in found]

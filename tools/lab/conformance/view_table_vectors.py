@@ -28,6 +28,7 @@ def _stored_plane(differences: bytes) -> bytes:
 
 
 def _table(views: int, codes: bytes) -> dict[str, Value]:
+    """Return the map of a view table (SPEC 5.12)."""
     positions = [k / 4 - 1.0 for k in range(3 * views)]
     directions = [(0, 0, 127), (127, 0, 0), (-90, 1, -90), (0, -128, 0)]
     return {
@@ -53,6 +54,7 @@ def _draft(payloads: Sequence[bytes]) -> Draft:
 
 
 def _in_pages(draft: Draft) -> Draft:
+    """Return the draft with its chunks listed in the root and two pages."""
     group = draft.groups[0]
     return replace(
         draft,

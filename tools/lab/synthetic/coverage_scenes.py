@@ -63,6 +63,7 @@ def _paint(patch: Patch, rng: np.random.Generator, grain: float, hue: int) -> Su
 
 
 def _bar(start: Point, end: Point, radius: float, hue: int, grain: float) -> Part:
+    """Return a part: a straight tube."""
     path = np.linspace(start, end, 33)
 
     def make(n: int, rng: np.random.Generator) -> Surfels:
@@ -72,6 +73,7 @@ def _bar(start: Point, end: Point, radius: float, hue: int, grain: float) -> Par
 
 
 def _lathe(outline: list[tuple[float, float]], offset: Point, hue: int, grain: float) -> Part:
+    """Return a part: a surface of revolution."""
     profile = smooth_curve([*outline])
 
     def make(n: int, rng: np.random.Generator) -> Surfels:
@@ -81,6 +83,8 @@ def _lathe(outline: list[tuple[float, float]], offset: Point, hue: int, grain: f
 
 
 def _sheet(corner: Point, u: Point, v: Point, hue: int, grain: float) -> Part:
+    """Return a part: a parallelogram."""
+
     def make(n: int, rng: np.random.Generator) -> Surfels:
         return _paint(quad(corner, u, v, n, rng), rng, grain, hue)
 
@@ -108,6 +112,7 @@ def _point(values: F64) -> Point:
 
 
 def _lamp() -> list[tuple[float, Part]]:
+    """Return the weighted parts of a street lamp."""
     head = [(0.02, 0.0), (0.22, 0.10), (0.26, 0.30), (0.12, 0.48), (0.01, 0.52)]
     foot = [(0.20, 0.0), (0.19, 0.15), (0.10, 0.35), (0.06, 0.6)]
     return [
@@ -119,6 +124,7 @@ def _lamp() -> list[tuple[float, Part]]:
 
 
 def _fence() -> list[tuple[float, Part]]:
+    """Return the weighted parts of a fence."""
     parts: list[tuple[float, Part]] = []
     for k in range(25):
         x = 0.4 * k - 4.8
@@ -128,6 +134,7 @@ def _fence() -> list[tuple[float, Part]]:
 
 
 def _shell() -> list[tuple[float, Part]]:
+    """Return the weighted parts of an open bowl."""
     # Open at the top: the inner side is visible only from above.
     outside = [(0.05, -1.0), (0.7, -0.75), (1.0, 0.0), (0.8, 0.62), (0.5, 0.85)]
     inside = [(0.47, 0.82), (0.76, 0.58), (0.94, 0.0), (0.66, -0.70), (0.05, -0.94)]
@@ -138,10 +145,12 @@ def _shell() -> list[tuple[float, Part]]:
 
 
 def _card() -> list[tuple[float, Part]]:
+    """Return the weighted part of a flat card."""
     return [(1.0, _sheet((-1.0, -0.6, 0.0), (2.0, 0.0, 0.0), (0.0, 1.2, 0.0), 1, 9.0))]
 
 
 def _room() -> list[tuple[float, Part]]:
+    """Return the weighted parts of a furnished room."""
     parts = _crate((-3.0, 0.0, -2.5), (3.0, 2.6, 2.5), 3, 2.0)
     parts += _crate((-2.8, 0.0, -2.3), (-1.6, 0.8, -1.3), 0, 5.0)
     parts += _crate((1.2, 0.0, 1.3), (2.6, 1.9, 2.2), 2, 5.0)
@@ -275,6 +284,7 @@ def _visitor_views(floors: tuple[Floor, ...], rng: np.random.Generator) -> list[
 
 
 def _camera(view: int, eye: F64, forward: F64) -> Camera:
+    """Return a test view of 480 x 360 px."""
     return camera_at(
         eye * TO_SCENE,
         forward * TO_SCENE,

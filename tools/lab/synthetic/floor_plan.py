@@ -207,6 +207,7 @@ def _choose_doors(rooms: int, columns: int, rng: np.random.Generator) -> list[tu
 
 
 def _add_windows(rooms: list[Room], columns: int, rng: np.random.Generator) -> None:
+    """Add a window to each outer wall."""
     for number, room in enumerate(rooms):
         row, column = divmod(number, columns)
         outside = (
@@ -250,6 +251,7 @@ def walk_poses(plan: FloorPlan) -> list[tuple[F64, float]]:
 
 
 def _eyes(place: F64) -> F64:
+    """Return the position of a visitor's eyes above a point (x, z)."""
     return np.array([place[0], EYES, place[1]])
 
 

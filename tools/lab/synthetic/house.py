@@ -73,6 +73,7 @@ def _sides(patch: Patch) -> tuple[F64, F64]:
 
 
 def _gable(patch: Patch, rng: np.random.Generator) -> Surfels:
+    """Return surfels of a half-timbered gable."""
     right, up = _sides(patch)
     half = WALLS[1]
     lean = np.arctan2(ROOF_RISE, half)
@@ -86,6 +87,7 @@ def _gable(patch: Patch, rng: np.random.Generator) -> Surfels:
 
 
 def _wall(patch: Patch, width: float, front: bool, rng: np.random.Generator) -> Surfels:
+    """Return surfels of a half-timbered wall with windows, and a door in the front."""
     right, up = _sides(patch)
     height = WALLS[2]
     x, y = patch.uv[:, 0] * width, patch.uv[:, 1] * height
@@ -109,6 +111,7 @@ def _wall(patch: Patch, width: float, front: bool, rng: np.random.Generator) -> 
 
 
 def _door(wall: Surfels, dx: F64, y: F64, rng: np.random.Generator) -> Surfels:
+    """Return the wall with a door painted on it."""
     inside = (dx < 0.105) & (y < 0.45)
     planks = np.array([0.05, 0.17, 0.11]) * (0.75 + 0.25 * np.sign(np.sin(dx * 150.0)))[:, None]
     albedo = np.where(inside[:, None], planks * (0.9 + 0.2 * rng.random((len(y), 1))), wall.albedo)
@@ -116,6 +119,7 @@ def _door(wall: Surfels, dx: F64, y: F64, rng: np.random.Generator) -> Surfels:
 
 
 def _window(wall: Surfels, dx: F64, dy: F64, half: float, tall: float) -> Surfels:
+    """Return the wall with a lit window painted on it."""
     frame = ((dx < half) & (np.abs(dy) < tall))[:, None]
     pane = (dx < half - 0.016) & (np.abs(dy) < tall - 0.016)
     pane &= (dx > 0.007) & (np.abs(dy - 0.03) > 0.007)
@@ -130,6 +134,7 @@ def _window(wall: Surfels, dx: F64, dy: F64, half: float, tall: float) -> Surfel
 
 
 def _tiles(patch: Patch, width: float, rng: np.random.Generator) -> Surfels:
+    """Return surfels of a tiled roof slope."""
     rows, columns = 11, 22
     row = np.floor(patch.uv[:, 1] * rows)
     down = patch.uv[:, 1] * rows - row
@@ -151,6 +156,7 @@ def _tiles(patch: Patch, width: float, rng: np.random.Generator) -> Surfels:
 
 
 def _chimney(n: int, rng: np.random.Generator) -> Surfels:
+    """Return n surfels of the chimney."""
     x, z, r, low, high = 0.30, -0.16, 0.085, 0.78, 1.34
     tall = high - low
     counts = split_count(n, [tall, tall, tall, tall, 2 * r])

@@ -73,6 +73,7 @@ def terrace(n: int, rng: np.random.Generator) -> Surfels:
 
 
 def _petals(points: F64, size: float, rng: np.random.Generator) -> Surfels:
+    """Return surfels of fallen petals at these points."""
     n = len(points)
     normals = unit(rng.standard_normal((n, 3)) * 0.35 + np.array([0.0, 1.0, 0.0]))
     patch = Patch(points, normals, any_tangents(normals), np.full(n, size**2), points[:, :2])

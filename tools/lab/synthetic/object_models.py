@@ -49,12 +49,14 @@ def move_to_stand(name: str, surfels: Surfels) -> Surfels:
 def _ball(
     centre: tuple[float, float, float], radius: float, n: int, rng: np.random.Generator
 ) -> Patch:
+    """Return n points on a sphere."""
     angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 65)
     profile = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
     return revolve(profile, n, rng).move(0.0, centre)
 
 
 def _plinth(radius: float, height: float, n: int, rng: np.random.Generator) -> Surfels:
+    """Return n surfels of a round marble plinth."""
     r, h = radius, height
     outline = [(r, 0.0), (r, 0.05), (r * 0.9, 0.09), (r * 0.87, h - 0.09), (r * 0.97, h - 0.05)]
     corners = np.array([*outline, (r * 0.97, h), (0.0, h)])
@@ -126,6 +128,7 @@ def teapot(n: int, rng: np.random.Generator) -> Surfels:
 
 
 def _knot_path() -> F64:
+    """Return the centre line of the trefoil knot."""
     t = np.linspace(0.0, 2.0 * np.pi, 481)
     radius = 0.40 + 0.17 * np.cos(3.0 * t)
     # A trefoil that stands on its side, like a wreath.
@@ -258,6 +261,7 @@ def tree(n: int, rng: np.random.Generator) -> Surfels:
 
 
 def _bark(patch: Patch, rng: np.random.Generator) -> Surfels:
+    """Return surfels of bark on a patch."""
     tone = noise(patch.points * np.array([1.0, 0.35, 1.0]), 28.0, 2, 62)
     return cover(patch, rng, blend((0.05, 0.028, 0.016), (0.20, 0.13, 0.085), tone))
 

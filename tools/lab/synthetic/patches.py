@@ -299,6 +299,7 @@ def noise(points: F64, frequency: float, octaves: int = 1, salt: int = 0) -> F64
 
 
 def _value_noise(points: F64, salt: int) -> F64:
+    """Return value noise in [0, 1] of unit frequency at (n, 3) points."""
     floor = np.floor(points)
     cell = floor.astype(np.int64).astype(np.uint32)
     f = points - floor

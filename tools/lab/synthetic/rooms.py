@@ -190,18 +190,21 @@ def rooms_walk(rooms: int, seed: int = 7) -> list[Camera]:
 
 
 def _plan(rooms: int, seed: int) -> FloorPlan:
+    """Return the floor plan of a house; all functions of a house share it by `seed`."""
     if not 1 <= rooms <= MOST_ROOMS:
         raise ValueError(f"{rooms} rooms, expected 1 to {MOST_ROOMS}")
     return floor_plan(rooms, np.random.default_rng([seed, 0]))
 
 
 def _camera(position: F64, forward: F64, name: str) -> Camera:
+    """Return a camera of 480 x 360 px, 75 degrees wide."""
     return camera_at(position * TO_SCENE, unit(forward) * TO_SCENE, _WIDTH, _HEIGHT, _FOCAL, name)
 
 
 def _make_surfels(
     pieces: list[Piece], counts: list[int], rng: np.random.Generator
 ) -> Surfels | None:
+    """Return the surfels of the pieces, or None if all counts are 0."""
     parts = [piece.make(count, rng) for piece, count in zip(pieces, counts, strict=True) if count]
     return concatenate(parts) if parts else None
 
@@ -259,6 +262,7 @@ def _furnish(room: Room, rng: np.random.Generator) -> tuple[list[Piece], list[_F
 
 
 def _overlap(one: _Footprint, other: _Footprint) -> bool:
+    """Tell whether two floor areas overlap."""
     return one.x0 < other.x1 and other.x0 < one.x1 and one.z0 < other.z1 and other.z0 < one.z1
 
 
@@ -389,6 +393,7 @@ def _in_corner(
 
 
 def _vase(foot: Point, salt: int, rng: np.random.Generator) -> Piece:
+    """Return a vase of random size and colour."""
     wide, tall = float(rng.uniform(0.07, 0.11)), float(rng.uniform(0.22, 0.34))
     outline = [(0.0, 0.0), (0.6 * wide, 0.0), (wide, 0.35 * tall), (0.5 * wide, 0.8 * tall)]
     hue = rng.uniform(0.05, 0.6, 3)
