@@ -159,7 +159,7 @@ def _camera_segment(count: int, **changes: Value) -> Segment:
 
 
 def _with_cameras(*segments: Segment) -> bytes:
-    """Return the file of one chunk followed by these camera segments."""
+    """Return the file of one chunk with camera segments after its head."""
     draft = uniform_chunk()
     return build(with_segments(draft, [*draft.groups[0].segments, *segments]))
 

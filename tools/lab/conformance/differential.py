@@ -185,7 +185,7 @@ class _Decoders:
         return word == "accepted" and not mutant.partial and int(rest[0]) <= _MOST_SPLATS_FOR_SLOW
 
     def _ask(self, numbers: Sequence[int], mutant: Mutant, *, verify: bool) -> dict[int, str]:
-        """Send the mutant to the decoders of these numbers; return their verdicts."""
+        """Send the mutant to a selection of decoders; return the verdicts by decoder number."""
         # All requests are sent before the first answer is read, so that decoders run in parallel.
         for number in numbers:
             out = self._outs[number]

@@ -141,7 +141,7 @@ def _parse(data: bytes) -> _Parts:
 
 
 def _read_payloads(index: Index, data: bytes, at: int, payloads: list[list[bytes]]) -> int:
-    """Append the payloads of one index to `payloads`; return the offset after them."""
+    """Append the payloads of one index to `payloads`; return their end offset."""
     group = []
     for (length,) in struct.iter_unpack("<I", column(index, "segments", "length")):
         group.append(data[at : at + length])
