@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from .codec.encode.config import Target as Target
     from .codec.encode.encoded import EncodeReport as EncodeReport
     from .codec.encode.request import EncodeRequest as EncodeRequest
-    from .codec.fit.level_training import LevelsConfig as LevelsConfig
+    from .codec.fit.train_config import LevelsConfig as LevelsConfig
     from .codec.fit.tune_config import TuneConfig as TuneConfig
     from .codec.scoring.contribution import ScoreConfig as ScoreConfig
 
@@ -99,7 +99,7 @@ _LATE = {
     "EncodeConfig": ".codec.encode.config",
     "EncodeReport": ".codec.encode.encoded",
     "EncodeRequest": ".codec.encode.request",
-    "LevelsConfig": ".codec.fit.level_training",
+    "LevelsConfig": ".codec.fit.train_config",
     "ScoreConfig": ".codec.scoring.contribution",
     "Target": ".codec.encode.config",
     "TuneConfig": ".codec.fit.tune_config",

@@ -30,7 +30,7 @@ from .formats.storage.byte_counts import parse_byte_count
 if TYPE_CHECKING:
     from .codec.encode.encoded import EncodeReport
     from .codec.encode.preview_chunks import PreviewMaker
-    from .codec.fit.level_training import LevelsConfig
+    from .codec.fit.train_config import LevelsConfig
     from .codec.fit.tune_config import TuneConfig
     from .codec.scoring.contribution import ScoreConfig, Scores
     from .codec.scoring.view_quality import Comparison
@@ -285,7 +285,8 @@ def layers(
     True
     """
     from .codec.fit.level_encoding import LevelEncoding, encode_levels
-    from .codec.fit.level_training import LevelsConfig, train_levels
+    from .codec.fit.level_training import train_levels
+    from .codec.fit.train_config import LevelsConfig
     from .codec.views.planner import ViewPlanConfig, plan
 
     _require_output(path, force, scene, cameras)

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from cogsplat.codec.compiling import called_with
 from cogsplat.codec.render.jit import kernel
 
+from .train_config import LOSS_NAMES
+
 F32 = NDArray[np.float32]
 
 # Weight of 1 - SSIM in the loss of 3DGS, λ (Kerbl et al. 2023, section 5).
@@ -140,6 +142,6 @@ def structure(picture: F32, target: F32) -> tuple[float, F32]:
 
 
 LOSSES: Final[Mapping[str, Loss]] = MappingProxyType(
-    {"squared": squared, "photo": photo, "structure": structure}
+    dict(zip(LOSS_NAMES, (squared, photo, structure), strict=True))
 )
-"""Losses by name: ``squared`` for renders, ``photo`` for photos, ``structure`` for levels."""
+"""Losses by name, `train_config.LOSS_NAMES`."""

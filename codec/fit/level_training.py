@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -29,7 +28,7 @@ from .differentiable_rendering import Gradients, render_forward, with_values
 from .downscaling import downscale_camera, downscale_picture
 from .image_losses import LOSSES
 from .splat_adam import SplatAdam
-from .trainer import RATES
+from .train_config import RATES, LevelsConfig
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
@@ -41,58 +40,14 @@ MIN_OPACITY: Final = 0.005
 _FIRST_RATE: Final = 0.5
 _LAST_RATE: Final = 0.05
 # The same for levels that start from points, and learning rates in place of some of
-# `trainer.RATES`: initial splats are further from their final values. On a captured room at 1/8 of
-# its size, held-out views had 26.96 dB after 1,000 steps, and 23.59 dB with `trainer.RATES`.
+# `RATES`: initial splats are further from their final values. On a captured room at 1/8 of its size,
+# held-out views had 26.96 dB after 1,000 steps, and 23.59 dB with `RATES`.
 _FIRST_RATE_FROM_POINTS: Final = 1.0
 _RATES_FROM_POINTS: Final = {"means": 0.03, "scales": 0.015, "opacities": 0.06, "sh0": 0.01}
 # Share of a level's added splats that start at points; densification adds the rest.
 _INITIAL_SHARE: Final = 0.5
 # Salt of the random generator for points.
 _POINTS_SALT: Final = 1
-
-
-@dataclass(frozen=True)
-class LevelsConfig:
-    """Settings of level training: resolutions, sizes and steps of the levels.
-
-    Parameters
-    ----------
-    scales : tuple of int
-        Downscaling of the pictures of each level, per axis, descending.
-    shares : tuple of float
-        Cumulative share of the scene's splats up to each level, ascending to at most 1.
-    steps : int
-        Training steps per level; each step renders one view.
-    loss : str
-        Key of `image_losses.LOSSES`; ``structure`` is the loss of LapisGS.
-    seed : int
-        Seed of the order of views.
-    threads : int
-        Number of threads; 0 uses all cores. The result does not depend on it.
-    """
-
-    scales: tuple[int, ...] = (8, 4, 2, 1)
-    shares: tuple[float, ...] = (0.08, 0.25, 0.6, 1.0)
-    steps: int = 400
-    loss: str = "structure"
-    seed: int = 0
-    threads: int = 0
-
-    def __post_init__(self) -> None:
-        if not self.scales or min(self.scales) < 1 or any(a <= b for a, b in pairwise(self.scales)):
-            raise ValueError(f"scales {self.scales}, expected whole numbers above 0 that fall")
-        if len(self.shares) != len(self.scales):
-            raise ValueError(
-                f"{len(self.shares)} shares, expected one of {len(self.scales)} levels"
-            )
-        shares = (0.0, *self.shares)
-        if self.shares[-1] > 1 or any(a >= b for a, b in pairwise(shares)):
-            raise ValueError(f"shares {self.shares}, expected to rise from above 0 to at most 1")
-        if self.steps < 0 or self.seed < 0:
-            raise ValueError(f"steps {self.steps}, seed {self.seed}, expected 0 or more")
-        if self.loss not in LOSSES:
-            raise ValueError(f"loss {self.loss!r}, expected one of {tuple(LOSSES)}")
-        thread_count(self.threads)
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,8 @@ from cogsplat.codec.views.view_sets import sample_evenly
 
 from .deletion_errors import deletion_errors
 from .round_trip import round_trip
-from .trainer import TrainConfig, Trainer
+from .train_config import TrainConfig
+from .trainer import Trainer
 from .training_views import TrainingViews
 
 # Bytes per preview splat. On a captured room 1,800 splats at 7.4 B showed 26.1 dB, and the same

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from functools import partial
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -21,25 +19,11 @@ from .image_losses import LOSSES
 from .prefix_loss import PrefixLoss
 from .splat_adam import SplatAdam
 from .tile_kernels import DELETED
+from .train_config import TrainConfig
 from .training_views import TrainingViews
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
-
-RATES: Final[Mapping[str, float]] = MappingProxyType(
-    {
-        "means": 0.01,
-        "scales": 0.005,
-        "quats": 0.002,
-        "opacities": 0.03,
-        "sh0": 0.005,
-        "shN": 0.0015,
-    }
-)
-"""Learning rates by array, as in 3DGS except for means.
-
-The unit of means is the middle axis of each splat: large splats move further than small ones, and
-the scale of the scene does not matter."""
 
 # Steps between two updates of the learning rates of means, which follow the sizes of splats.
 _RATE_UPDATE_INTERVAL: Final = 20
@@ -58,48 +42,6 @@ _RENDER_WEIGHT: Final = 0.1
 
 # Salts of the random generators for noise and prefixes; views use 0 and 1.
 _NOISE_SALT, _PREFIX_SALT = 2, 3
-
-
-@dataclass(frozen=True)
-class TrainConfig:
-    """Settings of scene training.
-
-    Parameters
-    ----------
-    loss : str
-        Key of `image_losses.LOSSES`: ``squared``, ``photo`` or ``structure``.
-    worst_views : float
-        Exponent of the weight of a view by its mean squared error: 0 weighs all views equally, 1
-        in proportion to their error.
-    noise : bool
-        Whether quantisation errors get a random sign per value and step: additive noise (Ballé et
-        al. 2017) in place of straight-through gradients. For comparisons; measured to be worse.
-    rates : mapping of str to float
-        Learning rates by array; arrays without one are not trained.
-    seed : int
-        Seed of the order of views.
-    threads : int
-        Number of threads; 0 uses all cores. The result does not depend on it.
-    """
-
-    loss: str = "squared"
-    worst_views: float = 1.0
-    noise: bool = False
-    rates: Mapping[str, float] = field(default_factory=lambda: RATES)
-    seed: int = 0
-    threads: int = 0
-
-    def __post_init__(self) -> None:
-        if self.loss not in LOSSES:
-            raise ValueError(f"loss {self.loss!r}, expected one of {tuple(LOSSES)}")
-        if not 0.0 <= self.worst_views <= 1.0:
-            raise ValueError(f"worst_views {self.worst_views}, expected 0 to 1")
-        unknown = self.rates.keys() - RATES.keys()
-        if unknown:
-            raise ValueError(f"learning rates of {sorted(unknown)}, expected some of {list(RATES)}")
-        if self.seed < 0:
-            raise ValueError(f"seed {self.seed}, expected 0 or more")
-        thread_count(self.threads)
 
 
 class Trainer:

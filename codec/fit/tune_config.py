@@ -7,7 +7,7 @@ from typing import Final
 
 from cogsplat.codec.encode.presets import PRESETS
 
-from .trainer import TrainConfig
+from .train_config import TrainConfig
 
 # Profiles with quantisers to train through; `near-lossless` bounds errors per value instead.
 _PROFILES: Final = ("transform", "vq")

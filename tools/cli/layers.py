@@ -143,7 +143,8 @@ def layers(
     from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
     from cogsplat.codec.fit.initial_splats import splats_from_points
     from cogsplat.codec.fit.level_encoding import LevelEncoding, encode_levels
-    from cogsplat.codec.fit.level_training import LevelsConfig, grow_levels, train_levels
+    from cogsplat.codec.fit.level_training import grow_levels, train_levels
+    from cogsplat.codec.fit.train_config import LevelsConfig
     from cogsplat.tools.evaluation.level_figures import level_sizes, picture_figures
 
     points = find_points(scene)

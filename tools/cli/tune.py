@@ -198,7 +198,7 @@ def tune(
     on the scene and its cameras.
     """
     from cogsplat.codec.fit.preview_training import PreviewConfig, TrainedPreview
-    from cogsplat.codec.fit.trainer import TrainConfig
+    from cogsplat.codec.fit.train_config import TrainConfig
     from cogsplat.codec.fit.training_views import make_training_views
     from cogsplat.codec.fit.tune_config import TuneConfig
     from cogsplat.codec.fit.tuning import tune as tuned_scene

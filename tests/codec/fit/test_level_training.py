@@ -7,11 +7,11 @@ from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
 from cogsplat.codec.fit.initial_splats import splats_from_points
 from cogsplat.codec.fit.level_training import (
     MIN_OPACITY,
-    LevelsConfig,
     grow_levels,
     train_jointly,
     train_levels,
 )
+from cogsplat.codec.fit.train_config import LevelsConfig
 from cogsplat.codec.metrics import psnr, ssim
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras

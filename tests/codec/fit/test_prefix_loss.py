@@ -8,7 +8,8 @@ import pytest
 from cogsplat.codec.encode.compensation_fit import plan_layers
 from cogsplat.codec.fit.differentiable_rendering import Gradients
 from cogsplat.codec.fit.prefix_loss import PrefixLoss
-from cogsplat.codec.fit.trainer import TrainConfig, Trainer
+from cogsplat.codec.fit.train_config import TrainConfig
+from cogsplat.codec.fit.trainer import Trainer
 from cogsplat.codec.fit.training_views import make_training_views
 from cogsplat.codec.order import prefix_inflation
 from cogsplat.codec.render.rasteriser import render

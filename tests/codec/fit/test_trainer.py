@@ -8,7 +8,8 @@ from numba.core import sigutils
 from cogsplat.codec.compiling import kernels_in
 from cogsplat.codec.fit.deletion_errors import deletion_errors
 from cogsplat.codec.fit.differentiable_rendering import Gradients
-from cogsplat.codec.fit.trainer import TrainConfig, Trainer
+from cogsplat.codec.fit.train_config import TrainConfig
+from cogsplat.codec.fit.trainer import Trainer
 from cogsplat.codec.fit.training_views import make_training_views
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render

@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import pytest
 
 from cogsplat.codec.fit.tune_config import TuneConfig
@@ -18,3 +21,13 @@ from cogsplat.codec.fit.tune_config import TuneConfig
 def test_invalid_settings_are_refused(settings, said):
     with pytest.raises(ValueError, match=said):
         TuneConfig(**settings)
+
+
+def test_configurations_import_without_numba():
+    modules = ("fit.train_config", "fit.tune_config", "encode.config", "encode.request")
+    lines = ["import sys", "sys.modules.update(dict.fromkeys(('numba', 'scipy', 'sklearn')))"]
+    lines += [f"import cogsplat.codec.{module}" for module in modules]
+    done = subprocess.run(
+        [sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr

@@ -11,7 +11,7 @@ from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.fit.differentiable_rendering import Gradients
 from cogsplat.codec.fit.quantised_training import QuantisedTraining
-from cogsplat.codec.fit.trainer import TrainConfig
+from cogsplat.codec.fit.train_config import TrainConfig
 from cogsplat.codec.fit.training_views import make_training_views
 from cogsplat.codec.fit.tune_config import TuneConfig
 from cogsplat.codec.fit.tuning import tune

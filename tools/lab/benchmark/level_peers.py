@@ -26,10 +26,10 @@ from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
 from cogsplat.codec.fit.level_encoding import encode_levels
 from cogsplat.codec.fit.level_training import (
     LevelledSplats,
-    LevelsConfig,
     train_jointly,
     train_levels,
 )
+from cogsplat.codec.fit.train_config import LevelsConfig
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out

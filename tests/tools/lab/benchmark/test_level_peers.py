@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cogsplat.codec.fit.level_training import LevelsConfig
+from cogsplat.codec.fit.train_config import LevelsConfig
 from cogsplat.tools.lab.benchmark.level_peers import (
     Model,
     chart,

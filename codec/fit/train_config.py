@@ -1,0 +1,115 @@
+"""Configurations of training: losses, learning rates, levels. Importing them compiles nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from types import MappingProxyType
+from typing import Final
+
+from cogsplat.codec.threads import thread_count
+
+LOSS_NAMES: Final = ("squared", "photo", "structure")
+"""Losses: ``squared`` for renders, ``photo`` for photos, ``structure`` for levels."""
+
+RATES: Final[Mapping[str, float]] = MappingProxyType(
+    {
+        "means": 0.01,
+        "scales": 0.005,
+        "quats": 0.002,
+        "opacities": 0.03,
+        "sh0": 0.005,
+        "shN": 0.0015,
+    }
+)
+"""Learning rates by array, as in 3DGS except for means.
+
+The unit of means is the middle axis of each splat: large splats move further than small ones, and
+the scale of the scene does not matter."""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Settings of scene training.
+
+    Parameters
+    ----------
+    loss : str
+        One of `LOSS_NAMES`.
+    worst_views : float
+        Exponent of the weight of a view by its mean squared error: 0 weighs all views equally, 1
+        in proportion to their error.
+    noise : bool
+        Whether quantisation errors get a random sign per value and step: additive noise (Ballé et
+        al. 2017) in place of straight-through gradients. For comparisons; measured to be worse.
+    rates : mapping of str to float
+        Learning rates by array; arrays without one are not trained.
+    seed : int
+        Seed of the order of views.
+    threads : int
+        Number of threads; 0 uses all cores. The result does not depend on it.
+    """
+
+    loss: str = "squared"
+    worst_views: float = 1.0
+    noise: bool = False
+    rates: Mapping[str, float] = field(default_factory=lambda: RATES)
+    seed: int = 0
+    threads: int = 0
+
+    def __post_init__(self) -> None:
+        if self.loss not in LOSS_NAMES:
+            raise ValueError(f"loss {self.loss!r}, expected one of {LOSS_NAMES}")
+        if not 0.0 <= self.worst_views <= 1.0:
+            raise ValueError(f"worst_views {self.worst_views}, expected 0 to 1")
+        unknown = self.rates.keys() - RATES.keys()
+        if unknown:
+            raise ValueError(f"learning rates of {sorted(unknown)}, expected some of {list(RATES)}")
+        if self.seed < 0:
+            raise ValueError(f"seed {self.seed}, expected 0 or more")
+        thread_count(self.threads)
+
+
+@dataclass(frozen=True)
+class LevelsConfig:
+    """Settings of level training: resolutions, sizes and steps of the levels.
+
+    Parameters
+    ----------
+    scales : tuple of int
+        Downscaling of the pictures of each level, per axis, descending.
+    shares : tuple of float
+        Cumulative share of the scene's splats up to each level, ascending to at most 1.
+    steps : int
+        Training steps per level; each step renders one view.
+    loss : str
+        One of `LOSS_NAMES`; ``structure`` is the loss of LapisGS.
+    seed : int
+        Seed of the order of views.
+    threads : int
+        Number of threads; 0 uses all cores. The result does not depend on it.
+    """
+
+    scales: tuple[int, ...] = (8, 4, 2, 1)
+    shares: tuple[float, ...] = (0.08, 0.25, 0.6, 1.0)
+    steps: int = 400
+    loss: str = "structure"
+    seed: int = 0
+    threads: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.scales or min(self.scales) < 1 or any(a <= b for a, b in pairwise(self.scales)):
+            raise ValueError(f"scales {self.scales}, expected whole numbers above 0 that fall")
+        if len(self.shares) != len(self.scales):
+            raise ValueError(
+                f"{len(self.shares)} shares, expected one of {len(self.scales)} levels"
+            )
+        shares = (0.0, *self.shares)
+        if self.shares[-1] > 1 or any(a >= b for a, b in pairwise(shares)):
+            raise ValueError(f"shares {self.shares}, expected to rise from above 0 to at most 1")
+        if self.steps < 0 or self.seed < 0:
+            raise ValueError(f"steps {self.steps}, seed {self.seed}, expected 0 or more")
+        if self.loss not in LOSS_NAMES:
+            raise ValueError(f"loss {self.loss!r}, expected one of {LOSS_NAMES}")
+        thread_count(self.threads)
