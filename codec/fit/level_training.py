@@ -40,8 +40,8 @@ MIN_OPACITY: Final = 0.005
 _FIRST_RATE: Final = 0.5
 _LAST_RATE: Final = 0.05
 # The same for levels that start from points, and learning rates in place of some of
-# `RATES`: initial splats are further from their final values. On a captured room at 1/8 of its size,
-# held-out views had 26.96 dB after 1,000 steps, and 23.59 dB with `RATES`.
+# `RATES`: initial splats are further from their final values. On a captured room at 1/8 of its
+# size, held-out views had 26.96 dB after 1,000 steps, and 23.59 dB with `RATES`.
 _FIRST_RATE_FROM_POINTS: Final = 1.0
 _RATES_FROM_POINTS: Final = {"means": 0.03, "scales": 0.015, "opacities": 0.06, "sh0": 0.01}
 # Share of a level's added splats that start at points; densification adds the rest.
