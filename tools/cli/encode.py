@@ -524,7 +524,7 @@ def _measure(
     made: EncodeReport,
     stages: Stages,
 ) -> list[PrefixQuality]:
-    """Measure the new file and write its report, if chosen; return PSNR and SSIM of prefixes."""
+    """Measure PSNR and SSIM of prefixes of the new file; write the HTML report, if chosen."""
     if evaluation is None:
         return []
     settings = settings_of(click.get_current_context(), made.scored_views, stages.total_seconds)

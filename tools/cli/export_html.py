@@ -125,7 +125,10 @@ def export_html(
 def _room_for(
     folder: Path, names: list[str], force: bool, inputs: list[Path], *, needed: bool
 ) -> Iterator[None]:
-    """Make a folder for files of given names; remove a new folder if the block fails."""
+    """Create a folder and check that `names` can be written there; nothing unless `needed`.
+
+    A new folder is removed if the block fails.
+    """
     if not needed:
         yield
         return

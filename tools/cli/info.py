@@ -103,8 +103,8 @@ def info(
 
     --statistics adds, per attribute, the range, mean, deviation, a histogram from the 0.5 % to the
     99.5 % quantile, and the count of values that are not finite. Scales are natural logarithms and
-    opacities logits; linear scales and unit opacities follow. The fill ratio is the mean number of
-    splats that a ray crosses: their one-sigma areas over the mean face of the box of the centres.
+    opacities logits; linear scales and unit opacities follow. The fill ratio estimates the number
+    of splats that a ray crosses: their total one-sigma area over the mean face area of the box.
     """
     part = Selection(chunks, least_splats, size, sh_degree, objects)
     if part != Selection() and not statistics:
@@ -246,8 +246,8 @@ def _print_root(path: Path, version: str, file: CogsFile, cameras: int | None) -
         ),
         ("cameras", "not there" if cameras is None else f"{cameras:,} stored" if cameras else ""),
         ("codebooks", f"{', '.join(books)} rows" if books else "none"),
-        ("attributes", _kinds(root.attributes)),
-        ("levels", _levels(file)),
+        ("attributes", _attributes_text(root.attributes)),
+        ("levels", _levels_text(file)),
         ("prefixes", _prefix_chunks(file)),
         ("index", f"{count_text(len(root.pages), 'page')} beside the root" if root.pages else ""),
     )
@@ -261,8 +261,8 @@ def _received(file: CogsFile) -> str:
     return f"{share}, {file.complete_chunks()} of {count_text(file.num_chunks, 'chunk')} complete"
 
 
-def _levels(file: CogsFile) -> str:
-    """Return the levels as text, such as ``1/8 of 12 chunks, 1/1 of 30 chunks``."""
+def _levels_text(file: CogsFile) -> str:
+    """Return picture scale and leading chunks of each level, such as ``1/8 of 12 chunks``."""
     levels = file.root.levels
     return ", ".join(
         f"1/{level.scale:g} of {count_text(level.chunks, 'chunk')}" for level in levels
@@ -278,7 +278,7 @@ def _prefix_chunks(file: CogsFile) -> str:
     return f"{count_text(int(ending.sum()), 'chunk')} of {splats}, drawn in prefixes only"
 
 
-def _kinds(types: Sequence[AttributeType]) -> str:
+def _attributes_text(types: Sequence[AttributeType]) -> str:
     """Return extra attributes and their types as text, such as ``label u2, normal f4x3``."""
     return ", ".join(
         f"{kind.name} {kind.dtype}" + (f"x{kind.components}" if kind.components else "")
@@ -388,7 +388,7 @@ def _print_scene(path: Path, splats: Splats, file_bytes: int) -> None:
         if invalid
         else ("invalid", "none"),
         ("origin", _origin(splats.info)),
-        ("attributes", _kinds(attribute_types(splats.extras))),
+        ("attributes", _attributes_text(attribute_types(splats.extras))),
     )
     rows = [
         (name, f"{low:.4g}", f"{high:.4g}", f"{odd:,}" if odd else "-")

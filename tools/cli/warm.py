@@ -23,14 +23,14 @@ _TRAINING: Final = tuple(
 
 
 def every_kernel(*, planned: bool, training: bool = False) -> list[DeclaredKernel]:
-    """Return the kernels of the encoder and of commands.
+    """Return the kernels of encoding and decoding, and on request of training.
 
     Parameters
     ----------
     planned : bool
-        Whether kernels that plan views are included.
+        Whether to include the kernels that plan views for a scene without cameras.
     training : bool
-        Whether kernels that train are included.
+        Whether to include the kernels of training.
     """
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.needed_kernels import needed_kernels

@@ -357,7 +357,7 @@ def unfetched_url(path: Path) -> str | None:
 
 
 def fetch_if_url(path: Path) -> Path:
-    """Return a path of the running command after fetching its file, if it is the file of a URL.
+    """Return the path; if it stands for a URL, download to the path first.
 
     Raises
     ------

@@ -71,7 +71,7 @@ class OrderChoice:
 
     @property
     def name(self) -> str:
-        """First order."""
+        """Name of the first order with its rule, such as ``contribution+frustum``."""
         return self.names[0]
 
     @property

@@ -80,7 +80,7 @@ def viewable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
             stages.plan(stage_costs(len(found), request))
             cogsplat.encode(found, path, request=request, progress=stages)
             stages("write", 1, 1)
-        yield Viewable(path, _splats_of(path), encoded=True)
+        yield Viewable(path, _splat_count(path), encoded=True)
 
 
 @contextmanager
@@ -139,7 +139,7 @@ def _whole_cogs(scene: Path) -> Iterator[Viewable | None]:
         yield Viewable(path, file.root.splats, encoded=False)
 
 
-def _splats_of(path: Path) -> int:
+def _splat_count(path: Path) -> int:
     """Return the number of splats in a COGS file."""
     with cogsplat.open(path) as file:
         return file.root.splats

@@ -94,7 +94,7 @@ def _stored(levels: LevelledSplats, cameras: Sequence[Camera], way: str) -> list
 
 
 def models(splats: Splats, cameras: Sequence[Camera], config: LevelsConfig) -> list[Model]:
-    """Train the models of a scene, the levels first.
+    """Train the levels of a scene and the models they are compared with.
 
     Parameters
     ----------

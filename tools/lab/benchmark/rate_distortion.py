@@ -82,6 +82,7 @@ class BenchInput:
 
 
 def _label(method: str, quality_db: float | None) -> str:
+    """Return the name of a method and its nominal quality, if any."""
     return method if quality_db is None else f"{method} {quality_db:g}"
 
 
@@ -154,10 +155,14 @@ class BenchPrefix:
     Parameters
     ----------
     method : str
+        Profile or foreign format.
     quality_db : float or None
+        Nominal quality; None if the profile has none.
     prefix_bytes : int
     splats : int
+        Splats in the prefix.
     held_out_db : float
+        Mean PSNR over the test views, dB.
     """
 
     method: str

@@ -183,7 +183,7 @@ class PictureComparison:
 
 
 def load_median(page: Page, server: SlowServer, contender: Contender, runs: int) -> list[float]:
-    """Load a file several times until the last run is near the median time.
+    """Load a file repeatedly until the last load takes about the median time of all loads.
 
     Parameters
     ----------
@@ -193,12 +193,12 @@ def load_median(page: Page, server: SlowServer, contender: Contender, runs: int)
         Server of the page, with its link.
     contender : Contender
     runs : int
-        Loads at least.
+        Minimum number of loads.
 
     Returns
     -------
     list of float
-        Times of the snapshots that the page keeps of the last run, s.
+        Times of the snapshots of the last load, s.
     """
     ends: list[float] = []
     for _ in range(runs):

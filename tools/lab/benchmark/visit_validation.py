@@ -174,7 +174,7 @@ def compare(
     Returns
     -------
     tuple of list of Comparison and dict of str to list of pictures
-        One row per recorded time, and pictures by source: empty for the reference, ``browser``,
+        One row per recorded time, and pictures by source: ``""`` for the reference, ``browser``,
         ``simulated``.
     """
     client = simulation.client("visit")

@@ -286,6 +286,8 @@ def file_of_folder(objects: Mapping[str, bytes], manifest: str = MANIFEST) -> by
 
 @dataclass(frozen=True)
 class _Segment:
+    """Row of a segment table; `position` is the offset of the segment in the file, bytes."""
+
     kind: int
     owner: int
     length: int

@@ -125,6 +125,7 @@ def packings() -> list[Invalid]:
 
 
 def _without(index: Index, key: str) -> None:
+    """Delete a key of an index."""
     del index[key]
 
 
@@ -188,10 +189,12 @@ def roots() -> list[Invalid]:
 
 
 def _page() -> Value:
+    """Return a valid entry of the key ``pages``."""
     return {"length": 1, "crc": 0, "segments": 1, "chunks": 0, "span": 1}
 
 
 def _must_understand() -> list[Invalid]:
+    """Return the vectors of an unknown key that ends in ``!``, in each map of the index."""
     book: Value = {"attribute": "shape", "rows": 1, "new!": 1}
     places = {
         "root": build_edited(no_splats(), key_setter("new!", None)),
@@ -214,6 +217,7 @@ def _must_understand() -> list[Invalid]:
 
 
 def _view() -> Index:
+    """Return a valid value of the key ``first_view``."""
     return {
         "width": 640,
         "height": 480,
@@ -227,6 +231,8 @@ def _view() -> Index:
 
 
 def _first_views() -> list[Invalid]:
+    """Return the vectors of first views that break a rule."""
+
     def view(name: str, change: Index, note: str, code: str = "root-value") -> Invalid:
         data = build_edited(no_splats(), key_setter("first_view", _view() | change))
         return Invalid(f"view-{name}", data, code, "4.4", note)
@@ -245,6 +251,8 @@ def _first_views() -> list[Invalid]:
 
 
 def _codebooks() -> list[Invalid]:
+    """Return the vectors of entries of ``codebooks`` that break a rule."""
+
     def book(name: str, attribute: str, rows: int, code: str, note: str) -> Invalid:
         entry: list[Value] = [{"attribute": attribute, "rows": rows}]
         data = build_edited(no_splats(), key_setter("codebooks", entry))

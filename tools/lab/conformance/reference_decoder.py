@@ -44,7 +44,10 @@ Viewpoint = tuple[list[float], list[int], list[float]]
 
 @dataclass(frozen=True)
 class Segment:
-    """A row of the segment table, with the offsets of the segment in the file."""
+    """A row of the segment table, with the start and end of the segment in the file.
+
+    Bit k of `needs` is set if the segment needs codebook k.
+    """
 
     kind: int
     owner: int
@@ -196,7 +199,7 @@ def _bands(payload: Payload, degree: int, rows: int, flag: int = 0) -> list[Row]
 
 
 def _shapes(payload: Payload, flag: int) -> list[Row]:
-    """Return rows of log scales and quaternions."""
+    """Return rows of log scales and quaternions; `flag` is ESCAPE for escape rows, else 0."""
     scales = streams.numbers(payload[SCALES, flag])
     quats = streams.quats(payload[QUATS, flag], scales)
     return [row + quat for row, quat in zip(scales, quats, strict=True)]

@@ -87,7 +87,7 @@ def _entries(params: bytes) -> list[tuple[float, float, int]]:
 
 
 def _bytes_per_code(codes: int) -> int:
-    """Return the bytes of a code below `codes` (SPEC 6.4)."""
+    """Return the bytes, 0 to 3, that hold one of `codes` different codes (SPEC 6.4)."""
     return next(count for count in range(4) if codes <= 256**count)
 
 
@@ -165,6 +165,7 @@ class _Bits:
 
 
 def _byte_count(bits: int) -> int:
+    """Return the number of bytes that hold a number of bits."""
     return (bits + 7) // 8
 
 

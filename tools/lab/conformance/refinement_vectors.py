@@ -76,8 +76,8 @@ def _chunk(head: bytes, rows: int, refined: bytes) -> Draft:
     return Draft(root_keys(rows, 0), [Group(segments, [ChunkRow(rows)])])
 
 
-def _body(seed: int) -> tuple[list[Stream], list[Stream]]:
-    """Return the streams of a head whose kinds can all be refined, and of its refinement."""
+def _refined_head(seed: int) -> tuple[list[Stream], list[Stream]]:
+    """Return the streams of a head and of a refinement of all its attributes but rotations."""
     scales = coarse.differences(_ROWS, seed)
     moved, bits = refined_means(scales, 4, seed + 3)
     clear = handmade.random_scalar(Attribute.OPACITIES, _ROWS, seed + 4, span=5.0, levels=30)
@@ -92,7 +92,7 @@ def _body(seed: int) -> tuple[list[Stream], list[Stream]]:
 
 def valid() -> list[Valid]:
     """Return the valid vectors, in the order of the manifest."""
-    head, below = _body(1)
+    head, below = _refined_head(1)
     plain = handmade.random_head(12, 3)
     own = {stream.attribute: stream for stream in plain}
     scalar = [
@@ -130,7 +130,7 @@ def valid() -> list[Valid]:
 
 def _late() -> Draft:
     """Return a file of three chunks whose two refinements come last."""
-    bodies = [_body(seed) for seed in (11, 31, 51)]
+    bodies = [_refined_head(seed) for seed in (11, 31, 51)]
     heads = [
         Segment(SegmentKind.HEAD, chunk, pack_streams(head))
         for chunk, (head, _) in enumerate(bodies)
@@ -145,7 +145,7 @@ def _late() -> Draft:
 
 def invalid_order() -> list[Invalid]:
     """Return the must-reject vectors of the order of refinement segments (SPEC 5.4)."""
-    head, below = _body(1)
+    head, below = _refined_head(1)
     good = _chunk(pack_streams(head), _ROWS, pack_streams(below))
     first, refined = good.groups[0].segments
 
@@ -176,7 +176,7 @@ def _padded() -> Invalid:
 
 def invalid() -> list[Invalid]:
     """Return the must-reject vectors of SPEC 6.16, 6.17 and 7.4."""
-    head, below = _body(1)
+    head, below = _refined_head(1)
     sizes, bits, clear, _ = below
 
     def bad(

@@ -64,15 +64,18 @@ def _chunk(rows: int, seed: int, number: int, degree: int = 0) -> list[Segment]:
 
 
 def _plain(sizes: Sequence[int], degree: int, seed: int = 1) -> list[list[Segment]]:
+    """Return head and tail of each chunk, in scalar streams; `sizes` are splat counts."""
     return [_chunk(rows, seed + 1000 * i, i, degree) for i, rows in enumerate(sizes)]
 
 
 def _empty() -> Valid:
+    """Return the vector of a file without splats."""
     draft = Draft(root_keys(0, 3), [Group([], [])])
     return Valid("empty", build(draft), ("3.1", "4.2", "5.4"), "no splats, no chunks, no segments")
 
 
 def _one_splat() -> Valid:
+    """Return the vector of one splat, the smallest file."""
     head = [
         handmade.constant(Attribute.MEANS, 1, 1.0, -2.0, 0.5),
         handmade.constant(Attribute.OPACITIES, 1, 2.0),
@@ -85,6 +88,7 @@ def _one_splat() -> Valid:
 
 
 def _sh(degree: int) -> Valid:
+    """Return the vector of scalar streams at an SH degree."""
     head = pack_streams(handmade.random_head(24, degree))
     tail = pack_streams(handmade.bands(degree, 24, 20 + degree)) if degree else None
     data = build(one_chunk(head, 24, tail=tail, sh_degree=degree))
@@ -94,6 +98,7 @@ def _sh(degree: int) -> Valid:
 
 
 def _plane_counts() -> Valid:
+    """Return the vector of scalar streams whose codes have 0, 1, 2 and 3 byte planes."""
     levels = [1, 2, 256, 257, 65536, 65537, 1 << 24]
     attribute = Attribute.SH1
     ranges = [(-1.1, 1.3, levels[i % len(levels)]) for i in range(9)]
@@ -106,6 +111,7 @@ def _plane_counts() -> Valid:
 
 
 def _grid_ends() -> Valid:
+    """Return the vector of extreme grids: largest range, no range, denormals."""
     largest = 2.0**100
     ranges = [(-largest, largest, 1 << 24), (0.1, 0.1, 5), (1e-45, 3e-45, 3)]
     codes = [[0, 1, (1 << 24) - 1, 1 << 23], [0, 4, 2, 1], [0, 1, 2, 1]]
@@ -116,6 +122,7 @@ def _grid_ends() -> Valid:
 
 
 def _negative_zero() -> Valid:
+    """Return the vector of centre grids with a minimum of -0, which decodes as +0."""
     means = handmade.scalar(
         Attribute.MEANS, [(-0.0, -0.0, 1), (-0.0, 1.0, 2), (-1.0, 1.0, 3)], [[0, 0]] * 2 + [[1, 2]]
     )
@@ -127,6 +134,7 @@ def _negative_zero() -> Valid:
 
 
 def _quats() -> Valid:
+    """Return the vector of quaternions with each component left out in turn."""
     left_out: list[int | list[int]] = [0, 1, 2, 3, [row % 4 for row in range(12)]]
     segments = []
     for chunk, largest in enumerate(left_out):
@@ -137,6 +145,7 @@ def _quats() -> Valid:
 
 
 def _quats_over_one() -> Valid:
+    """Return the vector of quaternions whose stored squares sum to more than one."""
     ranges = [(-1.0, 1.0, 256)] * 3
     head = handmade.random_head(
         64, 8, handmade.random_quats(64, 3, ranges=ranges, largest=[i % 4 for i in range(64)])
@@ -146,6 +155,7 @@ def _quats_over_one() -> Valid:
 
 
 def _infinities() -> Valid:
+    """Return the vector of opacities that are plus and minus infinity."""
     chunks = []
     for number, levels in enumerate([1, 7, 254, 255, 256]):
         codes = [levels, levels + 1, 0, levels - 1, *handmade.pseudo_random(4, levels + 2, number)]
@@ -160,6 +170,7 @@ def _infinities() -> Valid:
 
 
 def _floats() -> Valid:
+    """Return the vector of float streams, with -0, denormals and both infinities."""
     means = [[0.1, -0.0, 1e-45], [2.0**100, -(2.0**100), 3.14159], [1.0, 2.0, 3.0]]
     head = [
         handmade.floats(Attribute.MEANS, means),
@@ -176,6 +187,7 @@ def _floats() -> Valid:
 
 
 def _vq() -> Valid:
+    """Return the vector of shape and colour codebooks."""
     rows = 300
     shape = handmade.vq(Attribute.SHAPE, handmade.pseudo_random(20, rows, 5), 0, rows, 0)
     colour = handmade.vq(Attribute.SHN, handmade.pseudo_random(20, 20, 6), 1, 20, 0)
@@ -191,6 +203,7 @@ def _vq() -> Valid:
 
 def _vq_escape() -> Valid:
     # 250 rows and 10 escape rows, only because of which indices need a second plane.
+    """Return the vector of escape rows, appended to the rows of a codebook."""
     index = [handmade.pseudo_random(1, 260, i)[0] for i in range(30)]
     index[:10] = range(250, 260)
     shape = handmade.vq(Attribute.SHAPE, index, 0, 250, 10)
@@ -212,6 +225,7 @@ def _vq_escape() -> Valid:
 
 
 def _vq_all_escape() -> Valid:
+    """Return the vector of a chunk with escape rows only; its codebook is unused."""
     shape = handmade.vq(Attribute.SHAPE, [1, 2, 3], 0, 1, 3)
     scales = [[-1.0, -2.0, -3.0], [0.1, 0.2, 0.3], [0.0, -0.0, 1.0]]
     own = [
@@ -227,6 +241,7 @@ def _vq_all_escape() -> Valid:
 
 
 def _two_books() -> Valid:
+    """Return the vector of two shape codebooks, each needed by one chunk."""
     books: list[Value] = [{"attribute": "shape", "rows": n} for n in (5, 9)]
     segments = [
         Segment(SegmentKind.SHAPE_CODEBOOK, i, pack_streams(handmade.shape_codebook(n, i)))
@@ -242,6 +257,7 @@ def _two_books() -> Valid:
 
 
 def _late_book() -> Valid:
+    """Return the vector of codebooks stored after the chunks that use a codebook."""
     shape = handmade.vq(Attribute.SHAPE, [0, 1, 2, 1], 0, 3, 0)
     colour = handmade.vq(Attribute.SHN, [1, 0, 1, 1], 1, 2, 0)
     segments = [
@@ -264,6 +280,7 @@ def _late_book() -> Valid:
 
 
 def _chunks() -> Valid:
+    """Return the vector of four chunks whose tails are late and out of order."""
     parts = _plain([3, 7, 12, 20], 2)
     head, tail = 0, 1
     order = [(0, head), (1, head), (1, tail), (2, head), (0, tail), (3, head), (3, tail), (2, tail)]
@@ -274,6 +291,7 @@ def _chunks() -> Valid:
 
 
 def _pages() -> Valid:
+    """Return the vector of three index pages, some tails in later pages than their heads."""
     parts = _plain([5, 6, 7, 8, 9], 1)
     groups = [
         Group(parts[0], [ChunkRow(5)]),
@@ -288,6 +306,7 @@ def _pages() -> Valid:
 
 
 def _pages_only() -> Valid:
+    """Return the vector of a root without segments of its own, only pages."""
     parts = _plain([4, 4], 0)
     groups = [Group([], []), *(Group(part, [ChunkRow(4)]) for part in parts)]
     data = build(Draft(root_keys(8, 0), groups))
@@ -295,6 +314,7 @@ def _pages_only() -> Valid:
 
 
 def _tails_missing() -> Valid:
+    """Return the vector of three chunks, one with a tail and two without."""
     parts = _plain([6, 7, 8], 3)
     segments = [parts[0][0], *parts[1], parts[2][0]]
     rows = [ChunkRow(6), ChunkRow(7), ChunkRow(8)]
@@ -305,6 +325,7 @@ def _tails_missing() -> Valid:
 
 
 def _bands_absent() -> Valid:
+    """Return the vector of a tail of SH degree 3 without band 2, which decodes as zeros."""
     tail = pack_streams([handmade.band(1, 9, 1), handmade.band(3, 9, 1)])
     head = pack_streams(handmade.random_head(9, 1))
     data = build(one_chunk(head, 9, tail=tail, sh_degree=3))
@@ -312,6 +333,7 @@ def _bands_absent() -> Valid:
 
 
 def _book_band_absent() -> Valid:
+    """Return the vector of a colour codebook without band 1, which decodes as zeros."""
     colour = handmade.vq(Attribute.SHN, [0, 1, 2, 1, 0], 0, 3, 0)
     empty = pack_streams([])
     books = {"colour": (3, [empty, pack_streams([handmade.band(2, 3, 8)])])}
@@ -322,6 +344,7 @@ def _book_band_absent() -> Valid:
 
 
 def _root_values() -> Valid:
+    """Return the vector of a root and a chunk row with no default values."""
     view: Index = {
         "width": 1920,
         "height": 1080,
@@ -350,6 +373,7 @@ def _root_values() -> Valid:
 
 
 def _unknown_segments() -> Valid:
+    """Return the vector of segments of unknown kinds, which decoders skip."""
     parts = _plain([6, 7], 1)
     segments = [
         Segment(201, 7, b"to be skipped"),
@@ -364,6 +388,7 @@ def _unknown_segments() -> Valid:
 
 
 def _unknown_keys() -> Valid:
+    """Return the vector of unknown keys in every map of the index."""
     deep: Value = "bottom"
     for _ in range(6):
         deep = [deep]
@@ -402,6 +427,7 @@ def _unknown_keys() -> Valid:
 
 
 def _compressed() -> Valid:
+    """Return the vector of byte planes stored as zstd frames."""
     rows = 80
     codes = [
         [0] * rows,
@@ -416,6 +442,7 @@ def _compressed() -> Valid:
 
 
 def _stored() -> Valid:
+    """Return the vector of byte planes stored uncompressed, one byte each."""
     draft = one_chunk(pack_streams(handmade.random_head(1, 1)), 1)
     data = build(draft, lambda _, index: index.update(writer=""))
     return Valid("stored", data, ("6.3",), "planes of one byte, none of them compressed")

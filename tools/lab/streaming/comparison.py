@@ -110,7 +110,7 @@ def bytes_until(moments: Sequence[Moment], goal_db: float) -> int | None:
 
 
 def moments_behind(moments: Sequence[Moment], others: Sequence[Moment], goal_db: float) -> int:
-    """Count the moments at which another policy reaches a PSNR and this one does not.
+    """Count the moments at which one policy is below a PSNR that another policy reaches.
 
     The first second is left out.
 

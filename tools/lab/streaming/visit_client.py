@@ -54,7 +54,10 @@ class Browser:
 
 @dataclass
 class _Request:
-    """Request of adjacent units; `received` counts the bytes of its first unit."""
+    """Request of adjacent units, which are removed as they arrive.
+
+    The first byte arrives at `starts_at`; `received` counts the bytes of the first remaining unit.
+    """
 
     units: list[int]
     starts_at: float
@@ -78,9 +81,11 @@ class _State:
     awaited: set[int] = field(default_factory=set)
 
     def in_flight(self) -> list[int]:
+        """Return the units of all requests except the first."""
         return [unit for request in self.requests for unit in request.units]
 
     def all_requests(self) -> list[_Request]:
+        """Return the requests in flight, the first request of the file included."""
         if self.first_request is None:
             return self.requests
         return [self.first_request, *self.requests]
@@ -315,6 +320,7 @@ class _Run:
         )
 
     def _remaining_bytes(self, unit: int) -> float:
+        """Return the bytes of a unit that are not received yet."""
         return self._sizes[unit] - self._state.received.get(unit, 0.0)
 
     def _next_event(self, now: float) -> float | None:

@@ -100,8 +100,8 @@ def lathe(
     return Piece(area * detail, make)
 
 
-def _level(patch: Patch) -> F64:
-    """Return the horizontal coordinate of each point along its wall, metres."""
+def _distance_along_wall(patch: Patch) -> F64:
+    """Return the horizontal distance of each point along its wall, metres, from any origin."""
     return np.asarray(patch.points[:, 0] + patch.points[:, 2])
 
 
@@ -119,7 +119,7 @@ def wallpaper(ground: Colour, figure: Colour, salt: int) -> Paint:
     """Return a wallpaper with stripes and rows of dots."""
 
     def paint(patch: Patch, edges: Edges, rng: np.random.Generator) -> Surfels:
-        along, height = _level(patch) / 0.36, patch.points[:, 1] / 0.36
+        along, height = _distance_along_wall(patch) / 0.36, patch.points[:, 1] / 0.36
         stripe = smoothstep(0.30, 0.34, np.abs(along % 1.0 - 0.5))
         across = np.hypot((along + 0.5) % 1.0 - 0.5, (height + salt * 0.13) % 1.0 - 0.5)
         dot = smoothstep(0.20, 0.16, across)
@@ -135,7 +135,7 @@ def bricks(brick: Colour, salt: int) -> Paint:
 
     def paint(patch: Patch, edges: Edges, rng: np.random.Generator) -> Surfels:
         course = patch.points[:, 1] / 0.14
-        along = _level(patch) / 0.30 + 0.5 * (np.floor(course) % 2.0)
+        along = _distance_along_wall(patch) / 0.30 + 0.5 * (np.floor(course) % 2.0)
         gap = np.minimum(
             0.14 * np.minimum(course % 1.0, 1.0 - course % 1.0),
             0.30 * np.minimum(along % 1.0, 1.0 - along % 1.0),
@@ -220,7 +220,7 @@ def books(salt: int) -> Paint:
     )
 
     def paint(patch: Patch, edges: Edges, rng: np.random.Generator) -> Surfels:
-        shelf, along = patch.points[:, 1] / 0.32, _level(patch) / 0.055
+        shelf, along = patch.points[:, 1] / 0.32, _distance_along_wall(patch) / 0.055
         ids = np.stack([np.floor(along), np.floor(shelf), np.zeros(len(along))], axis=1) + 0.5
         which = noise(ids, 1.0, 1, salt)
         albedo = spines[np.minimum((which * 4.0).astype(int), 3)]

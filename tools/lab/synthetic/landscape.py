@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from .lighting import sky_light
 from .materials import COVER, Edges, Surfels, blend, concatenate, cover, split_count
-from .object_models import stand
+from .object_models import object_pose
 from .patches import Patch, annulus, any_tangents, lattice, noise, smoothstep, unit
 
 F64 = NDArray[np.float64]
@@ -64,7 +64,8 @@ def terrace(n: int, rng: np.random.Generator) -> Surfels:
     patch = Patch(points, patch.normals, patch.tangents, patch.areas, patch.uv)
     parts.append(cover(patch, rng, albedo, 0.06, 0.3, edges=edges))
 
-    spot = rng.standard_normal((petals, 3)) * np.array([0.5, 0.0, 0.5]) + np.array(stand("tree")[1])
+    _, tree = object_pose("tree")
+    spot = rng.standard_normal((petals, 3)) * np.array([0.5, 0.0, 0.5]) + np.array(tree)
     spot *= np.minimum(1.0, (TERRACE_RADIUS - 0.1) / np.hypot(spot[:, 0], spot[:, 2]))[:, None]
     parts.append(
         _petals(spot + np.array([0.0, 0.012, 0.0]), 0.020 * (450.0 / max(petals, 1)) ** 0.45, rng)
@@ -73,7 +74,7 @@ def terrace(n: int, rng: np.random.Generator) -> Surfels:
 
 
 def _petals(points: F64, size: float, rng: np.random.Generator) -> Surfels:
-    """Return surfels of fallen petals at these points."""
+    """Return surfels of fallen petals at given points."""
     n = len(points)
     normals = unit(rng.standard_normal((n, 3)) * 0.35 + np.array([0.0, 1.0, 0.0]))
     patch = Patch(points, normals, any_tangents(normals), np.full(n, size**2), points[:, :2])

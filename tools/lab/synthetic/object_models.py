@@ -32,7 +32,7 @@ _RING_RADIUS = 2.25
 _RING = {"knot": 40.0, "tree": 130.0, "marbles": 220.0, "house": 310.0}
 
 
-def stand(name: str) -> tuple[float, tuple[float, float, float]]:
+def object_pose(name: str) -> tuple[float, tuple[float, float, float]]:
     """Return an object's rotation about +y, in radians, and its position."""
     if name not in _RING:
         return 0.5, (0.0, 0.0, 0.0)
@@ -41,9 +41,9 @@ def stand(name: str) -> tuple[float, tuple[float, float, float]]:
     return 0.5 * float(np.pi) - angle, (x, 0.0, z)
 
 
-def move_to_stand(name: str, surfels: Surfels) -> Surfels:
-    """Move an object from the origin, where its front faces +z, to its stand."""
-    return move(surfels, *stand(name))
+def move_to_pose(name: str, surfels: Surfels) -> Surfels:
+    """Move an object from the origin, where its front faces +z, to its pose."""
+    return move(surfels, *object_pose(name))
 
 
 def _ball(
@@ -124,7 +124,7 @@ def teapot(n: int, rng: np.random.Generator) -> Surfels:
     parts.append(cover(patch, rng, glaze, 0.75, 0.075))
 
     raised = [move(part, 0.0, (0.0, 0.28, 0.0)) for part in parts]
-    return move_to_stand("teapot", concatenate([_plinth(0.62, 0.28, plinth, rng), *raised]))
+    return move_to_pose("teapot", concatenate([_plinth(0.62, 0.28, plinth, rng), *raised]))
 
 
 def _knot_path() -> F64:
@@ -146,7 +146,7 @@ def knot(n: int, rng: np.random.Generator) -> Surfels:
     albedo = blend((0.05, 0.010, 0.17), (0.30, 0.020, 0.22), smoothstep(0.3, 0.7, stain))
     tubing = cover(patch, rng, albedo, (0.62, 0.85, 0.95), 0.075)
     parts = [_plinth(0.46, 0.34, plinth, rng), tubing]
-    return move_to_stand("knot", concatenate(parts))
+    return move_to_pose("knot", concatenate(parts))
 
 
 _MARBLES: tuple[tuple[tuple[float, float, float], float], ...] = (
@@ -187,7 +187,7 @@ def marbles(n: int, rng: np.random.Generator) -> Surfels:
         else:
             albedo, gloss, spread = (0.30, 0.19, 0.06), (0.8, 0.68, 0.4), 0.12
         parts.append(cover(patch, rng, albedo, gloss, spread))
-    return move_to_stand("marbles", concatenate(parts))
+    return move_to_pose("marbles", concatenate(parts))
 
 
 def _crown() -> F64:
@@ -257,7 +257,7 @@ def tree(n: int, rng: np.random.Generator) -> Surfels:
             leaf.glow,
         )
     )
-    return move_to_stand("tree", concatenate(parts))
+    return move_to_pose("tree", concatenate(parts))
 
 
 def _bark(patch: Patch, rng: np.random.Generator) -> Surfels:
@@ -267,8 +267,8 @@ def _bark(patch: Patch, rng: np.random.Generator) -> Surfels:
 
 
 def house(n: int, rng: np.random.Generator) -> Surfels:
-    """Return n surfels of the cottage on its stand, with its front door outwards."""
-    return move_to_stand("house", cottage(n, rng))
+    """Return n surfels of the cottage at its pose, with its front door outwards."""
+    return move_to_pose("house", cottage(n, rng))
 
 
 def occluders() -> Occluders:
@@ -287,12 +287,12 @@ def occluders() -> Occluders:
     balls["teapot"] += [*spout, (0.90, 0.87, 0.0, 0.05), *handle]
     rows = []
     for name, group in balls.items():
-        turn, offset = stand(name)
+        turn, offset = object_pose(name)
         centres = rotate_about_y(np.array([ball[:3] for ball in group]), turn) + np.array(offset)
         for centre, ball in zip(centres, group, strict=True):
             rows.append([*centre, ball[3], ball[4] if len(ball) > 4 else 1.0])
 
-    turn, (x, _, z) = stand("house")
+    turn, (x, _, z) = object_pose("house")
     hx, hz, h = WALLS
     boxes = [
         [x, 0.5 * h, z, hx, 0.5 * h, hz, turn],
@@ -302,7 +302,7 @@ def occluders() -> Occluders:
     return Occluders(np.array(rows), np.array(boxes))
 
 
-# Centre and radius of a hidden sphere inside each object, before it is moved to its stand.
+# Centre and radius of a hidden sphere inside each object, before it is moved to its pose.
 _INSIDES = {
     "teapot": ((0.0, 0.55, 0.0), 0.28),
     "knot": ((0.0, 0.16, 0.0), 0.14),
@@ -320,4 +320,4 @@ def hidden_splats(name: str, n: int, rng: np.random.Generator) -> Surfels:
     normals = unit(rng.standard_normal((n, 3)))
     areas = np.minimum(0.04 * np.exp(0.6 * rng.standard_normal(n)), 0.07) ** 2
     patch = Patch(spot, normals, any_tangents(normals), areas, spot[:, :2])
-    return move_to_stand(name, cover(patch, rng, rng.random((n, 3)) * 0.25))
+    return move_to_pose(name, cover(patch, rng, rng.random((n, 3)) * 0.25))

@@ -202,7 +202,7 @@ def synth_cameras(views: int = 48, width: int = 480, height: int = 360) -> list[
             angle = 2.0 * np.pi * (i + 0.25) / count
             poses.append((_polar(distance, angle, eye), np.array([0.0, aim, 0.0])))
     for i in range(close):
-        _, (x, _, z) = objects.stand(LABELS[1 + i % 5])
+        _, (x, _, z) = objects.object_pose(LABELS[1 + i % 5])
         target = np.array([x, 0.6, z])
         # The teapot is viewed through the gaps of the ring, the others from outside it.
         if i % 5 == 0:
@@ -262,14 +262,14 @@ def _level_rotation(forward: F64) -> F64:
 
 @dataclass(frozen=True)
 class _AxisChoices:
-    """Random order of axes and norm of quaternions of n splats.
+    """Random cyclic order of axes and random quaternion norm of n splats.
 
     Parameters
     ----------
     first : (n,) int64
-        Index of the axis that comes first, 0 to 2.
+        Surfel axis that becomes the first axis of the splat, 0 to 2.
     norm : (n,) float64
-        Norm of the quaternion, 0.5 to 2, with its sign.
+        Factor of the unit quaternion: 0.5 to 2, with a random sign.
     """
 
     first: NDArray[np.int64]
