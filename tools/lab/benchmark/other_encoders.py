@@ -127,17 +127,20 @@ def encoders(node_modules: Path, sh_iterations: int = 10) -> list[Encoder]:
 
 
 def _npz_command(scene: Path, cameras: Path, target: Path) -> list[str]:
+    """Return the command that writes a scene as npz in a process of its own."""
     arguments = ["--write-npz", str(target), "--cameras", str(cameras), str(scene)]
     return [sys.executable, "-m", _MODULE, *arguments]
 
 
 def _read_npz(folder: Path) -> Splats:
+    """Read the decoded scene that the encoder wrote as ``scene.npz``."""
     from . import c3dgs_npz
 
     return c3dgs_npz.read(folder / "scene.npz")
 
 
 def _read_only_file(folder: Path) -> Splats:
+    """Read the single scene file of a folder."""
     (path,) = folder.iterdir()
     return cogsplat.read(path)
 

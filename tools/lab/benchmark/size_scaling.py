@@ -173,6 +173,7 @@ def _peak_bytes() -> int:
 
 
 def _synthesise(splats: int, scene: Path) -> None:
+    """Write a synthetic scene."""
     cogsplat.write(synth(splats), scene, force=True)
 
 
@@ -194,6 +195,7 @@ def _encode(
 
 
 def _decode(cogs: Path, out: Path, threads: int) -> None:
+    """Decode a COGS file to a PLY file, part by part."""
     with open_cogs(FileSource(cogs)) as file:
         write_ply_parts(file.decode_parts(threads=threads), file.root.splats, out, force=True)
 

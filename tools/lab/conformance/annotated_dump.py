@@ -76,6 +76,7 @@ def _pieces(data: bytes) -> Iterator[_Piece]:
 
 
 def _bin(value: Value) -> bytes:
+    """Return a value that must be bytes."""
     if not isinstance(value, bytes):
         raise TypeError(f"{type(value).__name__}, expected bin")
     return value
@@ -83,6 +84,7 @@ def _bin(value: Value) -> bytes:
 
 def _size(value: Value) -> int:
     # The value is packed in a map of one empty key, whose two bytes are subtracted.
+    """Return the packed size of a value, bytes."""
     return len(pack({"": value})) - 2
 
 
@@ -101,6 +103,7 @@ def _entry(key: str, value: Value, indent: str) -> Iterator[_Piece]:
 
 
 def _column(key: str, value: bytes) -> str:
+    """Return the numbers of a packed column as text, nothing for a column without a layout."""
     layout = _COLUMNS[key]
     if not layout:
         return ""

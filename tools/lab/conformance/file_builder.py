@@ -90,10 +90,12 @@ def root_keys(splats: int, sh_degree: int, **changes: Value) -> Index:
 
 
 def _u32(values: Sequence[int]) -> bytes:
+    """Pack values as little-endian 32-bit integers."""
     return struct.pack(f"<{len(values)}I", *values)
 
 
 def _tables(group: Group) -> Index:
+    """Return the tables ``segments`` and ``chunks`` of an index."""
     parts, rows = group.segments, group.chunks
     boxes = [x for row in rows for x in row.box]
     chunks: Index = {

@@ -337,6 +337,7 @@ def _placement_table(rows: Sequence[_Placement]) -> bytes:
 
 
 def _placement_bytes(segments: int) -> int:
+    """Return the size of a placement table, bytes."""
     return 24 * segments + 4
 
 
@@ -361,12 +362,15 @@ def _read_segments(index: Mapping[str, object], position: int) -> list[_Segment]
 
 
 def _object_key(content: bytes) -> bytes:
+    """Return the key of an object, the first 16 bytes of its SHA-256."""
     return hashlib.sha256(content).digest()[:16]
 
 
 def _object_name(content: bytes) -> str:
+    """Return the path of an object in the folder."""
     return f"segments/{_object_key(content).hex()}.bin"
 
 
 def _replace_magic(data: bytes, magic: bytes) -> bytes:
+    """Return the data with another magic number and a new checksum."""
     return seal(magic + data[len(magic) : PREAMBLE_BYTES]) + data[PREAMBLE_BYTES:]

@@ -39,14 +39,17 @@ def _refused(name: str, data: bytes, code: str, clause: str, note: str) -> Inval
 
 
 def _head(*changed: Stream, rows: int = 3) -> bytes:
+    """Return a file of one chunk whose random head has the changed streams."""
     return build(one_chunk(pack_streams(handmade.random_head(rows, 1, *changed)), rows))
 
 
 def _raw(head: bytes, rows: int = 3) -> bytes:
+    """Return a file of one chunk with a head of given bytes."""
     return build(one_chunk(head, rows))
 
 
 def _tail(entries: Sequence[Stream], degree: int = 2) -> bytes:
+    """Return a file of one chunk of three splats with a tail of given streams."""
     head = pack_streams(handmade.uniform_head(3))
     return build(one_chunk(head, 3, tail=pack_streams(entries), sh_degree=degree))
 
@@ -58,6 +61,7 @@ def _records(attribute: Attribute | None = None, **changes: int) -> list[Record]
 
 
 def _opacities(body: Sequence[Stream]) -> int:
+    """Return the index of the stream of opacities."""
     return handmade.stream_index(body, Attribute.OPACITIES)
 
 

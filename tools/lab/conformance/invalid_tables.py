@@ -49,6 +49,7 @@ def _poked(
 
 
 def _without(draft: Draft, name: str, key: str) -> bytes:
+    """Return a file whose index lacks a column of a table."""
     return build_edited(draft, lambda index: table(index, name).pop(key))
 
 

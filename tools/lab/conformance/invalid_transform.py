@@ -18,6 +18,7 @@ from .invalid import Invalid
 
 
 def _refused(name: str, head: bytes, rows: int, code: str, clause: str, note: str) -> Invalid:
+    """Return a must-reject vector whose head decoding refuses."""
     return Invalid(name, build(one_chunk(head, rows)), code, clause, note, "decode")
 
 

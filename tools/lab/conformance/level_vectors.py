@@ -32,28 +32,34 @@ _ROWS = 7
 
 
 def _level(chunks: Value, scale: Value) -> Value:
+    """Return an entry of the key ``levels``."""
     return {"chunks": chunks, "scale": scale}
 
 
 def _head(chunk: int, *changed: Stream) -> Segment:
+    """Return the random head of a chunk with the changed streams."""
     return Segment(
         SegmentKind.HEAD, chunk, pack_streams(handmade.random_head(_ROWS, 3 + chunk, *changed))
     )
 
 
 def _opacities(chunk: int, *streams: Stream) -> Segment:
+    """Return a chunk's segment of opacities with given streams."""
     return Segment(SegmentKind.OPACITIES, chunk, pack_streams(streams))
 
 
 def _logits(seed: int) -> Stream:
+    """Return a scalar stream of random opacities."""
     return handmade.random_scalar(Attribute.OPACITIES, _ROWS, seed, span=4.0)
 
 
 def _differences(seed: int) -> Stream:
+    """Return a stream of random opacity differences."""
     return replace(_logits(seed), kind=Kind.DIFFERENCES)
 
 
 def _tail(chunk: int) -> Segment:
+    """Return the random tail of a chunk, SH degree 1."""
     return Segment(SegmentKind.TAIL, chunk, pack_streams(handmade.bands(1, _ROWS, 5 + chunk)))
 
 

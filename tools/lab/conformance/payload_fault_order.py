@@ -95,6 +95,7 @@ def _of_another_kind(entry: Record) -> Record:
 
 
 def _with_head(head: bytes) -> bytes:
+    """Return the file of `chunk_with_codebooks` with another head."""
     draft = chunk_with_codebooks()
     segments = [
         replace(part, payload=head) if part.kind == SegmentKind.HEAD else part

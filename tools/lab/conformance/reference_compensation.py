@@ -11,6 +11,7 @@ Pair = tuple[float, float]
 
 
 def _f32(value: float) -> float:
+    """Round a value to float32."""
     found: float = struct.unpack("<f", struct.pack("<f", value))[0]
     return found
 

@@ -87,6 +87,7 @@ def shn_basis(codes: Sequence[Sequence[int]], book: int, step: float, shrink: fl
 
 
 def _one_stream(name: str, streams: Sequence[Stream], clauses: tuple[str, ...], note: str) -> Valid:
+    """Return a vector of one chunk: given streams, and uniform ones for other attributes."""
     rows = streams[0].rows
     head = pack_streams(handmade.uniform_head(rows, *streams))
     return Valid(name, build(one_chunk(head, rows)), clauses, note)
@@ -144,6 +145,7 @@ def _packed_ends() -> Valid:
 
 
 def _shn() -> list[Valid]:
+    """Return the vectors of basis streams of shN."""
     rows = [
         [0, 0, 0, 0, 0],
         [1, 0, 0, 0, 0],
@@ -177,6 +179,7 @@ def _shn() -> list[Valid]:
 
 
 def _sorted() -> Valid:
+    """Return the vector of sorted means without extra bits."""
     codes = [
         [handmade.pseudo_random(1, 500, 3 * i + axis)[0] for axis in range(3)] for i in range(60)
     ]
@@ -187,6 +190,7 @@ def _sorted() -> Valid:
 
 
 def _sorted_wide() -> Valid:
+    """Return the vector of sorted means with the most bits, 17 of the cell and 15 extra."""
     top = (1 << 17) - 1
     codes = [[0, 0, 0], [1, 0, 0], [0, 0, 1], [top, top, top], [0, 0, 1 << 16], [7, 1 << 15, 0]]
     ranges = [(-1.0, 1.0, 1 << 17)] * 3
@@ -197,6 +201,7 @@ def _sorted_wide() -> Valid:
 
 
 def _sorted_flat() -> Valid:
+    """Return the vector of equal means."""
     ranges = [(-0.0, -0.0, 1), (2.5, 2.5, 1), (0.1, 0.1, 1)]
     means = handmade.sorted_means([[0, 0, 0]] * 3, ranges)
     data = build(one_chunk(pack_streams(handmade.random_head(3, 6, means)), 3))
@@ -235,6 +240,7 @@ def _sorted_underflow(scales: Stream) -> Valid:
 
 
 def _all_of_it() -> Valid:
+    """Return the vector of a chunk that combines transform streams with a codebook."""
     rows = 24
     scales = differences(rows, 2)
     head = [

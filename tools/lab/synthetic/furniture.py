@@ -77,6 +77,7 @@ def box(low: Point, high: Point, paint: Paint, detail: float = 2.0) -> list[Piec
 
 
 def _along(axis: int, length: float) -> Point:
+    """Return a vector of given length along an axis."""
     return (
         length if axis == 0 else 0.0,
         length if axis == 1 else 0.0,

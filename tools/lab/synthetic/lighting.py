@@ -91,6 +91,7 @@ def bake(surfels: Surfels, occluders: Occluders, rng: np.random.Generator) -> F3
 def _bake_block(
     surfels: Surfels, rows: slice, occluders: Occluders, rng: np.random.Generator
 ) -> F64:
+    """Return the SH coefficients of a block of surfels, their lighting baked in."""
     points, normals = surfels.patch.points[rows], surfels.patch.normals[rows]
     albedo, glow = surfels.albedo[rows], surfels.glow[rows, None]
     open_sky = _ambient(points, normals, occluders)
@@ -145,6 +146,7 @@ def _training_noise(opacities_unit: F64, rng: np.random.Generator) -> F64:
 
 
 def _mirrored(light: F64, normals: F64) -> F64:
+    """Reflect the direction of the light at each normal."""
     return 2.0 * dot(normals, light)[:, None] * normals - light
 
 

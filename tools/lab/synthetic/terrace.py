@@ -36,6 +36,7 @@ OBJECTS = ("teapot", "knot", "marbles")
 
 
 def _hidden(name: str) -> Maker:
+    """Return the maker of an object's hidden splats."""
     return lambda n, rng: objects.hidden_splats(name, n, rng)
 
 
@@ -251,6 +252,7 @@ def camera_at(
 
 
 def _polar(distance: float, angle: float, height: float) -> F64:
+    """Return the point at a distance and angle around the y axis, at a height."""
     return np.array([distance * np.cos(angle), height, distance * np.sin(angle)])
 
 
