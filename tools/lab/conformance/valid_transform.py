@@ -87,7 +87,7 @@ def shn_basis(codes: Sequence[Sequence[int]], book: int, step: float, shrink: fl
 
 
 def _one_stream(name: str, streams: Sequence[Stream], clauses: tuple[str, ...], note: str) -> Valid:
-    """Return a vector of one chunk: given streams, and uniform ones for other attributes."""
+    """Return a vector of one chunk: given streams, else uniform streams."""
     rows = streams[0].rows
     head = pack_streams(handmade.uniform_head(rows, *streams))
     return Valid(name, build(one_chunk(head, rows)), clauses, note)
