@@ -8,6 +8,7 @@ in another process that writes to the same folder.
 from __future__ import annotations
 
 import importlib
+import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,8 +42,7 @@ def jit_kernel(function: Function, *, fuses: bool = False, cached: bool = True) 
     the module's and the user's cache folder. Without a writable folder, for example in a read-only
     installation for a user without a home, every process compiles anew.
     """
-    from numba import njit
-
+    njit = _import_njit()
     fastmath = {"contract"} if fuses else False
     if not cached:
         return cast(Function, njit(nogil=True, error_model="numpy", fastmath=fastmath)(function))
@@ -52,6 +52,26 @@ def jit_kernel(function: Function, *, fuses: bool = False, cached: bool = True) 
         # numba raises this if no cache folder is writable.
         found = njit(nogil=True, error_model="numpy", fastmath=fastmath)(function)
     return cast(Function, found)
+
+
+def _import_njit() -> Any:
+    """Import numba's decorator `njit`, with colorama hidden during the first import of numba.
+
+    numba colours its messages through colorama, if that is installed, and colorama swaps
+    `sys.stdout`. Kernels compile on several threads: output of another thread would be lost.
+    """
+    if "numba" not in sys.modules:
+        found = sys.modules.get("colorama")
+        sys.modules["colorama"] = None  # type: ignore[assignment]
+        try:
+            import numba  # noqa: F401
+        finally:
+            del sys.modules["colorama"]
+            if found is not None:
+                sys.modules["colorama"] = found
+    from numba import njit
+
+    return njit
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,6 @@
 """Declared kernels: numba compiles the declared types and caches the code on disk."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -115,3 +116,41 @@ def test_the_core_imports_it_without_numba():
     code = "import sys\nimport cogsplat.codec.compiling\nassert 'numba' not in sys.modules"
     root = Path(__file__).resolve().parents[2]
     subprocess.run([sys.executable, "-c", code], cwd=root, check=True)
+
+
+COLORAMA = """
+__version__ = "0.4.6"
+class Fore:
+    BLUE = GREEN = MAGENTA = RED = WHITE = YELLOW = CYAN = BLACK = RESET = ""
+class Style:
+    BRIGHT = DIM = NORMAL = RESET_ALL = ""
+def init(*arguments, **options):
+    raise SystemExit("colorama swaps sys.stdout")
+reinit = deinit = init
+"""
+
+FAILS_TO_COMPILE = """
+from cogsplat.codec.compiling import jit_kernel
+def add(a, b):
+    return a + b
+add = jit_kernel(add, cached=False)
+from numba.core.errors import TypingError
+try:
+    add(1, "text")
+except TypingError:
+    print("refused")
+"""
+
+
+def test_compiling_leaves_standard_output_alone(tmp_path):
+    pytest.importorskip("numba", reason="needs numba")
+    (tmp_path / "colorama.py").write_text(COLORAMA)
+    paths = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-c", FAILS_TO_COMPILE],
+        env=os.environ | {"PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.stdout, done.stderr) == ("refused\n", "")
