@@ -99,7 +99,7 @@ def test_sheets_hold_pictures_of_any_size_unstretched() -> None:
 
 
 def test_sheets_want_a_caption_for_each_picture() -> None:
-    with pytest.raises(ValueError, match="expected as many"):
+    with pytest.raises(ValueError, match="expected one each"):
         contact_sheet([], [])
-    with pytest.raises(ValueError, match="expected as many"):
+    with pytest.raises(ValueError, match="expected one each"):
         contact_sheet([np.zeros((4, 4, 3))], ["a", "b"])

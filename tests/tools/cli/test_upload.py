@@ -31,7 +31,7 @@ def test_a_folder_goes_to_a_bucket(
     assert (done["objects_written"], done["manifest_written"]) == (count, True)
     again = run(*words, "--json", "--delete", "--yes").json
     assert (again["objects_shared"], again["manifest_written"]) == (count, False)
-    page = (ROOT / "docs" / "json.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/reference/json.md").read_text(encoding="utf-8")
     listed = page.partition("### `upload`\n")[2].partition("### ")[0]
     keys = {key.partition(".")[0] for key in re.findall("`([^`]+)`", listed)}
     assert done.keys() == again.keys() == keys

@@ -98,7 +98,7 @@ def test_decoders_are_compared_over_mutants(run: Run, tmp_path: Path, few_vector
     assert "0 disagreements" in told.out
     worse = broken_decoder(tmp_path, "answer.update(code='not-cogs') if 'code' in answer else None")
     arguments = (
-        "conformance", "fuzz", "--decoder", ours, "--decoder", worse, "--vectors", few_vectors,
+        "lab conformance", "fuzz", "--decoder", ours, "--decoder", worse, "--vectors", few_vectors,
         "--count", "30",
     )  # fmt: skip
     told = run(*arguments, "--json", "--keep", tmp_path / "kept")

@@ -49,11 +49,11 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> Watched:
 @pytest.mark.parametrize(
     "words",
     [
-        "eval {ply} --cameras {cameras} --orders contribution,gain --shares 20,50 --sizes 50% "
+        "lab evaluate {ply} --cameras {cameras} --orders contribution,gain --shares 20,50 --sizes 50% "
         "--codecs splat --out {out}",
-        "eval {ply} --cameras {cameras} --file {cogs} --shares none",
-        "eval {ply} --cameras {cameras} --orders source --sizes none --eval-every 4",
-        "bench {ply} --cameras {cameras} --profiles vq,near --qualities 30 --formats splat",
+        "lab evaluate {ply} --cameras {cameras} --file {cogs} --shares none",
+        "lab evaluate {ply} --cameras {cameras} --orders source --sizes none --eval-every 4",
+        "lab bench {ply} --cameras {cameras} --profiles vq,near --qualities 30 --formats splat",
         "compare {ply} {cogs} --cameras {cameras}",
         "export-html {ply} {out}.html",
     ],

@@ -142,7 +142,7 @@ def test_each_object_loads_alone(
     assert "object" not in run("info", small.cogs).out
     told = run("decode", out, tmp_path / "none.ply", "--object", 9)
     assert told.code == 2
-    assert "expected some of 0, 1, 2, 3" in told.err
+    assert "expected one of 0, 1, 2, 3" in told.err
 
 
 def test_order_ranks_objects(run: Run, small: SmallScene, labelled: Path, tmp_path: Path) -> None:

@@ -72,7 +72,7 @@ def test_rows_that_cannot_be_drawn_score_nothing(run: Run, tmp_path: Path) -> No
         "lab score", tmp_path / "scene.ply", out, "--cameras", tmp_path / "cameras.json", "-q"
     )
     assert (told.code, told.out) == (0, "")
-    assert "1 of 300 splats cannot be drawn" in told.err
+    assert "1 of 300 splats have invalid values" in told.err
     assert np.load(out)[7] == 0.0
 
 
