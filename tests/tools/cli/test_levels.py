@@ -40,7 +40,7 @@ def test_info_tells_levels_and_ends(run, cogs):
     assert "1/4 of 2 chunks, 1/2 of 4 chunks, 1/1 of 6 chunks" in told
     with cogsplat.open(cogs) as file:
         ended = int(file.chunks.splats[1:3].sum())
-    assert f"2 chunks of {ended:,} splats" in told
+    assert f"2 chunks of {ended:,} splats, drawn in prefixes only" in told
     report = run("info", cogs, "--json").json
     assert [level["chunks"] for level in report["levels"]] == [2, 4, 6]
     assert [chunk["until"] for chunk in report["chunk_table"]] == [0, 4, 6, 0, 0, 0]
