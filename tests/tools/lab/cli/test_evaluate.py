@@ -262,8 +262,8 @@ def test_lengths_double_to_the_end(size: int, expected: list[int]) -> None:
 
 def test_octree_orders_are_swept_over_depths(run: Run, small: SmallScene, tmp_path: Path) -> None:
     common = [
-        "lab evaluate", small.ply, "--cameras", small.cameras, "--eval-every", 4, "--shares", "5,20",
-        "--sizes", "none", "--json",
+        "lab evaluate", small.ply, "--cameras", small.cameras, "--eval-every", 4,
+        "--shares", "5,20", "--sizes", "none", "--json",
     ]  # fmt: skip
     told = run(
         *common, "--orders", "contribution,octree-quota", "--octree-depths", "0,2,4",

@@ -49,8 +49,8 @@ def watched(monkeypatch: pytest.MonkeyPatch) -> Watched:
 @pytest.mark.parametrize(
     "words",
     [
-        "lab evaluate {ply} --cameras {cameras} --orders contribution,gain --shares 20,50 --sizes 50% "
-        "--codecs splat --out {out}",
+        "lab evaluate {ply} --cameras {cameras} --orders contribution,gain --shares 20,50 "
+        "--sizes 50% --codecs splat --out {out}",
         "lab evaluate {ply} --cameras {cameras} --file {cogs} --shares none",
         "lab evaluate {ply} --cameras {cameras} --orders source --sizes none --eval-every 4",
         "lab bench {ply} --cameras {cameras} --profiles vq,near --qualities 30 --formats splat",
