@@ -71,7 +71,7 @@ class ChunkSizes:
     object_label : int
         Label of the chunk's object; 0 in scenes without objects.
     until : int
-        Number of chunks in a prefix from which on the chunk is not drawn; 0 for always drawn.
+        Length, in chunks, of the shortest prefix that no longer draws the chunk; 0 if all draw it.
     cell : int
         Number of the chunk's cell (SPEC 5.4); 0 in scenes without cells.
     """
@@ -208,7 +208,7 @@ def _unlisted_bytes(file: CogsFile) -> int:
 
 
 def _segment_name(number: int) -> str:
-    """Return the display name of a kind of segment."""
+    """Return the display name of the segment kind with a number."""
     if number >= SKIPPABLE_KIND:
         return f"kind {number}"
     return SegmentKind(number).name.lower().replace("_", " ")

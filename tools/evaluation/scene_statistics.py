@@ -105,7 +105,7 @@ def statistics(splats: Splats, progress: Progress = silent) -> SceneStatistics:
     splats : Splats
         Any scene, including rows that cannot be rendered.
     progress : Progress
-        Called with ``statistics``, attributes done and attributes.
+        Called with ``("statistics", attributes done, attributes)``.
     """
     rows = _stored_values(splats)
     # Overflowing exponentials are counted as inf, and inf - inf as NaN.

@@ -39,7 +39,8 @@ class Diagnosis:
     first_byte_s : float
         Seconds from connecting to the first response.
     first_chunk_s : float or None
-        Seconds from connecting to the first decoded chunk; None if decoding failed.
+        Seconds from connecting to the first decoded chunk; None if decoding failed or there are
+        no chunks.
     host : list of HostFinding
         Violated rules of hosting.
     content : list of Finding
@@ -129,7 +130,7 @@ def diagnose(
 def _length_and_object_findings(
     prober: Prober, probed: ProbeResult, *, folder: bool
 ) -> list[HostFinding]:
-    """Check the stated length of a file or manifest, and how a folder's first object is served.
+    """Check the length in the preamble or manifest, and how a folder's first object is served.
 
     Raises
     ------
@@ -153,7 +154,10 @@ def _length_and_object_findings(
 
 
 def _first_chunk_seconds(url: str, limits: Limits | None) -> float | None:
-    """Return the seconds from connecting to the first decoded chunk; None if decoding fails."""
+    """Return the seconds from connecting to the first decoded chunk.
+
+    None if decoding fails or the file has no chunks.
+    """
     start = time.perf_counter()
     try:
         source = open_source(url)

@@ -83,7 +83,8 @@ class ProbeResult:
     url : str
         Requested address.
     first : Response
-        Response to a request for the first 64 KiB, without compression, as browsers send it.
+        Response to a request for the first 64 KiB that accepts no compression, like the range
+        requests of browsers.
     compressed : Response
         Response to the same range from a client that accepts compression.
     whole : Response
@@ -91,7 +92,7 @@ class ProbeResult:
     last : Response or None
         Response to a request for the last bytes; None if `first` has no range or total length.
     beyond : Response or None
-        Response to a range behind the end of the file; None like `last`.
+        Response to a request for a range behind the end of the file; None if `last` is None.
     preflight : Response
         Response to a CORS preflight request for the header Range.
     last_range : tuple of int
@@ -148,7 +149,7 @@ class Prober:
         url : str
             Address.
         headers : mapping of str to str
-            Headers of the request, next to User-Agent.
+            Headers of the request, in addition to User-Agent.
         max_bytes : int
             Limit on the bytes read of the body.
         method : str

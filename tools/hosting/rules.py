@@ -209,7 +209,7 @@ def _encodings(probed: ProbeResult) -> Iterator[HostFinding]:
 
 
 def _validators(probed: ProbeResult) -> Iterator[HostFinding]:
-    """Check the ETag."""
+    """Check that the ETag exists, is strong and is the same for the first and the last bytes."""
     etag = probed.first.etag
     if not etag:
         yield HostFinding(
@@ -273,7 +273,7 @@ def _cross_origin(first: Response, preflight: Response) -> Iterator[HostFinding]
 
 
 def _media_type(response: Response, label: str = "") -> Iterator[HostFinding]:
-    """Check that the media type is binary; `label` begins each message."""
+    """Check that a Content-Type is sent and is no type of text; `label` begins each message."""
     found = response.media_type
     if found.startswith("text/") or found in ("application/json", "application/javascript"):
         yield HostFinding(

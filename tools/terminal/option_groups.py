@@ -55,7 +55,7 @@ class GroupedCommand(click.Command):
 
 
 def _long_name(option: click.Option) -> str:
-    """Return the name of an option that begins with two dashes."""
+    """Return the long name of an option, such as ``--json``; without one, its first name."""
     return next((name for name in option.opts if name.startswith("--")), option.opts[0])
 
 

@@ -184,7 +184,7 @@ def training_seed_option(command: Command) -> Command:
 
 
 def preview_option(command: Command) -> Command:
-    """Add ``--preview``."""
+    """Add ``--preview``, the share of the file spent on preview splats."""
     return click.option(
         "--preview",
         type=click.FloatRange(0, 0.5, min_open=True),

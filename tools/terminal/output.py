@@ -42,7 +42,15 @@ def print_error_line(text: str) -> None:
 
 
 def _print(text: str, *, to_error: bool | None = None) -> None:
-    """Print a line; None chooses standard error if a file goes to standard output."""
+    """Print a line to standard output or standard error.
+
+    Parameters
+    ----------
+    text : str
+    to_error : bool or None
+        Whether to print to standard error; None for standard error only if standard output is
+        reserved for a file.
+    """
     to_error = is_output_reserved() if to_error is None else to_error
     stream = sys.stderr if to_error else sys.stdout
     encoding = getattr(stream, "encoding", None) or "utf-8"

@@ -43,7 +43,14 @@ class SceneWriting:
     extras: bool = True
 
     def require(self, out: Path, name: str) -> None:
-        """Refuse options of another format than the one to be written, `name`.
+        """Raise if an option applies only to formats other than that of the output.
+
+        Parameters
+        ----------
+        out : Path
+            Path of the output, for messages.
+        name : str
+            Name of the format of the output.
 
         Raises
         ------

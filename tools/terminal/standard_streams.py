@@ -221,14 +221,14 @@ class StandardStreams:
         return path
 
     def fetch_if_url(self, path: Path) -> Path:
-        """Return a path after fetching its file, if it is the file of a URL."""
+        """Return the path; if it stands for a URL, download to the path first."""
         if path in self._urls and not path.exists():
             with Stages(shown=path not in self._quiet) as stages:
                 download(self._urls[path], path, progress=stages)
         return path
 
     def unfetched_url(self, path: Path) -> str | None:
-        """Return the URL of a path that is not fetched yet, else None."""
+        """Return the URL that a path stands for, None for others and after the download."""
         return None if path.exists() else self._urls.get(path)
 
     def output_file(self, suffix: str) -> Path:
@@ -351,7 +351,7 @@ def is_output_reserved() -> bool:
 
 
 def unfetched_url(path: Path) -> str | None:
-    """Return the URL of a path that is not fetched yet, else None."""
+    """Return the URL that a path stands for, None for others and after the download."""
     streams = _streams(click.get_current_context(silent=True))
     return None if streams is None else streams.unfetched_url(path)
 

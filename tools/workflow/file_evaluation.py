@@ -100,7 +100,7 @@ class FileEvaluation:
         return cls(source, views, what, background, photos)
 
     def stage_costs(self) -> list[StageCost]:
-        """Return the expected cost of `measure`."""
+        """Return the expected cost of `measure`, to plan the progress."""
         once = sum(cost.total() for cost in comparison_costs(len(self.source), self.cameras))
         return [StageCost("measure", len(prefix_quality.PREFIX_FRACTIONS) * once)]
 

@@ -310,7 +310,15 @@ def input_files(scene: Path, *others: Path | None) -> Iterator[Path]:
 
 
 def drop_invalid_splats(splats: Splats, where: Path) -> Splats:
-    """Return the splats with finite values; warn if any were dropped.
+    """Return the splats that can be drawn; warn if any were dropped.
+
+    Splats with NaN, infinite values or a zero quaternion are dropped.
+
+    Parameters
+    ----------
+    splats : Splats
+    where : Path
+        Path of the scene, for messages.
 
     Raises
     ------

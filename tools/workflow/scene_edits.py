@@ -38,7 +38,7 @@ class SceneEdits:
     crop : Box or None
         Box of the centres that are kept, faces included; world coordinates of the file.
     scale : float
-        Positive factor.
+        Positive scaling factor.
     rotate : Vector
         Angles about the fixed x, then y, then z axis, degrees, counterclockwise as seen from the
         axis' tip in a right-handed frame.

@@ -103,6 +103,7 @@ def bars(histogram: NDArray[np.int64]) -> str:
 
 
 def _number(value: float | None) -> str:
+    """Return a number with four significant digits, a dash for None."""
     # -0.0 + 0.0 is 0.0, which reads better.
     return "-" if value is None else f"{value + 0.0:.4g}"
 

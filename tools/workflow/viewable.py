@@ -34,7 +34,8 @@ class Viewable:
     splats : int
         Splats in the file.
     encoded : bool
-        Whether the file was converted from another format and is temporary.
+        Whether the file was written from a decoded scene: a COGS file by `viewable`, a PLY file by
+        `drawable`.
     """
 
     path: Path
@@ -90,9 +91,9 @@ def drawable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
     Parameters
     ----------
     scene : Path
-        Scene of any format. All but complete COGS files are written as PLY into a temporary
-        folder, in a hundredth of the time of an encode. The size does not matter because the file
-        stays on this machine.
+        Scene of any format. A complete COGS file is provided as it is, a COGS folder is packed
+        into a file, and any other scene is written as PLY. Writing takes a hundredth of the time
+        of an encode. PLY may be large because the file never leaves this machine.
     threads : int
     shown : bool
         Whether progress is printed to standard error.

@@ -79,7 +79,7 @@ class AblationTable:
 
 @dataclass(frozen=True)
 class _Point:
-    """Size and PSNR of one encode."""
+    """Result of one encode: PSNR in held-out and roam views, file size and duration."""
 
     held_out_db: float
     roam_db: float
@@ -234,7 +234,19 @@ def _measurement(
 def _measure_near(
     measure: Callable[[float], _Point], quality_db: float, target_db: float
 ) -> list[_Point]:
-    """Measure at three nominal qualities that approach a target PSNR by linear steps."""
+    """Measure at three nominal qualities; each step adds the PSNR missing so far.
+
+    The second step overshoots (`_OVERSHOOT_DB`), so that two measurements bracket the target.
+
+    Parameters
+    ----------
+    measure : callable
+        Encodes at a nominal quality, dB.
+    quality_db : float
+        First nominal quality, dB.
+    target_db : float
+        Held-out PSNR to approach, dB.
+    """
     points: list[_Point] = []
     at = quality_db
     for overshoot in _OVERSHOOT_DB:

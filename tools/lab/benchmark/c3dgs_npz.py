@@ -47,8 +47,9 @@ def write(splats: Splats, scores: Scores, path: Path, *, threads: int = 0) -> No
         Valid rows, at least one.
     scores : Scores
         Scores of the splats. Sensitivities weight the codebook training; splats without
-        contribution to any view are dropped. Shapes use `Scores.sensitivities`, with respect to
-        the log scales. The number of unclustered shapes equals that of unclustered colours.
+        contribution to any view are dropped. Shapes use `Scores.sensitivities` with respect to
+        the log scales. Colours of high sensitivity are stored without clustering; an equal number
+        of shapes is.
     path : Path
     threads : int
         0 for all cores; the bytes do not depend on it.
@@ -158,7 +159,27 @@ def _cluster(vectors: F32, weights: F64, kept: NDArray[np.bool_], threads: int) 
 def _cluster_shapes(
     splats: Splats, scores: Scores, keep: int, threads: int
 ) -> tuple[F32, F32, I32, F32]:
-    """Return log scales and quats of codebook rows, row of each splat, log scale factors."""
+    """Cluster the shapes of splats: rotations, and scales divided by a scale factor.
+
+    Parameters
+    ----------
+    splats : Splats
+    scores : Scores
+        Scores of the splats, which weight the shapes.
+    keep : int
+        Number of shapes of the highest weights, which are stored without clustering.
+    threads : int
+        0 for all cores.
+
+    Returns
+    -------
+    scales, quats : (r, 3) float32, (r, 4) float32
+        Log scales and quaternions of the clustered rows, then of the kept shapes.
+    indices : (N,) int32
+        Row of each splat.
+    factors : (N,) float32
+        Log scale factor of each splat.
+    """
     quats = rotations.unit(splats.quats)
     factors = covariance.scale_factor(splats.scales)
     found = scores.sensitivities

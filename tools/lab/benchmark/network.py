@@ -364,7 +364,7 @@ def main() -> None:
 )
 @json_option
 def large(chunks: int, tries: int, as_folder: bool, as_json: bool) -> None:
-    """Open a file of many chunks and read single chunks."""
+    """Count requests, bytes and memory of reading single chunks of a large file."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "large.cogs"
         # In a separate process, so that its memory is not measured.

@@ -350,7 +350,7 @@ def _steps(profile: str, qualities: Sequence[float] | None) -> Sequence[float | 
 
 
 def _measures_prefixes(profile: str, index: int, count: int) -> bool:
-    """Whether prefixes are measured at a quality: the middle one of a profile."""
+    """Whether to measure prefixes: at the middle nominal quality of a profile in `QUALITIES`."""
     return index == count // 2 and profile in QUALITIES
 
 

@@ -113,7 +113,7 @@ def _column(key: str, value: bytes) -> str:
 
 
 def _payload(payload: bytes, name: str) -> Iterator[_Piece]:
-    """Yield the parts of a segment's payload, record by record."""
+    """Yield the size and description of each part of a payload, stream by stream."""
     (count,) = struct.unpack_from("<H", payload)
     yield PAYLOAD_HEAD, f"{name}: {count} streams"
     position = PAYLOAD_HEAD

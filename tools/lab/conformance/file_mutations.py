@@ -84,7 +84,7 @@ class _Parts:
 
 
 def make_mutant(files: Sequence[tuple[str, bytes]], seed: int, number: int) -> Mutant:
-    """Return mutant `number` of a seeded run; each mutant depends on its seed and number alone.
+    """Return one mutant of a seeded run; it does not depend on the mutants before it.
 
     Parameters
     ----------

@@ -217,9 +217,16 @@ def _codebook(file: _File, book: int) -> list[Row]:
 
 
 def _head(payload: Payload, books: dict[int, list[Row]], finer: Payload) -> dict[str, list[Row]]:
-    """Return the rows of a chunk head, its streams read in the order of SPEC 7.2.
+    """Return the rows of each attribute in a chunk head, read in the order of SPEC 7.2.
 
-    `finer` holds the streams of its refinement (SPEC 7.4), and is empty without one.
+    Parameters
+    ----------
+    payload : Payload
+        Streams of the head.
+    books : dict of int to list of Row
+        Rows of each codebook, by its number.
+    finer : Payload
+        Streams of the refinement (SPEC 7.4); empty without one.
     """
     shape = payload.get((SHAPE, 0))
     if shape is None:

@@ -214,7 +214,10 @@ def _sorted(record: Record, scales: list[Row], refinement: Record | None) -> lis
 
 
 def _differences(record: Record, digits: Record | None) -> list[Row]:
-    """Return log scales from a stream of differences (SPEC 6.12)."""
+    """Return log scales, stored as the longest and two differences (SPEC 6.12).
+
+    `digits` is the record that refines the stream, None without refinement.
+    """
     rows = []
     for long, first, second in _scalar(record, record.params, 0, digits):
         middle = f32(long - first)

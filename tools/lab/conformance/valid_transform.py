@@ -82,7 +82,19 @@ def sh0_basis(rows: int, seed: int) -> Stream:
 
 
 def shn_basis(codes: Sequence[Sequence[int]], book: int, step: float, shrink: float) -> Stream:
-    """Return a basis stream of shN from the signed coordinates of each row."""
+    """Return a stream of shN, stored as coordinates on a basis (`shn_transform.write`).
+
+    Parameters
+    ----------
+    codes : sequence of sequence of int
+        Coordinates of each row: signed multiples of `step`.
+    book : int
+        Number of the codebook whose rows are the basis.
+    step : float
+        Quantiser step of the coordinates.
+    shrink : float
+        Part of a step by which decoders reduce the magnitude of non-zero coordinates, 0 to 0.5.
+    """
     return shn_transform.write(np.array(codes, np.int64), book, step, shrink)
 
 

@@ -28,7 +28,7 @@ def _stored_plane(differences: bytes) -> bytes:
 
 
 def _table(views: int, codes: bytes) -> dict[str, Value]:
-    """Return the map of a view table (SPEC 5.12)."""
+    """Return the msgpack map of a view table (SPEC 5.12)."""
     positions = [k / 4 - 1.0 for k in range(3 * views)]
     directions = [(0, 0, 127), (127, 0, 0), (-90, 1, -90), (0, -128, 0)]
     return {

@@ -83,6 +83,7 @@ def _morton(cell: Sequence[int]) -> int:
 
 
 def _scales_of_head() -> list[list[float]]:
+    """Return the log scales of each row, decoded from the head alone."""
     out = []
     for codes in zip(*_SCALE_CODES, strict=True):
         long, first, second = (
@@ -138,6 +139,7 @@ def _shn_record() -> Record:
 
 
 def _payloads(quats: Record | None) -> dict[SegmentKind, bytes]:
+    """Return the payload of each segment; `quats` replaces the quaternions unless it is None."""
     scales = _record(
         streams.SCALES,
         streams.DIFFERENCES,
@@ -260,6 +262,7 @@ def _model_lines(scales: Sequence[streams.Row]) -> Iterator[str]:
 
 
 def _mean_lines(coarse: Sequence[streams.Row], fine: Sequence[streams.Row]) -> Iterator[str]:
+    """Yield the lines on the means: decoded without refinement, then with it."""
     planes = _sorted_record().planes
     yield "means: sorted (6.5), steps of the cells 1, 1, 1"
     yield f"  plane 0, classes: {_row(list(planes[0][1]))}"

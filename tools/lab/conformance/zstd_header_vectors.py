@@ -39,7 +39,7 @@ _SEQUENCES_AT: Final = 112
 
 
 def _file(frame: bytes) -> bytes:
-    """Return a file of 300 splats whose opacities are this zstd frame."""
+    """Return a file of 300 splats whose plane of opacities is stored as the given zstd frame."""
     opacities = handmade.scalar(Attribute.OPACITIES, [(-2.0, 2.0, 8)], [[0] * _ROWS])
     head = handmade.uniform_head(_ROWS, opacities)
     records = [record(stream) for stream in head]

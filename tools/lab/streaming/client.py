@@ -193,7 +193,8 @@ def fetch_order(units: Units, urgency: F64, present: Sequence[int] = ()) -> list
     Returns
     -------
     list of int
-        Missing units of urgency above 0.
+        Missing units of urgency above 0, and their missing dependencies. Each is the first unit of
+        the best chain (docs/streaming.md, 7) once the units before it are fetched.
     """
     missing = np.ones(len(units), np.bool_)
     missing[list(present)] = False

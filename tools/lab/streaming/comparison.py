@@ -170,7 +170,7 @@ class Simulation:
     source : Splats, optional
         Scene of the reference pictures; by default the decoded file.
     peer : StreamedSogClient, optional
-        Client of the policy `PEER`: the same scene as Streamed SOG.
+        Client of the policy `PEER`, which fetches the scene as Streamed SOG.
     progress : Progress
         Called with the stage ``table`` while a view table is measured.
     """

@@ -54,7 +54,7 @@ class Browser:
 
 @dataclass
 class _Request:
-    """Request of adjacent units, which are removed as they arrive.
+    """Request of adjacent units; `units` loses each unit once it is complete.
 
     The first byte arrives at `starts_at`; `received` counts the bytes of the first remaining unit.
     """
@@ -188,8 +188,8 @@ class _Run:
     def _usable_at(self) -> F64:
         """Return the time from which each arrival can be drawn (docs/streaming.md, 11).
 
-        That is when its dependencies have arrived too, infinite if they never do. Dependencies are
-        never evicted before their dependents.
+        A unit can be drawn once it and its dependencies have arrived. The time is infinite if a
+        dependency never arrives. Dependencies are never evicted before their dependents.
         """
         arrivals: dict[int, list[int]] = {}
         for k, unit in enumerate(self._fetched):
