@@ -213,7 +213,7 @@ def _rotations(images: list[_Image], where: str) -> F64:
 
 
 def _intrinsics(name: str, width: int, height: int, values: list[float], where: str) -> _Intrinsics:
-    """Return the intrinsics of a camera model's parameters, which must have no distortion."""
+    """Return the intrinsics from the parameters of the camera model `name`; refuse distortion."""
     parameters = dict(zip(_PARAMETERS[name], values, strict=True))
     distortion = [key for key, value in parameters.items() if key[0] in "kp" and value != 0]
     if distortion:

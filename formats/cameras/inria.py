@@ -165,7 +165,7 @@ def _bad(where: str, value: object, expected: str) -> FormatError:
 
 
 def _kind(value: object) -> str:
-    """Describe a JSON value for a message."""
+    """Describe a JSON value for a message: an array by its length, a scalar by its JSON text."""
     if isinstance(value, list):
         return f"an array of {len(value)}"
     if isinstance(value, dict):

@@ -54,7 +54,7 @@ _ENDINGS: Final = ("", ".png", ".jpg", ".jpeg")
 
 @dataclass(frozen=True)
 class _Frames:
-    """Values common to all frames of a file.
+    """Values of a file that all its frames share.
 
     `undo` and `scale` revert the transform that was applied to the original poses. `sizes` caches
     the sizes of images by file path.

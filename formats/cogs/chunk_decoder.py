@@ -349,7 +349,10 @@ class ChunkDecoder(StoredFile):
                 first = stop
 
     def iter_chunks(self, *, sh_degree: int | None = None, refine: bool = True) -> Iterator[Splats]:
-        """Yield the splats of each complete chunk, without ended preview chunks."""
+        """Yield the splats of each leading chunk whose head can be decoded, one chunk at a time.
+
+        Preview chunks that later chunks have replaced are left out.
+        """
         for chunk in self._chunk_list(None, self.complete_chunks()):
             yield self.decode([chunk], sh_degree=sh_degree, refine=refine, threads=1)
 

@@ -253,7 +253,7 @@ class _ArrivedFile(ChunkDecoder):
         return row in self.held
 
     def is_ready(self, row: int, degree: int) -> bool:
-        """Whether a segment and its codebooks, up to an SH degree, were received."""
+        """Whether a segment and the codebooks it needs up to an SH degree were received."""
         return self._is_decodable(row, degree)
 
     def read_segment(self, row: int) -> memoryview:
@@ -269,7 +269,7 @@ class _Unread:
         self.size = size
 
     def read(self, offset: int, length: int) -> bytes:
-        """Refuse every read."""
+        """Raise AssertionError: all segments are in memory, so no read is expected."""
         end = offset + length
         raise AssertionError(f"{self.name}: read of bytes {offset} to {end - 1}, expected none")
 

@@ -32,7 +32,10 @@ def first_level(levels: Sequence[Level], chunk: int) -> int:
 
 
 def later_levels(levels: Sequence[Level], chunks: ChunkTable) -> I64:
-    """Return the number of levels that draw each chunk, not counting its first level."""
+    """Return the number of levels that draw each chunk, not counting its first level.
+
+    A chunk has at most this number of opacity segments.
+    """
     ends = [level.chunks for level in levels]
     stops = np.searchsorted(ends, chunks.until, side="left")
     stops[chunks.until == 0] = len(ends)

@@ -27,6 +27,8 @@ def needed_codebooks(table: SegmentTable, row: int, books: int) -> list[int]:
 def opacity_rows(index: Index, chunk: int, level: int | None) -> list[int]:
     """Return the rows of a chunk's opacity segments up to a level, in level order (SPEC 5.11).
 
+    The first level that contains the chunk has none: the head holds the opacities.
+
     Parameters
     ----------
     index : Index
@@ -60,12 +62,11 @@ def rows_of_chunk(
     chunk : int
         Chunk number.
     sh_degree : int
-        Highest SH degree; 0 leaves out the tail.
+        Highest SH degree; 0 leaves out the SH tail.
     refine, extras : bool
         Whether to include the refinement and the extra attributes.
     level : int, optional
-        Level for which the chunk is decoded, which selects its opacity segment; by default the
-        finest.
+        Level to decode, which selects the chunk's opacity segment; by default the finest.
     """
     rows = [int(index.heads[chunk])]
     if refine:
@@ -151,7 +152,10 @@ def ranges_to_decode(
 
 
 def _groups(index: Index, each: Sequence[Sequence[int]]) -> Iterator[list[int]]:
-    """Join the rows of consecutive chunks into groups of at least `_GROUP_BYTES`."""
+    """Yield the rows of consecutive chunks in groups of more than `_GROUP_BYTES`, except the last.
+
+    `each` has the rows of one chunk, or of the codebooks, per item.
+    """
     group: list[int] = []
     size = 0
     for rows in each:

@@ -122,7 +122,7 @@ class FolderSource(ObjectSource):
 
     @cached_property
     def _objects(self) -> dict[str, int]:
-        """Length of each existing object by name, bytes, listed once; 0 for a link or folder."""
+        """Length of each object in the folder at the first call, bytes; 0 for a link or folder."""
         folder = self._folder / SEGMENT_FOLDER
         if not folder.is_dir():
             return {}
@@ -137,7 +137,7 @@ class FolderSource(ObjectSource):
     def _object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
         """Return the ranges of objects that make up a range of the file.
 
-        Reads the index pages of the range that the map lacks.
+        First reads those index pages of the range that are not yet in the map.
         """
         with self._lock:
             for page in self._map.pages_for(offset, length):

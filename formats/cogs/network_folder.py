@@ -175,7 +175,7 @@ class NetworkFolder(ObjectSource):
     def _object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
         """Return the ranges of objects that make up a range of the file.
 
-        Requests the index pages of the range that the map lacks.
+        First requests those index pages of the range that are not yet in the map.
         """
         require_within(self, offset, length)
         with self._lock:

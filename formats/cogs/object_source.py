@@ -46,7 +46,7 @@ class ObjectSource(ABC):
         return self._named
 
     def read_object(self, name: str) -> bytes:
-        """Return the bytes of an object by a name of `objects`; raises as `read`."""
+        """Return the bytes of an object, given its key in `objects`; raises as `read`."""
         size = self._named[name]
         return self._object_bytes(ObjectRange(name, 0, size, size))
 
@@ -60,7 +60,7 @@ class ObjectSource(ABC):
     def _object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
         """Return the ranges of objects that make up a range of the file.
 
-        Reads the index pages of the range that the map lacks.
+        First reads those index pages of the range that are not yet in the map.
         """
 
     @abstractmethod

@@ -140,7 +140,7 @@ def pack(
 
 
 def folder_files(folder: Readable) -> Iterator[Path]:
-    """Yield the files of a local folder or manifest, which an output must not overwrite."""
+    """Yield the paths of a local folder and its files, which an output must not overwrite."""
     if not isinstance(folder, str | os.PathLike):
         return
     place = Path(folder)

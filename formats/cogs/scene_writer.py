@@ -120,9 +120,10 @@ def _boxes_float32(chunks: Sequence[EncodedChunk]) -> NDArray[np.float32]:
 def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segment]:
     """Return the segments of a scene in the order of the file (SPEC 5.1).
 
-    A compensation layer comes before the first chunk that only it covers. The opacities of a level
-    come before the last chunk of the level. The view table comes before the first chunk of a cell,
-    from which on clients choose chunks. Cameras and extra attributes come last.
+    A compensation layer comes before the first chunk that earlier layers do not cover. The
+    opacities of a level come before the last chunk of the level. The view table comes before the
+    first chunk of a cell: from there on, clients choose chunks by view. Cameras and extra
+    attributes come last.
     """
     out: list[Segment] = []
     layers, opacities, view_table = _layers(scene), _opacities(scene), _view_table(scene)

@@ -185,7 +185,7 @@ def _origin(url: Any) -> tuple[str, str, int | None]:
 
 @cache
 def _certificates() -> ssl.SSLContext:
-    """Return the trusted certificate authorities; loading takes longer than a request."""
+    """Return the trusted certificate authorities; loaded once, because loading is slow."""
     made: ssl.SSLContext = _httpx().create_ssl_context()
     return made
 

@@ -298,7 +298,10 @@ class RangeFetcher:
         self.arrival.notify_all()
 
     async def _require_unchanged(self, head: ResponseHead) -> None:
-        """Raise ``source-changed`` if a response's length or ETag shows that the file changed."""
+        """Raise ``source-changed`` if a response shows that the file changed.
+
+        A changed file has another length, or another ETag and other first bytes.
+        """
         if self.size is not None and head.total not in (None, self.size):
             raise StorageError(
                 "source-changed",

@@ -179,7 +179,7 @@ class RangeSource:
             self._fetcher.fetch(self._rest)
 
     def arrived(self, offset: int, length: int) -> bool:
-        """Whether a prefetched range was received."""
+        """Whether a range was received: by the first request, a prefetch or `fetch_all`."""
         end = offset + length
         fetcher = self._fetcher
         with self._arrival:
@@ -233,7 +233,7 @@ class RangeSource:
     def prefetch(
         self, ranges: Sequence[tuple[int, int]], *, any_order: bool = False
     ) -> Iterator[Cancel]:
-        """Prefetch ranges, in the given order, until the block ends.
+        """Prefetch ranges, in the given order, while a ``with`` block runs.
 
         Each read of a range returns as soon as the range has arrived. The end of the block cancels
         the requests of ranges that were not read.

@@ -247,7 +247,7 @@ def _read_rest(file: BinaryIO, header: PlyHeader, count: int, where: str) -> NDA
 def _unpack(
     ranges: Ranges, words: NDArray[np.void], rest: NDArray[np.uint8], info: SceneInfo
 ) -> Splats:
-    """Return the scene of a file's ranges, packed words and SH bytes."""
+    """Return the scene from the chunks' ranges, the packed words and `rest`, the SH bytes."""
     count = len(words)
     per_channel = rest.shape[1] // 3
     means, scales, sh0 = (np.empty((count, 3), np.float32) for _ in range(3))
@@ -390,7 +390,10 @@ def _chunk_ranges(values: F32) -> tuple[F32, F32]:
 
 
 def _fractions(values: F32, low: F32, high: F32) -> NDArray[np.float64]:
-    """Return (n, 3) values as fractions, 0 to 1, of the ranges of their chunks."""
+    """Return (n, 3) values as fractions, 0 to 1, of the ranges of their chunks.
+
+    `low` and `high` have one row per chunk.
+    """
     wide_low = low.astype(np.float64)
     extent = high - wide_low
     extent[extent == 0] = 1

@@ -119,7 +119,7 @@ def read_splat(path: StrPath, *, limits: Limits | None = None) -> Splats:
 
 
 def _unpack_quats(stored: U8) -> F32:
-    """Return unit wxyz quaternions of four bytes each."""
+    """Unpack (n, 4) bytes, where 128 stands for 0, to unit wxyz quaternions."""
     quats = (stored.astype(np.float32) - np.float32(128)) / np.float32(128)
     # Four bytes of 128 are a zero quaternion: read it as the identity.
     quats[~quats.any(axis=1), 0] = 1

@@ -238,7 +238,7 @@ def atomic_write(path: StrPath, force: bool = False, *, durable: bool = True) ->
 
 
 def sync_all(paths: Iterable[StrPath]) -> None:
-    """Sync files that were written without `durable`, and their names, to disk.
+    """Sync files that `atomic_write` wrote without `durable`, and their names, to disk.
 
     Parameters
     ----------

@@ -60,7 +60,7 @@ class RemoteSource(Source, Protocol):
     def prefetch(
         self, ranges: Sequence[tuple[int, int]], *, any_order: bool = False
     ) -> AbstractContextManager[Cancel]:
-        """Prefetch ranges, in the given order, until the block ends.
+        """Prefetch ranges, in the given order, while a ``with`` block runs.
 
         Parameters
         ----------

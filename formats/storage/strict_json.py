@@ -87,7 +87,10 @@ class JsonObject:
         return [self._number(key, item) for item in value]
 
     def texts(self, key: str, count: int | None = None) -> list[str]:
-        """Return the array of strings under a key, empty if missing; `count` is its length."""
+        """Return the array of strings under a key; `count` is its required length.
+
+        A missing key counts as an empty array.
+        """
         found = [item for item in self._array(key) if isinstance(item, str)]
         if len(found) != len(self._array(key)) or (count is not None and len(found) != count):
             raise self.wrong(key, f"an array of {'' if count is None else f'{count} '}strings")

@@ -159,7 +159,7 @@ def _pickle_name(archive: zipfile.ZipFile) -> str | None:
 
 
 def _unpickle(archive: zipfile.ZipFile) -> object:
-    """Return the saved object, whose tensors read their storages from the archive."""
+    """Return the saved object; each tensor reads its values when `TorchTensor.array` is called."""
     name = _pickle_name(archive)
     if name is None:
         raise zipfile.BadZipFile("no pickle in the ZIP file")

@@ -133,14 +133,14 @@ class _Batch:
         return process.returncode, out, err
 
     def stop(self) -> None:
-        """Terminate the running encodes."""
+        """Terminate the running encodes and start no further ones."""
         with self.lock:
             self.stopped = True
             for process in self.running:
                 process.terminate()
 
     def write(self, line: Mapping[str, object]) -> None:
-        """Add a line to the log and print it."""
+        """Add a line to the log, unless its scene was skipped, and print it, unless quiet."""
         text = json.dumps(line, allow_nan=False)
         if line["status"] != "skipped":
             with storage_errors(self.log), self.log.open("a", encoding="utf-8") as file:
@@ -220,7 +220,7 @@ def batch(
 
 
 def _without_report(line: Mapping[str, object]) -> dict[str, object]:
-    """Return a log line with the size of the file in place of the whole report of its encode."""
+    """Return a log line that keeps only the file size of the encode report."""
     brief = {key: value for key, value in line.items() if key != "result"}
     result = line.get("result")
     return {**brief, "bytes": result.get("bytes") if isinstance(result, dict) else None}

@@ -124,7 +124,7 @@ def _hosts(text: str | None) -> list[str] | None:
 
 
 def _check_file(path: Path, *, quiet: bool, as_json: bool) -> bool:
-    """Print the rules that a file or folder breaks; return whether there are any."""
+    """Print the rules that a file or folder breaks; return whether it breaks any."""
     with Stages(shown=not (quiet or as_json)) as stages:
         found = _file_findings(path, stages)
     name = display_name(path)
@@ -180,7 +180,10 @@ def _check_host(
 
 
 def _changes(found: Diagnosis, hosts: Sequence[str] | None) -> dict[str, dict[str, str]]:
-    """Return the remedies, by the code of a finding and by host."""
+    """Return the remedies of the findings by code, then by host.
+
+    Without `hosts`, the host of the server is taken, or every known host if it is unknown.
+    """
     own = host_of(found.server)
     return remedies(
         [finding.code for finding in found.host], hosts or ([own] if own else list(HOSTS))
@@ -188,7 +191,7 @@ def _changes(found: Diagnosis, hosts: Sequence[str] | None) -> dict[str, dict[st
 
 
 def _host_report(found: Diagnosis, changes: dict[str, dict[str, str]]) -> dict[str, object]:
-    """Return the JSON object for a URL."""
+    """Return the JSON object about a URL: its findings, with `changes` as their remedies."""
     return {
         "source": found.url,
         "folder": found.folder,

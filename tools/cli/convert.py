@@ -61,7 +61,7 @@ _SEPARATORS: Final = tuple(separator for separator in (os.sep, os.altsep) if sep
 
 
 class _FileOrFolder(OutputPath):
-    """A file to write, or a folder, for which the path of its manifest stands."""
+    """Parameter type of an output path; a folder becomes the path of its manifest."""
 
     def convert(
         self,

@@ -326,7 +326,7 @@ class EncodeOptions:
 
     @property
     def measures(self) -> bool:
-        """Whether the new file is measured."""
+        """Whether to measure the PSNR and SSIM of the new file; --report and --images imply it."""
         return self.measure or self.report is not None or self.images is not None
 
     @property
@@ -493,7 +493,7 @@ def _encode(options: EncodeOptions) -> None:
 
 
 def _prepare_scene(options: EncodeOptions, splats: Splats, progress: Progress) -> Splats:
-    """Return the scene with labels from masks, after the edits, without extras if so chosen."""
+    """Apply mask labels, then edits; with --no-extras, remove the extra attributes."""
     labelled = options.choice.with_labels(
         splats, options.cameras, threads=options.threads, progress=progress
     )

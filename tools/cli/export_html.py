@@ -125,9 +125,9 @@ def export_html(
 def _room_for(
     folder: Path, names: list[str], force: bool, inputs: list[Path], *, needed: bool
 ) -> Iterator[None]:
-    """Create a folder and check that `names` can be written there; nothing unless `needed`.
+    """Create a folder and check that `names` can be written there.
 
-    A new folder is removed if the block fails.
+    A new folder is removed if the block fails. Unless `needed`, nothing is created or checked.
     """
     if not needed:
         yield

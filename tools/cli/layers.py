@@ -134,8 +134,8 @@ def layers(
     """Split SCENE into levels for pictures of different sizes.
 
     The first level is trained on the smallest pictures. Each further level adds splats trained on
-    larger pictures; splats of lower levels change their opacities only. A reader fetches one level
-    at a time.
+    larger pictures. Splats of lower levels change only in opacity. A reader fetches one level at a
+    time.
 
     SCENE is a trained scene, or a COLMAP folder with points. In the second case, splats are trained
     from the points and --images.

@@ -149,7 +149,10 @@ def render(
 
 
 def _camera(scene: LoadedScene, cameras: Path | None, index: int | None) -> Camera:
-    """Return the camera that the options choose."""
+    """Return the camera that the options choose.
+
+    By default, it is the first view of the scene, or else the first planned camera.
+    """
     if cameras is None and index is None and scene.first_view is not None:
         return scene.first_view
     views = load_cameras(cameras) if cameras else plan_cameras(scene.splats)

@@ -450,7 +450,7 @@ class _Attribute:
 
 
 def _layout(degree: int) -> list[_Attribute]:
-    """Return the written attributes, in the order of `_values`."""
+    """Return the attributes to write, in the order in which `_values` yields their values."""
     return [
         _Attribute("POSITION", "VEC3", _FLOAT, 12),
         _Attribute("COLOR_0", "VEC4", _UNSIGNED_BYTE, 4),

@@ -126,7 +126,7 @@ def _read_extensions(spz: SpzFile, where: str) -> str:
 
 
 def _warn(message: str) -> None:
-    """Warn with the location of the call of `read_spz`."""
+    """Warn; the warning names the line of code that called `read_spz`."""
     warnings.warn(message, CogsplatWarning, stacklevel=4)
 
 
