@@ -11,6 +11,7 @@ import plyfile
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from random_splats import random_splats
 from tracing import start_tracing
 
 from cogsplat.codec.errors import (
@@ -40,23 +41,6 @@ RANGES += [f"{end}_scale_{axis}" for end in ("min", "max") for axis in "xyz"]
 COLOURS = [f"{end}_{channel}" for end in ("min", "max") for channel in "rgb"]
 WORDS = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
 Table = dict[str, np.ndarray]
-
-
-def scene(count: int, rest: int = 15, info: SceneInfo | None = None) -> Splats:
-    rng = np.random.default_rng(count + rest)
-
-    def draw(*shape: int) -> np.ndarray:
-        return rng.standard_normal(shape).astype(np.float32)
-
-    return Splats(
-        means=draw(count, 3) * np.float32(5),
-        scales=draw(count, 3) - 4,
-        quats=draw(count, 4),
-        opacities=draw(count) * np.float32(3),
-        sh0=draw(count, 3),
-        shN=draw(count, rest, 3) / np.float32(4),
-        info=info or SceneInfo(),
-    )
 
 
 def tables(count: int, rest: int, colours: bool = True) -> dict[str, Table]:
@@ -163,7 +147,7 @@ def test_elements_and_properties_in_any_order(tmp_path: Path) -> None:
 @pytest.mark.parametrize("rest", RESTS)
 @pytest.mark.parametrize("count", [0, 1, 255, 256, 257, 3000])
 def test_round_trip_within_the_steps(tmp_path: Path, count: int, rest: int) -> None:
-    splats = scene(count, rest)
+    splats = random_splats(count, rest)
     path = tmp_path / "a.compressed.ply"
     write_scene(splats, path)
     read = read_scene(path)
@@ -189,7 +173,9 @@ def test_round_trip_within_the_steps(tmp_path: Path, count: int, rest: int) -> N
 
 
 def test_every_row_is_there_once(tmp_path: Path) -> None:
-    splats = replace(scene(1000, 0), sh0=np.arange(3000, dtype=np.float32).reshape(1000, 3) / 1000)
+    splats = replace(
+        random_splats(1000, 0), sh0=np.arange(3000, dtype=np.float32).reshape(1000, 3) / 1000
+    )
     write_compressed_ply(splats, tmp_path / "a.compressed.ply")
     read = read_compressed_ply(tmp_path / "a.compressed.ply")
     for name in ("means", "scales", "sh0"):
@@ -199,13 +185,13 @@ def test_every_row_is_there_once(tmp_path: Path) -> None:
 
 def test_written_again_the_file_stays_the_same(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        write_compressed_ply(scene(700), tmp_path / name)
+        write_compressed_ply(random_splats(700), tmp_path / name)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
 @pytest.mark.parametrize("rest", RESTS)
 def test_plyfile_reads_what_we_write(tmp_path: Path, rest: int) -> None:
-    write_compressed_ply(scene(300, rest), tmp_path / "a.ply")
+    write_compressed_ply(random_splats(300, rest), tmp_path / "a.ply")
     data = plyfile.PlyData.read(tmp_path / "a.ply")
     assert [e.name for e in data.elements] == ["chunk", "vertex"] + ["sh"] * bool(rest)
     assert [p.name for p in data["chunk"].properties] == RANGES + COLOURS
@@ -218,7 +204,7 @@ def test_plyfile_reads_what_we_write(tmp_path: Path, rest: int) -> None:
 
 def test_extremes(tmp_path: Path) -> None:
     splats = replace(
-        scene(6, 3),
+        random_splats(6, 3),
         means=np.full((6, 3), 2.5, np.float32),
         scales=np.array([[-100, 0, 100]] * 6, np.float32),
         opacities=np.array([-np.inf, -80, -1, 1, 80, np.inf], np.float32),
@@ -238,7 +224,7 @@ def test_extremes(tmp_path: Path) -> None:
 
 def test_carries_what_the_scene_says_of_itself(tmp_path: Path) -> None:
     info = SceneInfo((1.5, 2.0, -3.0), "RUB", "linear", 0.1, True)
-    write_compressed_ply(scene(5, info=info), tmp_path / "a.ply")
+    write_compressed_ply(random_splats(5, info=info), tmp_path / "a.ply")
     assert read_compressed_ply(tmp_path / "a.ply").info == info
     assert b"comment SplatRenderMode: mip\n" in (tmp_path / "a.ply").read_bytes()
     foreign = saved(
@@ -248,7 +234,7 @@ def test_carries_what_the_scene_says_of_itself(tmp_path: Path) -> None:
 
 
 def test_sniffs(tmp_path: Path) -> None:
-    write_compressed_ply(scene(5), tmp_path / "a.ply")
+    write_compressed_ply(random_splats(5), tmp_path / "a.ply")
     data = (tmp_path / "a.ply").read_bytes()
     assert is_compressed_ply(data)
     assert is_compressed_ply(data.replace(b"\n", b"\r\n"))
@@ -258,7 +244,7 @@ def test_sniffs(tmp_path: Path) -> None:
 
 
 def test_rows_that_cannot_be_drawn_are_not_written(tmp_path: Path) -> None:
-    splats = replace(scene(3), means=np.full((3, 3), np.nan, np.float32))
+    splats = replace(random_splats(3), means=np.full((3, 3), np.nan, np.float32))
     with pytest.raises(DataError) as caught:
         write_compressed_ply(splats, tmp_path / "a.ply")
     assert caught.value.code == "invalid-rows"

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from random_splats import random_splats
 from scipy.spatial.transform import Rotation
 from tracing import start_tracing
 
@@ -40,20 +41,9 @@ COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "f4": 5126}
 
 
 def scene(count: int, rest: int = 15, info: SceneInfo | None = None) -> Splats:
-    rng = np.random.default_rng(count + rest)
-
-    def draw(*shape: int) -> np.ndarray:
-        return rng.standard_normal(shape).astype(np.float32)
-
-    return Splats(
-        means=draw(count, 3) * np.float32(5),
-        scales=draw(count, 3) - 4,
-        quats=unit(draw(count, 4)),
-        opacities=draw(count) * np.float32(3),
-        sh0=draw(count, 3),
-        shN=draw(count, rest, 3) / np.float32(4),
-        info=info or SceneInfo(),
-    )
+    """Return random splats with unit quaternions, as glTF demands."""
+    splats = random_splats(count, rest, info)
+    return replace(splats, quats=unit(splats.quats))
 
 
 class Maker:

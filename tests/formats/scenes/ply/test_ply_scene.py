@@ -11,6 +11,7 @@ import plyfile
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from random_splats import random_splats
 from tracing import start_tracing
 
 from cogsplat.codec.errors import (
@@ -32,23 +33,6 @@ ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
 RESTS = (0, 3, 8, 15)
 SHARED = Path(__file__).parents[5] / "shared" / "data"
 needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason="the real scenes are not here")
-
-
-def scene(count: int, rest: int = 15, info: SceneInfo | None = None) -> Splats:
-    rng = np.random.default_rng(count + rest)
-
-    def draw(*shape: int) -> np.ndarray:
-        return rng.standard_normal(shape).astype(np.float32)
-
-    return Splats(
-        means=draw(count, 3),
-        scales=draw(count, 3),
-        quats=draw(count, 4),
-        opacities=draw(count),
-        sh0=draw(count, 3),
-        shN=draw(count, rest, 3),
-        info=info or SceneInfo(),
-    )
 
 
 def assert_same(actual: Splats, expected: Splats) -> None:
@@ -115,7 +99,7 @@ def refused(path: Path, data: bytes) -> CogsplatError:
 @pytest.mark.parametrize("rest", RESTS)
 @pytest.mark.parametrize("count", [0, 1, 7, 3000])
 def test_round_trip(tmp_path: Path, count: int, rest: int) -> None:
-    splats = scene(count, rest)
+    splats = random_splats(count, rest)
     write_ply(splats, tmp_path / "a.ply")
     assert_same(read_ply(tmp_path / "a.ply"), splats)
     write_ply(splats, tmp_path / "b.ply")
@@ -124,7 +108,7 @@ def test_round_trip(tmp_path: Path, count: int, rest: int) -> None:
 
 @pytest.mark.parametrize("rest", RESTS)
 def test_plyfile_reads_what_we_write(tmp_path: Path, rest: int) -> None:
-    splats = scene(2500, rest)
+    splats = random_splats(2500, rest)
     write_ply(splats, tmp_path / "a.ply")
     table = plyfile.PlyData.read(tmp_path / "a.ply")["vertex"].data
     expected = rows(splats)
@@ -139,7 +123,7 @@ def test_plyfile_reads_what_we_write(tmp_path: Path, rest: int) -> None:
 
 @pytest.mark.parametrize("rest", RESTS)
 def test_reads_properties_in_any_order(tmp_path: Path, rest: int) -> None:
-    splats = scene(1000, rest)
+    splats = random_splats(1000, rest)
     order = list(rows(splats).dtype.names)
     np.random.default_rng(5).shuffle(order)
     element = plyfile.PlyElement.describe(rows(splats, order=order), "vertex")
@@ -150,7 +134,7 @@ def test_reads_properties_in_any_order(tmp_path: Path, rest: int) -> None:
 @pytest.mark.parametrize("layout", ["text", "big", "double", "first", "behind", "text-first"])
 @pytest.mark.parametrize("count", [0, 1, 40])
 def test_reads_what_plyfile_writes(tmp_path: Path, layout: str, count: int) -> None:
-    splats = scene(count, 3)
+    splats = random_splats(count, 3)
     elements = [vertex(splats, "f8" if layout == "double" else "f4")]
     if layout.endswith("first"):
         elements.insert(0, faces())
@@ -163,7 +147,7 @@ def test_reads_what_plyfile_writes(tmp_path: Path, layout: str, count: int) -> N
 
 
 def test_reads_fixed_elements_before_and_after(tmp_path: Path) -> None:
-    splats = scene(20, 0)
+    splats = random_splats(20, 0)
     other = plyfile.PlyElement.describe(np.zeros(5, [("a", "u1"), ("b", "f8")]), "other")
     for elements in ([other, vertex(splats)], [vertex(splats), other]):
         plyfile.PlyData(elements, byte_order="<").write(tmp_path / "a.ply")
@@ -171,7 +155,7 @@ def test_reads_fixed_elements_before_and_after(tmp_path: Path) -> None:
 
 
 def test_skips_properties_that_are_no_floats(tmp_path: Path) -> None:
-    splats = scene(20, 0)
+    splats = random_splats(20, 0)
     table = rows(splats)
     wider = np.zeros(20, [*table.dtype.descr, ("red", "u1"), ("label", "i4")])
     for name in table.dtype.names:
@@ -182,7 +166,7 @@ def test_skips_properties_that_are_no_floats(tmp_path: Path) -> None:
 
 
 def test_doubles_beyond_float32_become_infinite(tmp_path: Path) -> None:
-    table = rows(scene(3, 0), "f8")
+    table = rows(random_splats(3, 0), "f8")
     table["x"][1] = 1e300
     element = plyfile.PlyElement.describe(table, "vertex")
     plyfile.PlyData([element], byte_order="<").write(tmp_path / "a.ply")
@@ -192,7 +176,7 @@ def test_doubles_beyond_float32_become_infinite(tmp_path: Path) -> None:
 
 
 def test_carriage_returns_in_the_header(tmp_path: Path) -> None:
-    splats = scene(9, 3)
+    splats = random_splats(9, 3)
     write_ply(splats, tmp_path / "a.ply")
     data = (tmp_path / "a.ply").read_bytes()
     end = data.index(b"end_header\n") + len(b"end_header\n")
@@ -209,7 +193,7 @@ def test_comments_of_any_encoding(tmp_path: Path) -> None:
 
 
 def test_rows_that_cannot_be_drawn_are_read_as_they_are(tmp_path: Path) -> None:
-    splats = scene(5, 0)
+    splats = random_splats(5, 0)
     splats.means[0, 1] = np.nan
     splats.opacities[1] = np.inf
     splats.scales[2, 2] = -np.inf
@@ -228,7 +212,7 @@ INFO = SceneInfo((1.5, -2e300, 0.1), "LUF", "linear", 0.1, True)
 
 @pytest.mark.parametrize("rest", [0, 15])
 def test_what_the_scene_says_of_itself_survives(tmp_path: Path, rest: int) -> None:
-    splats = scene(4, rest, INFO)
+    splats = random_splats(4, rest, INFO)
     write_ply(splats, tmp_path / "a.ply")
     assert_same(read_ply(tmp_path / "a.ply"), splats)
     assert plyfile.PlyData.read(tmp_path / "a.ply").comments == [
@@ -260,7 +244,7 @@ def test_scenes_that_others_mark_as_antialiased(
 
 
 def test_a_default_scene_writes_no_comments(tmp_path: Path) -> None:
-    write_ply(scene(1), tmp_path / "a.ply")
+    write_ply(random_splats(1), tmp_path / "a.ply")
     assert b"comment" not in (tmp_path / "a.ply").read_bytes()[:2000]
 
 
@@ -278,7 +262,7 @@ def test_a_scene_info_that_could_not_be_read_back_is_not_written(
     tmp_path: Path, info: SceneInfo
 ) -> None:
     with pytest.raises(DataError) as caught:
-        write_ply(scene(1, 0, info), tmp_path / "a.ply")
+        write_ply(random_splats(1, 0, info), tmp_path / "a.ply")
     assert caught.value.code == "bad-scene-info"
     assert list(tmp_path.iterdir()) == []
 
@@ -368,7 +352,7 @@ def test_message_lists_missing_and_existing_properties(tmp_path: Path) -> None:
 
 
 def test_a_truncated_file_says_how_long_it_should_be(tmp_path: Path) -> None:
-    write_ply(scene(100), tmp_path / "a.ply")
+    write_ply(random_splats(100), tmp_path / "a.ply")
     data = (tmp_path / "a.ply").read_bytes()
     error = refused(tmp_path / "a.ply", data[: len(data) // 5])
     assert isinstance(error, TruncatedError)
@@ -390,7 +374,7 @@ def test_a_count_that_does_not_fit_allocates_nothing(tmp_path: Path, layout: str
 
 
 def text_scene(tmp_path: Path, count: int = 3) -> bytes:
-    plyfile.PlyData([vertex(scene(count, 0))], text=True).write(tmp_path / "text.ply")
+    plyfile.PlyData([vertex(random_splats(count, 0))], text=True).write(tmp_path / "text.ply")
     return (tmp_path / "text.ply").read_bytes()
 
 
@@ -415,14 +399,14 @@ def test_refuses_damaged_text(tmp_path: Path, code: str, change: object) -> None
 def test_text_with_comments_of_any_encoding(tmp_path: Path) -> None:
     text = text_scene(tmp_path).replace(b"ply\n", b"ply\ncomment caf\xe9\n", 1)
     (tmp_path / "a.ply").write_bytes(text.replace(b"\n", b"\r\n"))
-    assert_same(read_ply(tmp_path / "a.ply"), scene(3, 0))
+    assert_same(read_ply(tmp_path / "a.ply"), random_splats(3, 0))
 
 
 def test_text_may_end_without_a_line_feed_or_with_several(tmp_path: Path) -> None:
     text = text_scene(tmp_path)
     for data in (text.rstrip(b"\n"), text + b"\n\n"):
         (tmp_path / "a.ply").write_bytes(data)
-        assert_same(read_ply(tmp_path / "a.ply"), scene(3, 0))
+        assert_same(read_ply(tmp_path / "a.ply"), random_splats(3, 0))
 
 
 def test_lists_that_lie_about_their_length(tmp_path: Path) -> None:
@@ -438,7 +422,9 @@ def test_lists_that_lie_about_their_length(tmp_path: Path) -> None:
 
 def test_too_many_lists(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(foreign_layouts, "_MAX_LISTS", 2)
-    plyfile.PlyData([faces(3), vertex(scene(2, 0))], byte_order="<").write(tmp_path / "a.ply")
+    plyfile.PlyData([faces(3), vertex(random_splats(2, 0))], byte_order="<").write(
+        tmp_path / "a.ply"
+    )
     with pytest.raises(UnsupportedError) as caught:
         read_ply(tmp_path / "a.ply")
     assert caught.value.code == "ply-too-many-lists"
@@ -453,8 +439,8 @@ def test_without_plyfile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         return real(name, package)
 
     monkeypatch.setattr(importlib, "import_module", absent)
-    write_ply(scene(3), tmp_path / "a.ply")
-    assert_same(read_ply(tmp_path / "a.ply"), scene(3))
+    write_ply(random_splats(3), tmp_path / "a.ply")
+    assert_same(read_ply(tmp_path / "a.ply"), random_splats(3))
     (tmp_path / "b.ply").write_bytes(text_scene(tmp_path))
     with pytest.raises(UnsupportedError, match="ascii") as caught:
         read_ply(tmp_path / "b.ply")
@@ -471,7 +457,7 @@ def test_a_file_that_shrinks_or_changes_while_it_is_read(
         check(*arguments)  # type: ignore[arg-type]
         path.write_bytes(path.read_bytes()[:-2000])
 
-    write_ply(scene(3000), path)
+    write_ply(random_splats(3000), path)
     with monkeypatch.context() as patch:
         patch.setattr(ply, "check_size", shrink)
         with pytest.raises(TruncatedError) as short:
@@ -483,7 +469,7 @@ def test_a_file_that_shrinks_or_changes_while_it_is_read(
         with path.open("ab") as file:
             file.write(b"more")
 
-    write_ply(scene(3000), path, force=True)
+    write_ply(random_splats(3000), path, force=True)
     with monkeypatch.context() as patch:
         patch.setattr(ply, "check_size", grow)
         with pytest.raises(StorageError) as changed:
@@ -496,11 +482,11 @@ def test_storage_failures(tmp_path: Path) -> None:
         with pytest.raises(StorageError) as caught:
             read_ply(path)
         assert caught.value.code == code
-    write_ply(scene(1), tmp_path / "a.ply")
+    write_ply(random_splats(1), tmp_path / "a.ply")
     with pytest.raises(StorageError) as caught:
-        write_ply(scene(2), tmp_path / "a.ply")
+        write_ply(random_splats(2), tmp_path / "a.ply")
     assert caught.value.code == "exists"
-    write_ply(scene(2), tmp_path / "a.ply", force=True)
+    write_ply(random_splats(2), tmp_path / "a.ply", force=True)
     assert len(read_ply(tmp_path / "a.ply")) == 2
 
 
@@ -511,10 +497,10 @@ def encoded(text: bool, order: str, elements: list[plyfile.PlyElement]) -> bytes
 
 
 SEEDS = [
-    encoded(False, "<", [vertex(scene(3, 0))]),
-    encoded(False, ">", [vertex(scene(3, 0))]),
-    encoded(False, "<", [faces(2), vertex(scene(2, 0), "f8")]),
-    encoded(True, "=", [vertex(scene(2, 0)), faces(2)]),
+    encoded(False, "<", [vertex(random_splats(3, 0))]),
+    encoded(False, ">", [vertex(random_splats(3, 0))]),
+    encoded(False, "<", [faces(2), vertex(random_splats(2, 0), "f8")]),
+    encoded(True, "=", [vertex(random_splats(2, 0)), faces(2)]),
 ]
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import json
 import math
@@ -17,6 +18,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
+from random_splats import random_splats
 from tracing import start_tracing
 
 from cogsplat.codec.errors import (
@@ -28,7 +30,7 @@ from cogsplat.codec.errors import (
     UnsupportedError,
 )
 from cogsplat.codec.geometry.transforms import convert_axes
-from cogsplat.codec.splats import SceneInfo, Splats, empty
+from cogsplat.codec.splats import SceneInfo, empty
 from cogsplat.formats.scenes.quantised_values import morton_order, unit_opacities
 from cogsplat.formats.scenes.registry import read_scene, write_scene
 from cogsplat.formats.scenes.sog.sog_scene import read_sog, write_sog
@@ -39,21 +41,7 @@ COUNT = 150
 COEFFICIENTS = {1: 3, 2: 8, 3: 15}
 
 
-def scene(count: int, rest: int = 15, info: SceneInfo | None = None) -> Splats:
-    rng = np.random.default_rng(count + rest)
-
-    def draw(*shape: int) -> np.ndarray:
-        return rng.standard_normal(shape).astype(np.float32)
-
-    return Splats(
-        means=draw(count, 3) * np.float32(5),
-        scales=draw(count, 3) - 4,
-        quats=draw(count, 4),
-        opacities=draw(count) * np.float32(3),
-        sh0=draw(count, 3),
-        shN=draw(count, rest, 3) / np.float32(8),
-        info=info or SceneInfo(),
-    )
+scene = functools.partial(random_splats, sh_scale=0.125)
 
 
 def webp(pixels: np.ndarray, **options: object) -> bytes:
