@@ -133,26 +133,24 @@ def open(
     Parameters
     ----------
     path : path, URL, bytes, binary file object or Source
-        A local file or folder (SPEC 3.4), a file on a web server as the text of its URL
-        (``https://`` with the extra ``http``, ``s3://``, ``gs://`` or ``az://`` with ``cloud``), a
-        file in memory, an open file that can seek, or
-        anything with `name`, `size`, `read(offset, length)` and `close`.
+        A local file or folder (SPEC 3.4); a URL (``https://`` with the extra ``http``; ``s3://``,
+        ``gs://`` or ``az://`` with the extra ``cloud``); the bytes of a file; a seekable binary
+        file object; or an object with `name`, `size`, `read(offset, length)` and `close`.
     partial : bool
         Accept a file that is still being received, or a folder that lacks segments.
     size_bytes : int, optional
-        Length, bytes, after which the file is cut, to simulate a stopped transfer.
+        Length to which the file is cut, bytes; simulates an interrupted transfer.
     limits : Limits, optional
-        Limits on memory, splats and cameras of the file.
+        Limits on memory and on the numbers of splats and cameras.
     network : NetworkOptions, optional
-        How a URL is read: headers, retries, waiting.
+        Settings for URLs: headers, retries, timeouts.
 
     Returns
     -------
     CogsFile
         A context manager: `CogsFile.root` and `CogsFile.chunks` are its tables,
-        `CogsFile.select` chooses chunks, `CogsFile.decode` decodes them, `CogsFile.stream` gives
-        them as their bytes come. As the last value of a
-        notebook's cell it is shown as a viewer, with the extra ``notebook``.
+        `CogsFile.select` chooses chunks, `CogsFile.decode` decodes them, `CogsFile.stream` yields
+        them as their bytes arrive. A notebook displays it as a viewer, with the extra ``notebook``.
 
     Raises
     ------
@@ -185,7 +183,8 @@ def _show_in_notebooks() -> None:
 def _bundle(file: CogsFile) -> object:
     """Return the MIME bundle that a notebook shows for an open file, or None.
 
-    The viewer makes it, found by an entry point: this module must not import the tools.
+    The entry point ``cogsplat.display`` names the function that makes the bundle: this module must
+    not import the tools.
     """
     for entry in entry_points(group="cogsplat.display"):
         return entry.load()(file)
@@ -225,19 +224,22 @@ def decode(
     sh_degree : int, optional
         Highest SH degree to decode, 0 to 3.
     refine : bool
-        Whether to read the refinements that are there; otherwise the heads' coarse values.
+        Whether to apply refinements where the file has them; False decodes the coarse values of
+        the heads alone.
     compensate : bool
-        Whether to change the splats of the first chunks so that they look most like the whole
-        scene (SPEC 8.5): larger and more opaque. Otherwise rows are as stored.
+        Whether to enlarge the splats of a prefix and make them more opaque, so that it looks like
+        the whole scene (SPEC 8.5). False leaves the splats as stored.
     level : float, optional
-        Level of a scene that has some, 0 the coarsest (SPEC 5.11); 1.5 is half-way from level 1
-        to level 2. By default the finest.
+        Level of detail, 0 the coarsest (SPEC 5.11); 1.5 is half-way from level 1 to level 2. None
+        for the finest.
     limits : Limits, optional
+        Limits on memory and number of splats.
     network : NetworkOptions, optional
-        How a URL is read. A file that changes while it is read is read once more.
+        Settings for URLs. A file that changes during reading is read once more.
     threads : int
-        Number of threads; 0 chooses.
+        Number of threads; 0 for an automatic choice.
     progress : Progress
+        Callback, called with ``("decode", chunks done, chunks)``.
 
     Returns
     -------
@@ -249,9 +251,9 @@ def decode(
     CogsplatError
         The file cannot be read, is short, or breaks SPEC.
     ValueError
-        More than one of `chunks`, `splats` and `size_bytes`, a range outside the file, an object
-        that it does not have, a negative number, `compensate` with chunks that are not the first,
-        a level that it does not have, or a level together with a part.
+        More than one of `chunks`, `splats` and `size_bytes`; a negative number; a range, object or
+        level that the file does not have; `compensate` with chunks that are not a prefix; or
+        `level` together with `compensate` or a part of the file.
 
     Examples
     --------
@@ -289,7 +291,7 @@ def decode(
             progress=progress,
         )
 
-    # Of a file on a network all is asked for before its root says where what is.
+    # A remote file that is decoded whole is requested at once, before its root has been read.
     parts = (chunks, splats, size_bytes, objects, sh_degree, level)
     return with_open_scene(
         whole,
@@ -318,7 +320,7 @@ def read(path: _Path, *, limits: Limits | None = None) -> Splats:
     Raises
     ------
     CogsplatError
-        The file cannot be read, is of no known format, or costs more than `limits` allow.
+        The file cannot be read, has an unknown format, or exceeds `limits`.
 
     Examples
     --------
@@ -353,20 +355,20 @@ def write(
         One of `formats.scenes.registry.WRITABLE`, such as ``"ply"``: write this format whatever
         the extension.
     absolute : bool
-        For PLY: centres as doubles in world coordinates, the scene's origin added.
+        For PLY: write means as float64 in world coordinates, with the scene's origin added.
     spz_precision : str, optional
-        For SPZ: ``"fine"``, the default, stores the centres of small scenes in finer steps than
-        other programs do; ``"usual"`` stores them in the same, for a smaller file.
+        For SPZ: quantiser step of the means. ``"usual"`` is the step of other programs, for a
+        smaller file; ``"fine"``, the default, is a finer step for small scenes.
     spz_version : int, optional
-        For SPZ: 4, the default, or 3 or 2 for programs that read no newer ones.
+        For SPZ: format version 4, the default, or 3 or 2 for older programs.
 
     Raises
     ------
     ValueError
-        `absolute` with another format than PLY, `spz_precision` or `spz_version` with another than
-        SPZ.
+        `absolute` with a format other than PLY; `spz_precision` or `spz_version` with a format
+        other than SPZ.
     CogsplatError
-        The extension names no format that can be written, or the file cannot be.
+        The extension names no writable format, or the file cannot be written.
 
     Examples
     --------
@@ -390,13 +392,13 @@ def write(
 
 
 def read_cameras(path: _Path, *, limits: Limits | None = None) -> list[Camera]:
-    """Read cameras from a ``cameras.json``, a ``transforms.json``, COLMAP's folder or a COGS file.
+    """Read cameras from a ``cameras.json``, a ``transforms.json``, a COLMAP folder or a COGS file.
 
     Parameters
     ----------
     path : path
     limits : Limits, optional
-        How many cameras there may be.
+        Limit on the number of cameras.
 
     Returns
     -------
@@ -406,7 +408,7 @@ def read_cameras(path: _Path, *, limits: Limits | None = None) -> list[Camera]:
     Raises
     ------
     CogsplatError
-        They cannot be read, or are more than `limits` allow.
+        The cameras cannot be read, or exceed `limits`.
 
     Examples
     --------

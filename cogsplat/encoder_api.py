@@ -78,8 +78,9 @@ def encode(
     force : bool
         Replace an existing file.
     progress : Progress
-        Called with a stage, its finished steps and all its steps. An `OverallProgress` receives
-        the expected costs of the stages first. Raising `Cancelled` stops the work without a file.
+        Called with a stage, its number of finished steps and its total number of steps. An
+        `OverallProgress` receives the expected costs of the stages first. Raising `Cancelled` stops
+        the work without a file.
 
     Returns
     -------
@@ -410,7 +411,7 @@ def score(
 
 
 def _require_scene(scene: object) -> None:
-    """Require splats or a path."""
+    """Raise TypeError unless a scene is `Splats` or a path."""
     if not isinstance(scene, Splats | str | os.PathLike):
         raise TypeError(f"a {type(scene).__name__}, expected Splats or the path of a scene")
 

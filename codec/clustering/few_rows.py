@@ -34,7 +34,7 @@ def train(vectors: F64, rows: int) -> F64:
     -------
     (rows, d) float64
         Codebook. The first row is initialised with zeros, the others with distant vectors. A row
-        that is nearest to no vector keeps its initial value.
+        that is nearest to no vector stays unchanged in that iteration.
     """
     sample = vectors[:: max(1, len(vectors) // _SAMPLE)]
     # Start with distant rows.

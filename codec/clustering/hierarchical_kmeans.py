@@ -282,7 +282,17 @@ def _assign(vectors: F32, leaves: list[_Leaf], threads: int) -> Index:
 
 
 def _update_rows(leaves: list[_Leaf], palette: F32, used: NDArray[np.bool_]) -> list[_Leaf]:
-    """Return the leaves with rows from a new palette, which lacks the rows not in `used`."""
+    """Return the leaves with their rows replaced by those of a new palette.
+
+    Parameters
+    ----------
+    leaves : list of _Leaf
+        Leaves with their previous rows.
+    palette : (C, d) float32
+        New rows, leaf by leaf; unused rows are missing.
+    used : (r,) bool
+        Mask of the previous rows, leaf by leaf, that are in the new palette.
+    """
     updated, base, start = [], 0, 0
     for leaf in leaves:
         stop = start + int(used[base : base + len(leaf.rows)].sum())

@@ -32,7 +32,8 @@ class TrainingConfig:
     iterations : int
         Lloyd iterations at most.
     samples : int
-        Training vectors at most, drawn by weight; bounds the time for large scenes.
+        Maximum number of training vectors, drawn half by weight and half uniformly; bounds the time
+        for large scenes.
     seed : int
         Seed of all random choices.
     """

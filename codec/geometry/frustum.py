@@ -45,7 +45,7 @@ def in_frustum(splats: Splats, camera: Camera, margin: float) -> NDArray[np.bool
 
 
 def in_picture(means: F64, camera: Camera, near_plane: float) -> NDArray[np.bool_]:
-    """Return an (N,) bool mask of the (N, 3) means that project into a camera's image."""
+    """Return an (N,) mask of the means beyond the near plane that project into a camera's image."""
     local = means @ camera.rotation.T + camera.translation
     z = local[:, 2]
     x, y = camera.fx * local[:, 0] + camera.cx * z, camera.fy * local[:, 1] + camera.cy * z

@@ -73,7 +73,7 @@ def multiply(a: F64, b: F64) -> F64:
 
 
 def _cube_group() -> tuple[F64, NDArray[np.int64]]:
-    """Return the 24 rotations of a cube, each with its permutation of the scales."""
+    """Return the 24 rotations of a cube, (24, 4) quaternions, with their axis permutations."""
     half = np.sqrt(0.5)
     found: list[F64] = []
     generators = np.array([[half, half, 0, 0], [half, 0, half, 0], [half, 0, 0, half]])

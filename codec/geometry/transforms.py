@@ -194,9 +194,10 @@ def sh_rotation(rotation: F64, degree: int) -> F64:
     Returns
     -------
     (K-1, K-1) float64
-        Block-diagonal matrix with a block per band. Coefficients ``matrix @ c`` have at
-        ``rotation @ d`` the value of c at d. Rotated bases of a band are combinations of the band's
-        bases, so each block is a least-squares solution on fixed directions.
+        Block-diagonal matrix with a block per band. The value of ``matrix @ c`` in direction
+        ``rotation @ d`` equals the value of c in direction d. Rotated bases of a band are
+        combinations of the band's bases, so each block is a least-squares solution on fixed
+        directions.
     """
     count = sh_coefficients(degree) - 1
     out = np.zeros((count, count))

@@ -128,10 +128,10 @@ def _weigh_largest(
     first: int,
     last: int,
 ) -> None:
-    """Sum weights as `_weigh` does, but only the `top_k` largest weights of each pixel for Σw.
+    """Sum the blending weights of each pair; Σw counts only each pixel's `top_k` largest weights.
 
-    Σw² and the largest weight still include all splats. The kernels are separate, because selecting
-    the largest weights would double the time of the loop over lanes of `_weigh`.
+    Σw² and the largest weight include all splats, as in `_weigh`. The kernels are separate,
+    because selecting the largest weights would double the time of the loop over lanes of `_weigh`.
     """
     live = np.empty(PIXELS, np.float32)
     # By column of the tile: unused, Σw², the largest w, and the weights of one row.

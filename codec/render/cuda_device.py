@@ -14,7 +14,7 @@ DEVICES: Final = ("cpu", "cuda")
 
 
 def require_device(device: str) -> None:
-    """Raise ValueError unless the name is in `DEVICES`."""
+    """Raise ValueError unless a device name is in `DEVICES`."""
     if device not in DEVICES:
         raise ValueError(f"device {device!r}, expected one of {DEVICES}")
 

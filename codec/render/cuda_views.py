@@ -116,7 +116,10 @@ class CudaView:
         return self._array(sums)
 
     def moments(self) -> F64:
-        """Return moments of the footprints, (M, 13) float64; see `sensitivities.add_moments`."""
+        """Return the sums from which sensitivities are computed, (M, 13) float64.
+
+        The first nine columns are the moments of each footprint (see `sensitivities._moments`).
+        """
         import torch
 
         sums = torch.zeros(

@@ -66,7 +66,7 @@ class Footprints:
         return rows
 
     def row_order(self) -> NDArray[np.int32]:
-        """Return the number of the footprint of each of the `sorted_rows`, (M,)."""
+        """Return the footprint numbers in ascending order of their rows in the scene, (M,)."""
         places = np.empty_like(self.order)
         places[self.order] = np.arange(len(self.order), dtype=np.int32)
         return places

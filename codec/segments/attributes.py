@@ -27,7 +27,7 @@ class AttributeType:
     dtype : str
         One of `splats.EXTRA_DTYPES`.
     components : int
-        Values per splat; 0 for a one-dimensional array.
+        Values per splat; 0 for one value per splat in an array of shape (n,).
     """
 
     name: str

@@ -51,7 +51,7 @@ def pack_opacities(opacities: F32, first: F32, step: float) -> bytes:
 
 
 def decode_opacities(payload: memoryview, out: F32, where: str) -> None:
-    """Replace the opacities of a chunk by the opacities at a later level.
+    """Replace the opacities of a chunk, in place, by its opacities at a finer level of detail.
 
     Parameters
     ----------

@@ -69,12 +69,15 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Compensation:
-    """Compensation layers of a scene; shifts of prefixes between two layers are interpolated.
+    """Shifts of log scales and logits that make a prefix look like the whole scene.
+
+    Each layer holds the shifts for one prefix. Shifts for a prefix between two layers are
+    interpolated.
 
     Parameters
     ----------
     layers : sequence of Layer
-        Layers with ascending numbers of chunks, from 1 to all.
+        Layers in ascending order of their chunk counts.
     chunk_splats : (c,) int64
         Number of splats in each chunk of the scene.
     """
@@ -183,7 +186,9 @@ class Compensation:
         return out
 
     def _prefix_shifts(self, prefix: int, chunks: I64, entries: NDArray[np.int8]) -> F32:
-        """Return the shifts of chunks for one prefix, interpolated between layers, (n, 2).
+        """Return each splat's shifts of log scales and logit for one prefix, (n, 2) float32.
+
+        Shifts are interpolated between layers.
 
         Parameters
         ----------

@@ -65,7 +65,17 @@ class StreamSet:
         return self._pop(attribute, ESCAPE, rows)
 
     def _pop(self, attribute: Attribute, flag: int, rows: int) -> StoredStream:
-        """Remove and return a stream; check its rows and that its kind is allowed here."""
+        """Remove and return a stream; check its row count and its kind.
+
+        Parameters
+        ----------
+        attribute : Attribute
+            Attribute of the stream.
+        flag : int
+            `ESCAPE` for the attribute's escape rows, else 0.
+        rows : int
+            Expected number of rows.
+        """
         stream = self._stored.pop((attribute, flag), None)
         name = attribute.name.lower() + (" escape" if flag else "")
         if stream is None:

@@ -65,7 +65,7 @@ class ViewTable:
 
 
 def encode_shares(shares: F64) -> U8:
-    """Return the nearest code of each share.
+    """Return the nearest code of each share; codes are spaced about logarithmically (SPEC 5.12).
 
     Examples
     --------

@@ -23,7 +23,7 @@ _PARAMS: Final = struct.Struct("<II")
 
 @dataclass(frozen=True)
 class CodebookUse:
-    """Codebook and escape rows that a stream refers to.
+    """Codebook number and count of escape rows that a stream refers to.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def write(attribute: Attribute, indices: U32, codebook: int, size: int, escape_r
 
 
 def parse(stream: StoredStream) -> CodebookUse:
-    """Return the codebook and the escape rows that a vq stream refers to.
+    """Return the codebook number and the count of escape rows of a vq stream.
 
     Raises
     ------

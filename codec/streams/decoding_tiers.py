@@ -50,7 +50,8 @@ def chunk_reader() -> ChunkReader | None:
 def load_if_worthwhile(splats: int) -> None:
     """Start loading the kernels if this decode, or all decodes so far, are large enough.
 
-    Kernels are also loaded if numba is. Returns at once: numpy decodes until loading ends.
+    Loading also starts if another module has imported numba. Returns at once: numpy decodes until
+    loading ends.
 
     Parameters
     ----------

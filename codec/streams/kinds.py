@@ -132,7 +132,9 @@ def refinement_kind(stream: StoredStream) -> Kind | None:
 
 
 def codebook_use(stream: StoredStream) -> CodebookUse:
-    """Return the codebook and the escape rows that a stream of shape or shN refers to.
+    """Return the codebook number and the count of escape rows of a stream of shape or shN.
+
+    Escape rows are vectors that a chunk stores itself because no codebook row is close enough.
 
     Raises
     ------

@@ -51,7 +51,8 @@ class Parameters:
     width : int
         Number of coordinates in use.
     sizes : bytes
-        Bytes of an inner code and of a last code, for each group.
+        For each group of coordinates: bytes of one inner code, then of one last code. The last code
+        of a row is the code of its last non-zero coordinate; the codes before it are inner codes.
     """
 
     step: float

@@ -112,7 +112,7 @@ def morton_order(codes: I64, extra_bits: U8) -> I64:
 
 
 def _cells(codes: I64, extra_bits: U8) -> U32:
-    """Return the (n, 3) grid cells of codes: the codes without the extra bits of their rows."""
+    """Return the (n, 3) grid cells of codes: each code shifted right by its row's extra bits."""
     cells: U32 = (codes >> extra_bits.astype(np.int64)[:, None]).astype(np.uint32)
     return cells
 

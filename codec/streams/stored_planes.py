@@ -15,16 +15,16 @@ U32 = NDArray[np.uint32]
 
 @dataclass(frozen=True, eq=False)
 class StoredPlanes:
-    """Stored bytes of all planes of one payload.
+    """Byte planes of one payload as stored, before decompression, with their positions.
 
     Parameters
     ----------
     payload : memoryview
         Bytes of the segment.
     words : (p,) uint32
-        Stored length and flags of each plane.
+        Word of each plane: its stored length and flags (SPEC 6.3).
     ends : (p,) int64
-        End of each plane, where the next one begins.
+        End of each plane in the payload, bytes; the next plane begins there.
     """
 
     payload: memoryview
