@@ -1,6 +1,6 @@
 """Write ``docs/reference/commands.md``, the help of every command.
 
-Run ``python -m cogsplat.tools.lab.make_commands`` after a change of an option or a help text.
+Run ``python -m cogsplat.tools.make_commands`` after a change of an option or a help text.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ import click
 from cogsplat.tools.main import cli
 from cogsplat.tools.terminal.option_groups import HELP_ALL
 
-ROOT: Final = Path(__file__).resolve().parents[2]
+ROOT: Final = Path(__file__).resolve().parents[1]
 PAGE: Final = Path("docs") / "reference" / "commands.md"
 
 _WIDTH: Final = 100
 _TOP: Final = """# Commands
 
 The help of every command, with the options that only `--help-all` shows.
-`python -m cogsplat.tools.lab.make_commands` writes this page.
+`python -m cogsplat.tools.make_commands` writes this page.
 """
 
 
