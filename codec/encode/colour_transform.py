@@ -78,7 +78,7 @@ class ColourBasis:
 
     @property
     def projection(self) -> F64:
-        """Matrix that maps coefficients, (n, 3(K-1)), to coordinates."""
+        """Matrix from flattened SH coefficients to basis coordinates, (3(K-1), B)."""
         rows: F64 = self.rows.astype(np.float64)
         weighted: F64 = self.metric @ rows.T
         return np.linalg.solve(rows @ weighted, weighted.T).T.astype(np.float64)
@@ -165,7 +165,7 @@ def fit(
     chunks : sequence of slice
         Row ranges of the chunks, at least one; their steps decide the number of basis rows.
     principal : bool
-        Use principal axes; otherwise the coefficients themselves, those with most levels first.
+        Use principal axes; otherwise single coefficients, by descending energy in quantiser steps.
     """
     count = coefficients_of(slice(0, 0)).shape[1]
     spread = basis_spread[:count, :count]

@@ -205,7 +205,7 @@ class EncodedScene:
     Parameters
     ----------
     scene : Splats
-        SH degree, `info` and types of extra attributes of the scene; no rows.
+        Scene without rows: holds SH degree, `info` and types of extra attributes.
     splats : int
         Number of stored splats.
     pruned : int

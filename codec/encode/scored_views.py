@@ -100,7 +100,7 @@ def score_scene(splats: Splats, request: EncodeRequest, progress: Progress) -> S
 
 
 def _score_planned(splats: Splats, request: EncodeRequest, progress: Progress) -> ScoredViews:
-    """Plan scoring and test views around a scene, and score the scene."""
+    """Plan views for a scene without cameras, and score the scene in them."""
     planned = _plan_views(splats, request, progress)
     settings = request.scoring
     settings = replace(settings, jitter=settings.jitter and request.effort.planned_jitter)

@@ -73,7 +73,7 @@ def add_gradient(
     rows : (M,) int32
         Splats that the view shows.
     by_scale, by_opacity : (M,) float64
-        Derivatives by log scale and by logit.
+        Derivatives of the view's error w.r.t. log scale and logit.
     weight : float
         Weight of the view.
     gradients : (n, 2) float64

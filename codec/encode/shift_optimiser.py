@@ -122,7 +122,7 @@ class _Drawn:
 def _view_gradient(
     view: int, prefix: Splats, references: ReferenceViews, drawn: _Drawn
 ) -> Gradient:
-    """Return the gradient of a reference view's error by shifted scales and opacities."""
+    """Return the gradient of a view's error w.r.t. the shifted log scales and logits."""
     camera = references.cameras[view]
     shapes = prefix.without_extras().with_sh_degree(0)
     return gradient(
@@ -301,7 +301,7 @@ class ShiftOptimiser:
         references: ReferenceViews,
         views: Sequence[int],
     ) -> F64:
-        """Return the gradient of the mean log error by the shifts of a layer, (n, 2)."""
+        """Return the gradient of the views' mean log error w.r.t. a layer's shifts, (n, 2)."""
         size = self._sizes[number]
         # A new object for each step: an executor may cache shared arguments.
         drawn = _Drawn(*(values[:size] for values in self._drawn))

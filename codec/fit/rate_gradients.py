@@ -127,7 +127,7 @@ class _Streams:
         attribute : Attribute
             Attribute of the grid.
         grid : Grid
-            Grid of the stream in the head or tail.
+            Quantiser grid of the attribute's stream in the head or tail.
         """
         digits = self.refinements.get(attribute)
         if digits is None:

@@ -86,7 +86,7 @@ def next_count_for_psnr(
 def corrected_count(count: int, measured_db: float, target_db: float, max_count: int) -> int | None:
     """Return a better number of splats for a target PSNR; None to keep the current number.
 
-    Storing the splats costs some PSNR. The measured PSNR less this loss is compared to the target.
+    The measured PSNR, less a typical storage loss (`_STORING_LOSS_DB`), is compared to the target.
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ class TimeBudget:
         return steps * (_FIXED_SHARE + (1.0 - _FIXED_SHARE) * share)
 
     def fix_factor(self, factor: float) -> None:
-        """Set the factor, and ignore the deadline from now on; used to resume a run."""
+        """Set the factor on planned steps and remove the deadline; used to resume a run."""
         self.factor = factor
         self._deadline = None
 
@@ -81,6 +81,8 @@ class TimeBudget:
 
     def affordable_count(self, planned: int, seconds: float, reserved_seconds: float) -> int:
         """Return the number of repetitions of some work that fit before the deadline, at least 1.
+
+        The result stays between `_MIN_FACTOR` and `_MAX_FACTOR` times `planned`.
 
         Parameters
         ----------

@@ -94,7 +94,7 @@ class TuneResult:
     encoded : EncodedScene
         Encoded scene; its report has the PSNR against the source.
     splats : Splats
-        Splats before training through the quantisers; the source where tuning saved nothing.
+        Trained splats before quantised training; the source if its untuned encode is returned.
     """
 
     encoded: EncodedScene
@@ -377,7 +377,7 @@ class _TuningRun:
         self.time_budget.run_timed(run, TimeBudget.work(steps, self._share))
 
     def _update_time_budget(self, recovery_steps: int) -> None:
-        """Fit the remaining training to the deadline.
+        """Set the factor on planned steps so that the remaining training meets the deadline.
 
         Parameters
         ----------

@@ -28,8 +28,9 @@ def bring_forward(
     -------
     (N,) int64
         Order of all rows. A prefix of n rows holds the first ``mix · n`` of `view_rows` and the
-        first ``(1 - mix) · n`` of `rows`; a row in both counts for both. After the last
-        row taken from `view_rows` the remaining rows follow in the order of `rows`.
+        first ``(1 - mix) · n`` of `rows`; a row in both is placed once and counts for
+        both. After the last row taken from `view_rows` the remaining rows follow in the order of
+        `rows`.
     """
     first = view_rows[: math.ceil(share * len(rows))]
     rank = np.empty(len(rows), np.int64)

@@ -78,7 +78,7 @@ class GainConfig:
 
 @dataclass(frozen=True, eq=False)
 class StageSplats:
-    """Splats that one stage draws: the prefix and its candidates.
+    """Splats that one stage of `gain_order` draws: the prefix and its candidates.
 
     SH coefficients are read from the scene, without a copy.
 

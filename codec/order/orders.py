@@ -195,7 +195,7 @@ def _by_gain(scene: OrderInputs, config: OrderConfig) -> NDArray[np.int64]:
 
 
 def _baseline(priority: Callable[[Splats], NDArray[np.float64]]) -> Order:
-    """Return the order by descending `priority`."""
+    """Return an order function that sorts by descending `priority`."""
     return lambda scene, config: baselines.sort_descending(priority(scene.splats))
 
 

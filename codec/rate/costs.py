@@ -111,7 +111,7 @@ class Costs:
         return Costs(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
     def equalise(self) -> Costs:
-        """Return costs with each attribute's mean in every row, so that all splats share steps."""
+        """Return costs with each per-splat cost set to its mean, so that all splats share steps."""
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
         level = {name: np.full_like(x, x.mean()) for name, x in values.items() if x.ndim == 1}
         return replace(self, **level)

@@ -40,12 +40,12 @@ class HeadCoarseness:
     Parameters
     ----------
     scales : tuple of int
-        Limit of the refinement digits' radix, one per scale difference. At 1 the head holds the
-        values in full.
+        Maximum radix of the refinement digits of each scale difference. At 1 the head holds the
+        full values.
     means : int
         Number of low bits of each coordinate that the refinement holds.
     opacities, sh0 : tuple of int
-        Limit of the refinement digits' radix, one per component.
+        Maximum radix of the refinement digits of each component.
     """
 
     scales: tuple[int, ...]

@@ -72,8 +72,8 @@ def keep_mask(
     config : PruneConfig or None
         Conditions for dropping; None keeps all splats.
     lagrangian : float
-        λ at which the kept splats are stored (`allocation.lagrangian`). Infinity ignores `worth`;
-        0 drops only splats that are too transparent to be drawn.
+        λ at which the kept splats are stored (`allocation.lagrangian`). Infinity ignores
+        `config.worth`; 0 drops only splats that are too transparent to be drawn.
 
     Returns
     -------

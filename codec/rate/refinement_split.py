@@ -114,7 +114,7 @@ def _best_radix(codes: U32, levels: int, limit: int) -> tuple[int, int]:
     levels : int
         Number of levels of the component's grid.
     limit : int
-        Radix at most.
+        Maximum radix.
 
     Returns
     -------

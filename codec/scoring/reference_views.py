@@ -68,8 +68,8 @@ class ReferenceViews:
         Returns
         -------
         list of int
-            Numbers spread evenly over the given views, then over the jittered copies. Both have
-            their share of `count` by their number of views, at least one each.
+            Numbers spread evenly over the given views, then over the jittered copies. Each
+            group gets a part of `count` proportional to its size, at least one view.
         """
         total = len(self.cameras)
         if count >= total:

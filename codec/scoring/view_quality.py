@@ -60,7 +60,7 @@ class Comparison:
         return f"Comparison({held_out}, {worst}; roaming {mean_psnr_db(self.roaming):.2f} dB)"
 
     def _repr_html_(self) -> str:
-        """Return a table of the given views for notebooks."""
+        """Return an HTML table of the held-out views for notebooks."""
         rows = "".join(
             f"<tr><td>{escape(one.view)}</td><td>{one.psnr_db:.2f}</td><td>{one.ssim:.4f}</td></tr>"
             for one in self.held_out

@@ -422,7 +422,7 @@ class _Planner:
         return [drawn[row] for row in fitting]
 
     def _poses_in_box(self, count: int) -> list[Pose]:
-        """Return poses spread over the scene's bounding box that look about level."""
+        """Return poses spread over the scene's bounding box, with pitches near the usual pitch."""
         box = bounding_box(self._means, self._scene.counts)
         numbers = np.arange(count)
         places = box[0] + sequence(numbers, STEPS_3D) * (box[1] - box[0])
@@ -616,7 +616,7 @@ class _Planner:
         poses : sequence of Pose
             Poses of all views so far.
         weights : (len(poses),) float64
-            Weight of a view from each position.
+            Factor on the number of splats that a new pose at each position covers.
 
         Returns
         -------
