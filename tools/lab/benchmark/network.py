@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import json
 import random
-import resource
 import subprocess
 import sys
 import tempfile
@@ -231,7 +230,7 @@ def large_file(path: Path, tries: int, seed: int = 1, place: Path | None = None)
                 assert len(splats)
                 requests = max(requests, file.traffic.requests - opening.requests)
                 received = max(received, file.traffic.received_bytes - opening.received_bytes)
-        memory = _peak_bytes() - before
+        memory = _resident_bytes(peak=True) - before
     size = path.stat().st_size
     return LargeFile(
         size, count, pages, opening.requests, opening.received_bytes, requests, received, memory
@@ -325,16 +324,17 @@ async def _read(data: bytes, url: str, process: int, readers: int, seconds: floa
     )
 
 
-def _resident_bytes(process: int | str = "self") -> int:
-    """Return the resident memory of a process, bytes."""
+def _resident_bytes(process: int | str = "self", *, peak: bool = False) -> int:
+    """Return the resident memory of a process, bytes; with `peak`, its maximum.
+
+    The maximum is that of the program itself; `getrusage` would include the process that it was
+    started from.
+    """
+    field = "VmHWM" if peak else "VmRSS"
     for line in Path(_STATUS.format(process)).read_text(encoding="ascii").splitlines():
-        if line.startswith("VmRSS"):
+        if line.startswith(field):
             return int(line.split()[1]) * 1024
     raise RuntimeError(f"process {process} states no resident memory")
-
-
-def _peak_bytes() -> int:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def _print(found: object, as_json: bool) -> None:
