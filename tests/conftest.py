@@ -61,7 +61,9 @@ class SkippedTests:
             return
         folder = Path(session.config.rootpath) / ".pytest_cache"
         folder.mkdir(exist_ok=True)
-        (folder / "skipped").write_text("\n".join(missing), encoding="utf-8")
+        # Without parameters, which may have other names where more is installed.
+        names = dict.fromkeys(name.partition("[")[0] for name in missing)
+        (folder / "skipped").write_text("\n".join(names), encoding="utf-8")
 
 
 @pytest.fixture(scope="module", params=["numpy", "compiled"])

@@ -39,8 +39,8 @@ def _columns(steps: ProgressColumn) -> tuple[ProgressColumn, ...]:
         BarColumn(),
         TaskProgressColumn(),
         TimeElapsedColumn(),
-        TextColumn("left"),
         TimeRemainingColumn(),
+        TextColumn("left"),
         steps,
     )
 
