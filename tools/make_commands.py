@@ -26,26 +26,28 @@ The help of every command, with the options that only `--help-all` shows.
 """
 
 
-def commands(group: click.Group, path: str) -> Iterator[tuple[str, click.Command, click.Context]]:
-    """Yield the full name of each command below a group, the command and its context."""
-    context = click.Context(group, info_name=path)
-    for name in group.list_commands(context):
-        command = group.get_command(context, name)
+def commands(group: click.Context) -> Iterator[click.Context]:
+    """Yield the context of each command below the group of a context, as a call of it makes one."""
+    assert isinstance(group.command, click.Group)
+    for name in group.command.list_commands(group):
+        command = group.command.get_command(group, name)
         assert command is not None
-        full = f"{path} {name}"
+        context = click.Context(
+            command, parent=group, info_name=name, terminal_width=_WIDTH, **command.context_settings
+        )
         if isinstance(command, click.Group):
-            yield from commands(command, full)
+            yield from commands(context)
         else:
-            yield full, command, click.Context(command, info_name=full, max_content_width=_WIDTH)
+            yield context
 
 
 def page() -> str:
     """Return the reference as Markdown."""
     parts = [_TOP]
-    for name, command, context in commands(cli, "cogsplat"):
+    for context in commands(click.Context(cli, info_name="cogsplat", **cli.context_settings)):
         context.meta[HELP_ALL] = True
-        context.terminal_width = _WIDTH
-        parts.append(f"## {name}\n\n```text\n{command.get_help(context).rstrip()}\n```\n")
+        text = context.get_help().rstrip()
+        parts.append(f"## {context.command_path}\n\n```text\n{text}\n```\n")
     return "\n".join(parts)
 
 
