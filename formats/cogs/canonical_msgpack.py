@@ -197,7 +197,7 @@ class _Reader:
             ) from None
 
     def _enter(self, values: int, depth: int) -> int:
-        """Check depth and number of values of a map or array before its first value is read."""
+        """Check depth and value count of a map or array; return the depth of its values."""
         if depth == MAX_DEPTH:
             raise self.error("msgpack-depth", f"a deeper nesting, expected at most {MAX_DEPTH}")
         # Every value takes at least one byte.

@@ -363,7 +363,7 @@ class FolderMap:
         )
 
     def _within(self, offset: int, length: int) -> list[tuple[int, IndexExtent]]:
-        """Return the indexes, with their numbers, that overlap a range including their segments."""
+        """Return number and extent of each index that, with its segments, overlaps a range."""
         first = max(0, bisect_right(self._starts, offset) - 1)
         end = offset + length
         return [
@@ -382,7 +382,7 @@ class _Segments:
         self._ends: NDArray[np.int64] = start + np.cumsum(self._lengths)
 
     def object_ranges(self, first: int, last: int) -> list[ObjectRange]:
-        """Return the object ranges of the segments between two byte offsets of the file."""
+        """Return the object ranges that hold the bytes of the file from `first` to before `last`."""
         found = []
         row = int(np.searchsorted(self._ends, first, side="right"))
         while first < last:

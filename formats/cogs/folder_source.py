@@ -110,7 +110,7 @@ class FolderSource(ObjectSource):
         return parts[0] if len(parts) == 1 else b"".join(parts)
 
     def holds(self, offset: int, length: int) -> bool:
-        """Whether the objects of a range existed at the first call."""
+        """Whether all objects of a range exist; the folder is listed once, at the first call."""
         return all(
             not piece.name or piece.name in self._objects
             for piece in self._object_ranges(offset, length)
@@ -156,7 +156,7 @@ class FolderSource(ObjectSource):
         return data
 
     def _object_bytes(self, piece: ObjectRange) -> bytes:
-        """Read a range of an object, whose length must be as in the manifest."""
+        """Read a range of an object; refuse an object of another length than in the manifest."""
         path = self._folder / piece.name
         if path.parent.is_symlink():
             raise self._refused(piece, "is behind a link")

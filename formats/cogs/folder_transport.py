@@ -143,7 +143,10 @@ class FolderTransport:
     async def _parts(
         self, number: int, answer: RangeResponse, start: int, stop: int
     ) -> AsyncGenerator[bytes, None]:
-        """Yield the bytes from `start` to `stop` of a response; keep a whole object in memory."""
+        """Yield the bytes from `start` to `stop` of an object, cut from a response.
+
+        Also keep an object that the server sent whole, up to `_KEPT_BYTES`, for later ranges.
+        """
         size, whole = self._sizes[number], answer.head.is_whole
         keep = whole and (number == 0 or size <= _KEPT_BYTES)
         self._has_ranges = self._has_ranges and not whole
@@ -195,5 +198,5 @@ class FolderTransport:
 
 
 async def _of_memory(data: bytes) -> AsyncIterator[bytes]:
-    """Yield bytes as the single part of a body."""
+    """Yield bytes in memory as the only part of a response body."""
     yield data

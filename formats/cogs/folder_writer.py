@@ -28,7 +28,7 @@ _MAX_OBJECT_BYTES: Final = (1 << 32) - 1
 
 @dataclass(frozen=True)
 class Unpacked:
-    """Counts of an unpacked file.
+    """Result of unpacking a file: its manifest, and counts of its objects.
 
     Parameters
     ----------

@@ -357,7 +357,7 @@ def join_pages(
         opacities=opacities,
         codebooks=_codebook_segments(source, root, table, whole=whole),
         attributes=_attribute_rows(source, root, table, heads),
-        cameras=_camera_segment(source, table),
+        cameras=_camera_row(source, table),
         layers=_layer_rows(source, table) if whole or not keep_numbers else [],
         view_table=_view_table_row(source, table),
         all_chunks=_all_chunks(root),
@@ -424,7 +424,7 @@ def _check_own_heads(table: SegmentTable, chunks: ChunkTable, where: str) -> Non
 
 
 def _head_rows(source: Source, table: SegmentTable, known: NDArray[np.bool_]) -> I64:
-    """Return the row of each chunk's head (SPEC 5.4); -1 if its page was not read."""
+    """Return the segment row of each chunk's head (SPEC 5.4); -1 if its page was not read."""
     heads = np.flatnonzero(table.kind == SegmentKind.HEAD).astype(np.int64)
     if not np.array_equal(table.owner[heads], np.flatnonzero(known)):
         raise FormatError(
@@ -439,7 +439,7 @@ def _head_rows(source: Source, table: SegmentTable, known: NDArray[np.bool_]) ->
 
 
 def _tail_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I64:
-    """Return the row of each chunk's tail (SPEC 5.4); -1 for none."""
+    """Return the segment row of each chunk's tail (SPEC 5.4); -1 for none."""
     if root.sh_degree == 0 and bool((table.kind == SegmentKind.TAIL).any()):
         raise FormatError(
             "chunk-tails",
@@ -455,7 +455,7 @@ def _tail_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I
 
 
 def _refinement_rows(source: Source, table: SegmentTable, heads: I64) -> I64:
-    """Return the row of each chunk's refinement (SPEC 5.4); -1 for none."""
+    """Return the segment row of each chunk's refinement (SPEC 5.4); -1 for none."""
     rows = _rows_by_chunk(table, heads, SegmentKind.REFINEMENT)
     if rows is None:
         raise FormatError(
@@ -467,7 +467,7 @@ def _refinement_rows(source: Source, table: SegmentTable, heads: I64) -> I64:
 
 
 def _check_levels(source: Source, root: Root, all_chunks: int) -> None:
-    """Refuse levels of which the last has fewer or more chunks than the file (SPEC 5.11)."""
+    """Refuse levels whose last one does not have all chunks of the file (SPEC 5.11)."""
     if root.levels and root.levels[-1].chunks != all_chunks:
         raise FormatError(
             "level-chunks",
@@ -515,7 +515,7 @@ def _check_ends(source: Source, chunks: ChunkTable, all_chunks: int) -> None:
 
 
 def _attribute_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I64:
-    """Return the row of each chunk's extra attributes (SPEC 5.7); -1 for none."""
+    """Return the segment row of each chunk's extra attributes (SPEC 5.7); -1 for none."""
     if not root.attributes and bool((table.kind == SegmentKind.ATTRIBUTES).any()):
         raise FormatError(
             "attribute-segments",
@@ -554,8 +554,8 @@ def _misplaced(source: Source, table: SegmentTable, heads: I64, kind: SegmentKin
     )
 
 
-def _camera_segment(source: Source, table: SegmentTable) -> int:
-    """Return the row of the cameras (SPEC 5.8); -1 for none."""
+def _camera_row(source: Source, table: SegmentTable) -> int:
+    """Return the row of the cameras' segment (SPEC 5.8); -1 for none."""
     row, owners = _single_row(table, SegmentKind.CAMERAS)
     if owners:
         raise FormatError(
@@ -568,7 +568,7 @@ def _camera_segment(source: Source, table: SegmentTable) -> int:
 
 
 def _view_table_row(source: Source, table: SegmentTable) -> int:
-    """Return the row of the view table (SPEC 5.12); -1 for none."""
+    """Return the row of the view table's segment (SPEC 5.12); -1 for none."""
     row, owners = _single_row(table, SegmentKind.VIEW_TABLE)
     if owners:
         raise FormatError(
@@ -581,7 +581,10 @@ def _view_table_row(source: Source, table: SegmentTable) -> int:
 
 
 def _single_row(table: SegmentTable, kind: SegmentKind) -> tuple[int, list[int]]:
-    """Return the row of a segment kind that occurs once, and the owners if that rule is broken."""
+    """Return the row of the only segment of a kind, -1 for none, and its owners if misplaced.
+
+    The list of owners is empty if there is at most one such segment, with owner 0.
+    """
     rows = np.flatnonzero(table.kind == kind)
     owners = table.owner[rows]
     strange = owners.tolist()[:8] if len(rows) > 1 or owners.any() else []
@@ -589,7 +592,7 @@ def _single_row(table: SegmentTable, kind: SegmentKind) -> tuple[int, list[int]]
 
 
 def _layer_rows(source: Source, table: SegmentTable) -> list[int]:
-    """Return the rows of the compensation layers (SPEC 5.9)."""
+    """Return the rows of the compensation layers' segments (SPEC 5.9)."""
     rows = np.flatnonzero(table.kind == SegmentKind.COMPENSATION)
     owners = table.owner[rows]
     if not np.array_equal(owners, np.arange(len(rows))):

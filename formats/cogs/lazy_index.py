@@ -66,7 +66,7 @@ class LazyIndex:
     def for_chunks(
         self, chunks: Sequence[int], *, sh_degree: int, refine: bool, extras: bool
     ) -> Index:
-        """Return an index with every segment that decoding some chunks takes.
+        """Return an index with every segment needed to decode some chunks.
 
         Rows of other chunks may be placeholders.
 

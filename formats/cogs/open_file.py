@@ -116,7 +116,7 @@ def open_scene(
 ) -> CogsFile:
     """Open a COGS file at a path or URL.
 
-    A file at a URL with a broken index, or one that changes meanwhile, is fetched again around
+    A file at a URL with a broken index, or one that changes meanwhile, is fetched again without
     HTTP caches, which may have mixed two versions of the file (SPEC 8.8).
 
     Parameters

@@ -262,7 +262,8 @@ class StoredFile:
     def objects(self) -> dict[str, int]:
         """Return the row of the first segment in each object of a folder, by object name.
 
-        Empty for a file. Objects of a single segment are left out, as their name is its hash.
+        Empty for a file. An object of a single segment is left out: its name is the hash of the
+        segment.
 
         Raises
         ------
@@ -347,7 +348,7 @@ class StoredFile:
         return needed_codebooks(self.segments, row, len(self.root.codebooks))
 
     def _codebook_rows(self, book: int, degree: int) -> list[int] | None:
-        """Return the rows of a codebook up to an SH degree; None if a segment is missing."""
+        """Return the rows of a codebook's segments up to an SH degree; None if one is missing."""
         kinds = codebook_kinds(self.root.codebooks[book].attribute, degree)
         found = self._index.codebooks[book]
         rows = [found[kind] for kind in kinds if kind in found]

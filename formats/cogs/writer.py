@@ -202,7 +202,7 @@ _PAGE_ENTRY: Final = 96
 
 
 def _split(root: Root, segments: Sequence[Segment]) -> list[_Group]:
-    """Distribute the rows over the root and pages; a chunk's row goes with its head."""
+    """Distribute the table rows over root and pages; a chunk's row and its head stay together."""
     empty = replace(
         root,
         segments=_rows(_table([]), slice(0)),
