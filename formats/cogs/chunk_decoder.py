@@ -432,7 +432,7 @@ class ChunkDecoder(StoredFile):
                 self._codebooks[key] = self._load_codebook(book, degree)
 
     def _shapes_needed(self, head: int) -> list[int]:
-        """Return the numbers of the shape codebooks that the head at a segment row needs (SPEC 8.2)."""
+        """Return the shape codebooks that a head, given by its segment row, needs (SPEC 8.2)."""
         books = self.root.codebooks
         return [book for book in self._needed_codebooks(head) if books[book].attribute == "shape"]
 

@@ -382,7 +382,7 @@ class _Segments:
         self._ends: NDArray[np.int64] = start + np.cumsum(self._lengths)
 
     def object_ranges(self, first: int, last: int) -> list[ObjectRange]:
-        """Return the object ranges that hold the bytes of the file from `first` to before `last`."""
+        """Return the object ranges with the bytes of the file from `first` to before `last`."""
         found = []
         row = int(np.searchsorted(self._ends, first, side="right"))
         while first < last:

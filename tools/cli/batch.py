@@ -43,24 +43,24 @@ _SOME_FAILED: Final = 3
 
 @dataclass
 class _Batch:
-    """One run over a manifest.
+    """State of one run over a manifest, which lists the scenes to encode.
 
     Parameters
     ----------
     folder : Path
         Folder of the manifest, where relative paths begin.
     log : Path
-        Log, which receives a line for each encode.
+        Log file, with a line for each encode.
     common : tuple of str
-        Options of every encode.
+        Command-line options of every encode.
     before : mapping of str to mapping
-        Last log line of earlier runs by output.
+        Last log line of each output finished by earlier runs, by output.
     quiet : bool
-        Whether no line is printed.
+        Whether to print nothing.
     running : set of Popen
-        Processes that encode.
+        Running encode processes.
     stopped : bool
-        Whether no further process may start.
+        Whether `stop` was called; then no further process starts.
     lock : Lock
         Lock of `running` and `stopped`.
     """
@@ -110,7 +110,7 @@ class _Batch:
         return path.is_file() and path.stat().st_size == expected
 
     def _run(self, words: list[str]) -> tuple[int, str, str]:
-        """Run a command of ours; return exit code, standard output and standard error."""
+        """Run a ``cogsplat`` command in a process; return exit code, output and error output."""
         root = Path(cogsplat.__file__).parents[1]
         paths = [str(root), *filter(None, [os.environ.get("PYTHONPATH")])]
         command = [sys.executable, "-P", "-m", "cogsplat.tools.main", *words]

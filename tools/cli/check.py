@@ -113,7 +113,7 @@ def check(
 
 
 def _hosts(text: str | None) -> list[str] | None:
-    """Parse names of hosts, separated by commas."""
+    """Parse and check names of hosts, separated by commas; None for no option."""
     if text is None:
         return None
     names = [name.strip() for name in text.split(",")]
@@ -167,7 +167,7 @@ def _check_host(
     quiet: bool,
     as_json: bool,
 ) -> bool:
-    """Print what is wrong with a host and its scene; return whether that is an error."""
+    """Print the findings about a host and its scene; return whether the command fails."""
     with Stages(shown=not (quiet or as_json)) as stages:
         found = diagnose(url, content=not headers_only, limits=current_limits(), progress=stages)
     changes = _changes(found, hosts)
@@ -191,7 +191,10 @@ def _changes(found: Diagnosis, hosts: Sequence[str] | None) -> dict[str, dict[st
 
 
 def _host_report(found: Diagnosis, changes: dict[str, dict[str, str]]) -> dict[str, object]:
-    """Return the JSON object about a URL: its findings, with `changes` as their remedies."""
+    """Return the JSON object about a URL: its findings and remedies.
+
+    `changes` has the remedies by finding code, then by host; see `_changes`.
+    """
     return {
         "source": found.url,
         "folder": found.folder,
@@ -217,7 +220,7 @@ def _findings_report(found: list[Finding]) -> dict[str, object]:
 
 
 def _print_host(found: Diagnosis, changes: dict[str, dict[str, str]], *, quiet: bool) -> None:
-    """Print what a host answers, what is wrong with that, and the findings in the scene."""
+    """Print facts about a host, the findings about it, and the findings in the scene."""
     if not quiet:
         print_line(f"{found.url}: {'a folder' if found.folder else 'a file'}")
         seconds = found.first_chunk_s

@@ -214,7 +214,10 @@ def _scene_report(path: Path, scene: LoadedScene) -> dict[str, object]:
 
 
 def _print_figures(rows: dict[str, tuple[float, float]], notes: Sequence[str]) -> None:
-    """Print PSNR and SSIM."""
+    """Print a table of PSNR and SSIM.
+
+    `rows` has both by name, such as ``worst``; `notes` has a text per row, such as ``12 views``.
+    """
     cells = [
         (name, note, f"{psnr_db:.2f}", f"{ssim:.4f}")
         for (name, (psnr_db, ssim)), note in zip(rows.items(), notes, strict=True)
@@ -223,7 +226,7 @@ def _print_figures(rows: dict[str, tuple[float, float]], notes: Sequence[str]) -
 
 
 def _print_objects(qualities: Sequence[ObjectQuality]) -> None:
-    """Print PSNR by object."""
+    """Print a table of PSNR by object."""
     cells = [
         (
             str(one.object),

@@ -71,7 +71,8 @@ class _FileOrFolder(OutputPath):
     ) -> Path:
         """Return the path of a file, or of the manifest of a folder.
 
-        A folder is a name that ends in a separator, a folder that is there, or a manifest in it.
+        A path names a folder if it ends in a separator, is an existing folder, or ends in the
+        suffix of manifests.
         """
         text = os.fspath(value)
         names_manifest = text.lower().endswith(MANIFEST_SUFFIX)
@@ -122,12 +123,13 @@ def convert(
 
     OUT's extension names the format. Values that it cannot hold are named in a warning.
 
-    OUT/ with a slash, a folder that is there, and OUT/NAME.cogsm name a COGS folder: a manifest,
-    and segments named by their content, for hosts without byte ranges. Segments that are there
-    already are kept; manifests in one folder share them.
+    OUT/ with a slash, an existing folder, and OUT/NAME.cogsm name a COGS folder: a manifest, and
+    segments named by their content, for hosts without byte ranges. Existing segments are kept;
+    manifests in one folder share segments.
 
-    From COGS to COGS, without edits and --cameras, segments are copied and not encoded again: a
-    folder becomes the very file that it was made of. `encode` has all options of encoding.
+    From COGS to COGS, without edits and --cameras, segments are copied, not encoded again: a
+    folder becomes the file that it was made from, byte by byte. `encode` has all options of
+    encoding.
     """
     to_folder = out.name.lower().endswith(MANIFEST_SUFFIX)
     if to_folder and writing.format_name not in (None, COGS_NAME):
@@ -180,10 +182,13 @@ class _Conversion:
     Parameters
     ----------
     written : WrittenScene
+        Format, size and number of splats of the output.
     source_bytes, source_splats : int
+        Size of the source, bytes, and its number of splats.
     edited_splats : int
-        Splats after the edits.
+        Number of splats after the edits.
     sh_degree : int
+        SH degree after the edits.
     unpacked : Unpacked or None
         Objects that were written into a folder; None for a file.
     """
@@ -269,7 +274,7 @@ def _write(
 
 
 def _report(done: _Conversion, source: Path, out: Path) -> dict[str, object]:
-    """Return the JSON object."""
+    """Return the JSON object of a conversion."""
     report = {
         **done.written.report(out),
         "source_splats": done.source_splats,

@@ -153,7 +153,7 @@ def decimate(
             priority = scores.contribution
         else:
             priority = antimatter(usable)
-        kept = _keep_largest(usable, priority, target)
+        kept = _keep_highest(usable, priority, target)
         written = write_any(
             kept,
             out,
@@ -185,15 +185,15 @@ def decimate(
         )
 
 
-def _keep_largest(splats: Splats, priority: NDArray[np.float64], count: int) -> Splats:
-    """Return the splats of highest priority in the order of the file."""
+def _keep_highest(splats: Splats, priority: NDArray[np.float64], count: int) -> Splats:
+    """Return the `count` splats of highest priority, in the order of the file."""
     if count == len(splats):
         return splats
     return splats.take(np.sort(sort_descending(priority)[:count]))
 
 
 def _share(priority: NDArray[np.float64], count: int, by: str) -> float | None:
-    """Return the share of the contribution that is kept, None if it was not measured."""
+    """Return the share of the contribution in the `count` kept splats; None if not measured."""
     if by != _CONTRIBUTION or count == len(priority):
         return None
     total = float(priority.sum())

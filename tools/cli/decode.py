@@ -183,7 +183,7 @@ def _decode_into_ply(
 def _report(
     source: Path, scene: LoadedScene, decoded: int, out: Path, written: int, stages: Stages
 ) -> dict[str, object]:
-    """Return the JSON object."""
+    """Return the JSON object of a decoded part."""
     return {
         "output": display_name(out),
         "source": display_name(source),
@@ -210,7 +210,7 @@ def _chunk_range(chunks: Sequence[int]) -> tuple[int, int]:
 def _print_summary(
     scene: LoadedScene, decoded: int, out: Path, written: int, stages: Stages
 ) -> None:
-    """Print the summary."""
+    """Print the summary of a decoded part."""
     first, last = _chunk_range(scene.chunks)
     print_line(f"{out}: {decoded:,} of {scene.file_splats:,} splats, {size_text(written)}")
     span = f"{first}:{last} of {scene.file_chunks}"

@@ -331,7 +331,7 @@ class EncodeOptions:
 
     @property
     def inputs(self) -> list[Path]:
-        """Files that are read."""
+        """Files that the command reads."""
         return list(input_files(self.scene, self.cameras, self.images, self.choice.masks))
 
     def require_consistent(self) -> None:
@@ -394,7 +394,9 @@ class EncodeOptions:
         file_bytes: int,
         workspace: Workspace,
     ) -> EncodeRequest:
-        """Return the request with views, scoring settings and target size.
+        """Return the request with the parts that depend on the scene and its cameras.
+
+        These are the scored and test views, the scoring settings and the target size.
 
         Parameters
         ----------
@@ -448,7 +450,7 @@ class _NewFile:
 
 
 def _encode(options: EncodeOptions) -> None:
-    """Run the command."""
+    """Encode a scene and print its summary, as the options say."""
     from cogsplat.codec.encode.stage_costs import stage_costs
 
     options.require_consistent()

@@ -177,7 +177,7 @@ def _by_values(
     max_size: float | None,
     crop: Box | None,
 ) -> Marks:
-    """Mark the splats that each limit leaves out, by the name of the option."""
+    """Return a mask of the splats that each limit leaves out, by the name of its option."""
     marks: Marks = {}
     # Deviations that overflow float64 are infinite, above any limit.
     with np.errstate(over="ignore"):
@@ -203,7 +203,7 @@ def _floaters(
     threads: int,
     stages: Stages,
 ) -> NDArray[np.bool_]:
-    """Mark floaters."""
+    """Return a mask of floaters: isolated splats of low contribution."""
     from cogsplat.codec.geometry import floaters
     from cogsplat.codec.scoring.contribution import ScoreConfig, score
 

@@ -167,7 +167,7 @@ def _scene_info(path: Path, scene: LoadedScene, as_json: bool) -> dict[str, obje
 
 
 def _decoded_bytes(file: CogsFile) -> int:
-    """Return the bytes of the decoded arrays of a file."""
+    """Return the total size of a decoded file in memory, bytes."""
     return 4 * (14 + 3 * (sh_coefficients(file.root.sh_degree) - 1)) * file.root.splats
 
 
@@ -254,7 +254,7 @@ def _print_root(path: Path, version: str, file: CogsFile, cameras: int | None) -
 
 
 def _received(file: CogsFile) -> str:
-    """Return the received bytes and complete chunks as text, nothing for a whole file."""
+    """Return the received bytes and complete chunks as text; empty for a whole file."""
     if file.source_bytes == file.file_length:
         return ""
     share = f"{size_text(file.source_bytes)} of {size_text(file.file_length)}"
@@ -262,7 +262,7 @@ def _received(file: CogsFile) -> str:
 
 
 def _levels_text(file: CogsFile) -> str:
-    """Return picture scale and leading chunks of each level, such as ``1/8 of 12 chunks``."""
+    """Return picture scale and number of chunks of each level: ``1/8 of 12 chunks``."""
     levels = file.root.levels
     return ", ".join(
         f"1/{level.scale:g} of {count_text(level.chunks, 'chunk')}" for level in levels
@@ -270,7 +270,7 @@ def _levels_text(file: CogsFile) -> str:
 
 
 def _prefix_chunks(file: CogsFile) -> str:
-    """Return the chunks and splats that only prefixes draw as text, nothing without any."""
+    """Return as text the counts of chunks and splats that only prefixes draw; empty for none."""
     ending = file.chunks.until > 0
     if not ending.any():
         return ""
@@ -400,7 +400,7 @@ def _print_scene(path: Path, splats: Splats, file_bytes: int) -> None:
 
 
 def _origin(info: SceneInfo) -> str:
-    """Return an origin with the 12 digits of map coordinates, nothing for an origin of zero."""
+    """Return an origin as text with 12 digits, for map coordinates; empty for zero."""
     if not any(info.origin):
         return ""
     return "(" + ", ".join(f"{value:.12g}" for value in info.origin) + ")"

@@ -46,7 +46,7 @@ _STILL: Vector = (0.0, 0.0, 0.0)
 
 
 def _of_scene(parse: Callable[[str], Value]) -> Callable[[str], tuple[int, Value]]:
-    """Return a parser of ``N:VALUE``, a value for the N-th scene."""
+    """Return a parser of ``N:VALUE``, a value for scene number N, from 1."""
 
     def numbered(text: str) -> tuple[int, Value]:
         number, _, value = text.partition(":")
@@ -197,7 +197,7 @@ def _edits(
     Raises
     ------
     click.UsageError
-        An option has the number of no scene.
+        An option names a scene number above `count`.
     """
     named = {"--scale": scales, "--rotate": turns, "--translate": shifts}
     for option, values in named.items():

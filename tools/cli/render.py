@@ -168,8 +168,9 @@ def fitted(camera: Camera, width: int, height: int) -> Camera:
     Parameters
     ----------
     camera : Camera
+        Camera whose view to show.
     width, height : int
-        New size, px. With another ratio of sides, the picture shows more at two sides.
+        New size, px. With another aspect ratio, the picture shows more at two sides.
     """
     scale = min(width / camera.width, height / camera.height)
     return replace(

@@ -194,8 +194,8 @@ def tune(
     """Train fewer splats to match the pictures of SCENE.
 
     Each round removes the splats that change the pictures least and trains the others to
-    compensate. Then the rest trains through the encoder's quantisers. The reduction in size depends
-    on the scene and its cameras.
+    compensate. Then the remaining splats train through the encoder's quantisers. The reduction in
+    size depends on the scene and its cameras.
     """
     from cogsplat.codec.fit.preview_training import PreviewConfig, TrainedPreview
     from cogsplat.codec.fit.train_config import TrainConfig
@@ -296,7 +296,7 @@ def tune(
             size = metadata.save(made.encoded, out, force=force)
             if ply is not None:
                 cogsplat.write(made.splats, ply, force=force, format_name="ply")
-    _report(
+    _print_summary(
         made.encoded, scene, out, size, given.file_bytes, given.file_splats, chosen.planned, stages,
         quiet=quiet, as_json=as_json,
     )  # fmt: skip
@@ -324,7 +324,7 @@ def _print_milestone(milestone: Milestone) -> None:
     )
 
 
-def _report(
+def _print_summary(
     made: EncodedScene,
     scene: Path,
     out: Path,

@@ -135,7 +135,7 @@ def upload(
 
 
 def _confirm(unused: UnusedObjects, name: str, *, as_json: bool) -> None:
-    """Ask whether to delete objects; abort without consent."""
+    """Ask whether to delete unused objects; abort the command without consent."""
     question = (
         f"Delete {count_text(len(unused.names), 'object')} ({size_text(unused.size_bytes)}) of "
         f"{name} that {count_text(len(unused.manifests), 'manifest')} do not need?"
