@@ -7,24 +7,16 @@ import stat
 import threading
 from functools import cached_property
 from pathlib import Path
-from typing import Final
 
 from cogsplat.codec.errors import FormatError, TruncatedError
 from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
+from cogsplat.formats.storage.regular_files import open_regular
 from cogsplat.formats.storage.source import FileSource, require_within
 
 from . import layout
 from .folder_map import MANIFEST_NAME, FolderMap, ObjectRange, is_manifest
 from .folder_places import SEGMENT_FOLDER
 from .object_source import ObjectSource
-
-# Missing on Windows, where creating links needs special rights.
-_NO_LINKS: Final = getattr(os, "O_NOFOLLOW", 0)
-
-
-def _open_no_link(path: str, flags: int) -> int:
-    """Open a file, but not through a symbolic link."""
-    return os.open(path, flags | _NO_LINKS)
 
 
 def manifest_path(path: StrPath) -> Path:
@@ -175,7 +167,7 @@ class FolderSource(ObjectSource):
                 raise self._refused(piece, "is a link, a folder or a device")
             if status.st_size != piece.object_bytes:
                 raise self._refused(piece, f"has {status.st_size} bytes")
-            with open(path, "rb", opener=_open_no_link) as file:
+            with open_regular(path) as file:
                 file.seek(piece.offset)
                 data = file.read(piece.length)
         if len(data) != piece.length:

@@ -107,10 +107,20 @@ def storage_errors(path: StrPath) -> Iterator[None]:
         raise storage_error(error, path) from error
 
 
-def _require_regular(path: Path, mode: int) -> None:
-    """Refuse a folder, device, pipe or socket by its mode bits."""
+def require_regular(path: Path, mode: int) -> None:
+    """Refuse a folder, device, pipe or socket, or a link that was not followed, by its mode bits.
+
+    Raises
+    ------
+    StorageError
+        ``not-a-file``.
+    """
     if not stat.S_ISREG(mode):
-        kind = "a folder" if stat.S_ISDIR(mode) else "a device, pipe or socket"
+        kind = "a device, pipe or socket"
+        if stat.S_ISLNK(mode):
+            kind = "a link"
+        elif stat.S_ISDIR(mode):
+            kind = "a folder"
         raise StorageError("not-a-file", f"{path}: is {kind}, expected a file")
 
 
@@ -128,7 +138,7 @@ def open_for_read(path: StrPath) -> BufferedReader:
     """
     with storage_errors(path):
         # Checked before opening, because opening a pipe blocks until its other end is open.
-        _require_regular(Path(path), Path(path).stat().st_mode)
+        require_regular(Path(path), Path(path).stat().st_mode)
         return Path(path).open("rb")
 
 
@@ -159,7 +169,7 @@ def check_output(path: StrPath, *, force: bool, inputs: Iterable[StrPath] = ()) 
         target = Path(os.path.realpath(path))
         mode = _mode_of(target)
         if mode is not None:
-            _require_regular(Path(path), mode)
+            require_regular(Path(path), mode)
             for source in inputs:
                 if Path(source).exists() and target.samefile(source):
                     raise OutputIsInputError(path, source)
@@ -171,7 +181,9 @@ def check_output(path: StrPath, *, force: bool, inputs: Iterable[StrPath] = ()) 
 
 
 @contextmanager
-def atomic_write(path: StrPath, force: bool = False, *, durable: bool = True) -> Iterator[BinaryIO]:
+def atomic_write(
+    path: StrPath, force: bool = False, *, durable: bool = True, follow_links: bool = True
+) -> Iterator[BinaryIO]:
     """Open a temporary file that is renamed to `path` when the block ends without an error.
 
     Parameters
@@ -183,6 +195,8 @@ def atomic_write(path: StrPath, force: bool = False, *, durable: bool = True) ->
     durable : bool
         Whether to sync the bytes to disk before the rename. For thousands of files, one `sync_all`
         at the end is faster.
+    follow_links : bool
+        Whether `path` may be a symbolic link. Auxiliary files, such as those of a cache, refuse it.
 
     Yields
     ------
@@ -206,9 +220,11 @@ def atomic_write(path: StrPath, force: bool = False, *, durable: bool = True) ->
     """
     with storage_errors(path):
         target = Path(os.path.realpath(path))
+        if not follow_links:
+            target = Path(os.path.realpath(Path(path).parent), Path(path).name)
         old_mode = _mode_of(target)
         if old_mode is not None:
-            _require_regular(Path(path), old_mode)
+            require_regular(Path(path), old_mode)
             if not force:
                 raise TargetExistsError(path)
         _remove_stale(target.parent)
@@ -322,9 +338,9 @@ def _move_to_new_name(temporary: Path, target: Path, path: StrPath) -> None:
 
 
 def _mode_of(path: Path) -> int | None:
-    """Return the mode bits of a file, or None if it does not exist."""
+    """Return the mode bits of a file or link, or None if it does not exist."""
     try:
-        return path.stat().st_mode
+        return path.lstat().st_mode
     except FileNotFoundError:
         return None
 
