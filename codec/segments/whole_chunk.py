@@ -64,7 +64,7 @@ def _decode_compiled(
     out: Splats,
     sh_degree: int,
 ) -> bool:
-    """Decode a chunk by the compiled pass; return False if numpy must decode it instead."""
+    """Decode a chunk by the compiled reader; return False if numpy must decode it instead."""
     read = decoding_tiers.chunk_reader()
     if read is None:
         return False

@@ -22,16 +22,16 @@ MODEL_BYTES: Final = _COEFFICIENTS.size
 """Bytes of a step model in a stream's parameters."""
 
 MAX_EXTRA_BITS: Final = 15
-"""Most extra bits of a row: its step is at least 2^-15 of the base step (SPEC 6.10)."""
+"""Maximum number of extra bits of a row; the step is then 2^-15 of the base step (SPEC 6.10)."""
 
-# Knees of the two features of each difference of scales. The extra bits rise steeply for nearly
-# round splats, then slower (measured on trained scenes).
+# Each difference of log scales enters the model clamped at two knees. On trained scenes the extra
+# bits rise steeply with the difference for nearly round splats, then slower.
 _LONG_MID_KNEE: Final = (np.float32(1.5), np.float32(5))
 _MID_THIN_KNEE: Final = (np.float32(0.5), np.float32(3))
 KNEES: Final = np.array([*_LONG_MID_KNEE, *_MID_THIN_KNEE], np.float32)
-"""Values at which the four features stop growing, float32."""
+"""Upper limits of the differences p (twice) and q (twice) in `StepModel`, float32."""
 
-# Corrections of a fit: clamped rows make each one fall a little short.
+# Iterations of the correction in `_calibrated`: clamped rows make each one fall a little short.
 _CORRECTIONS: Final = 6
 
 MAX_COEFFICIENT: Final = 1e6
@@ -40,11 +40,12 @@ MAX_COEFFICIENT: Final = 1e6
 
 @dataclass(frozen=True)
 class StepModel:
-    """Model of a row's extra bits as a function of its log scales; each bit halves the step.
+    """Model of the extra bits of each splat, given its log scales (SPEC 6.10).
 
-    ``floor(c0 + c1·s + c2·min(p, 1.5) + c3·min(p, 5) + c4·min(q, 0.5) + c5·min(q, 3))``, clamped
-    to 0 to `MAX_EXTRA_BITS`, with s the third log scale, p the third minus the first, q the first
-    minus the second.
+    A splat with h extra bits is quantised with the base step / 2^h. h is ``floor(c0 + c1·s +
+    c2·min(p, 1.5) + c3·min(p, 5) + c4·min(q, 0.5) + c5·min(q, 3))``, clamped to 0 to
+    `MAX_EXTRA_BITS`. s is the largest log scale, p the largest minus the middle, q the middle minus
+    the smallest.
 
     Parameters
     ----------
@@ -118,7 +119,7 @@ def require_scales(inputs: Inputs) -> F32:
 
 
 def fit(scales: F32, sensitivity: F64, lagrangian: float, base_step: float) -> StepModel:
-    """Fit a step model so that the quantisation error of each row costs λ.
+    """Fit a step model so that each row adds about the same error λ to the rendered image.
 
     Parameters
     ----------
@@ -145,9 +146,16 @@ def fit(scales: F32, sensitivity: F64, lagrangian: float, base_step: float) -> S
 def _calibrated(
     solution: F64, scales: F32, sensitivity: F64, lagrangian: float, base_step: float
 ) -> StepModel:
-    """Return the model with its first coefficient corrected so that the mean cost equals λ.
+    """Correct coefficient c0 so that the mean of ``sensitivity · step²`` equals λ.
 
-    The fit minimises errors of logarithms; the target is the mean of the squares themselves.
+    The least-squares fit is one of log2(step), whose errors bias the mean of step².
+
+    Parameters
+    ----------
+    solution : (6,) float64
+        Fitted coefficients; c0 is changed in place.
+    scales, sensitivity, lagrangian, base_step
+        See `fit`.
     """
     model = _rounded(solution)
     for _ in range(_CORRECTIONS):
@@ -159,13 +167,13 @@ def _calibrated(
 
 
 def _rounded(coefficients: F64) -> StepModel:
-    """Return the model of coefficients, limited and rounded to float32."""
+    """Return the step model of coefficients, clamped to ±1e5 and rounded to float32."""
     limited = np.clip(coefficients, -1e5, 1e5).astype(np.float32)
     return StepModel(tuple(float(c) for c in limited))
 
 
 def _features(scales: F32) -> list[F32]:
-    """Return the five inputs of a step model, (n,) each, from (n, 3) log scales (SPEC 6.10)."""
+    """Return the five terms that a step model weights by c1 to c5, (n,) each (SPEC 6.10)."""
     long = scales[:, 2]
     p = long - scales[:, 0]
     q = scales[:, 0] - scales[:, 1]

@@ -23,9 +23,9 @@ def pack(values: U64, widths: U8) -> U8:
     Parameters
     ----------
     values : (n,) uint64
-        Bits above the width are ignored.
+        Values of the fields; bits above the width are ignored.
     widths : (n,) uint8
-        At most `MAX_WIDTH`.
+        Width of each field, bits; at most `MAX_WIDTH`.
 
     Returns
     -------
@@ -53,9 +53,9 @@ def unpack(data: U8, widths: U8, where: str) -> U64:
     data : (m,) uint8
         Exactly `packed_bytes(widths)` bytes.
     widths : (n,) uint8
-        At most `MAX_WIDTH`, checked by the caller.
+        Width of each field, bits; at most `MAX_WIDTH`, checked by the caller.
     where : str
-        Names the plane in messages.
+        Name of the plane in messages.
 
     Raises
     ------
@@ -91,14 +91,14 @@ def _fields(data: U8, widths: U8) -> U64:
 
 
 def windows(data: U8, positions: I64) -> U64:
-    """Return the 64 bits that begin at each bit position; zeros follow the data.
+    """Return the 64 bits that begin at each bit position; bits after the data are 0.
 
     Parameters
     ----------
     data : (m,) uint8
         Packed bytes.
     positions : (n,) int64
-        In bits, at most 8 m.
+        Bit positions, at most 8 m.
     """
     words = np.zeros((len(data) + 7 >> 3) + 2, "<u8")
     words.view(np.uint8)[: len(data)] = data

@@ -34,7 +34,7 @@ _LEVEL: Final = 17
 
 
 def pack_plane(plane: U8, *, digits: bool = True) -> tuple[int, bytes]:
-    """Encode one plane in the way that needs the fewest bytes.
+    """Encode one plane as plain bytes, packed symbols or a zstd frame, whichever is smallest.
 
     Parameters
     ----------
@@ -48,11 +48,12 @@ def pack_plane(plane: U8, *, digits: bool = True) -> tuple[int, bytes]:
     word : int
         Stored length and flags.
     stored : bytes
+        Encoded plane.
 
     Notes
     -----
-    zstd's Huffman stage spends whole bits on a symbol. Packing several symbols into a byte spreads
-    that loss: sparse planes become nearly as small as with a range coder.
+    zstd's Huffman stage spends whole bits on a symbol. With several symbols per byte the rounding
+    loss is shared: sparse planes become nearly as small as with a range coder.
     """
     best, word = _compress_if_smaller(plane.tobytes())
     radix = int(plane.max(initial=0)) + 1

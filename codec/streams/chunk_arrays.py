@@ -1,4 +1,4 @@
-"""Arrays that the compiled pass over a chunk reads and writes."""
+"""Arrays that the compiled chunk reader reads and writes."""
 
 from __future__ import annotations
 
@@ -42,10 +42,11 @@ class CodebookRows:
     Parameters
     ----------
     shapes : callable
-        Returns the (C, 3) log scales and (C, 4) quaternions of a shape codebook; None if there is
-        none of this number.
+        Returns the (C, 3) log scales and (C, 4) quaternions of a shape codebook; None if the file
+        has no shape codebook of this number.
     colours : callable
-        Returns the (C, d) rows of a colour codebook, d as in `ChunkArrays`; None likewise.
+        Returns the (C, d) rows of a colour codebook, d as in `ChunkArrays`; None if the file has
+        no colour codebook of this number.
     """
 
     shapes: Callable[[int], tuple[F32, F32] | None]

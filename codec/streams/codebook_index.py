@@ -77,12 +77,19 @@ def parse(stream: StoredStream) -> CodebookUse:
 
 
 def read_indices(stream: StoredStream, size: int) -> U32:
-    """Return the (rows,) indices into a codebook of `size` rows followed by escape rows.
+    """Return the (rows,) indices of a vq stream; indices from `size` on refer to escape rows.
+
+    Parameters
+    ----------
+    stream : StoredStream
+        Vq stream.
+    size : int
+        Number of rows of the codebook.
 
     Raises
     ------
     FormatError
-        As `parse`, and ``stream-planes``, ``index-range``.
+        Codes of `parse`; ``stream-planes``; ``index-range``.
     """
     escape_rows = parse(stream).escape_rows
     total = size + escape_rows
@@ -106,7 +113,7 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     Raises
     ------
     FormatError
-        As `read_indices`.
+        Codes of `read_indices`.
     ValueError
         No codebook is given.
     """
@@ -130,7 +137,7 @@ def gather(codebook: F32, escape: F32 | None, indices: U32, out: F32) -> None:
     out : (n, d) float32
         Selected rows.
     """
-    # Only a mode that cannot fail writes into `out` without a copy; escapes are overwritten below.
+    # mode="raise" would make numpy copy `out`. Rows of clipped indices are overwritten below.
     np.take(codebook, indices, axis=0, out=out, mode="clip")
     if escape is not None and len(escape):
         escaped = np.flatnonzero(indices >= len(codebook))

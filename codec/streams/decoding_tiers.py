@@ -1,7 +1,7 @@
-"""The choice between the two ways of decoding: numpy, or the compiled pass over whole chunks.
+"""Choice between the two decoders of a chunk: numpy, or the compiled chunk reader.
 
-Both give the same bits. numba is optional and takes 0.5 s to load. numpy therefore decodes until
-the kernels are loaded, on a thread of their own, once a process decodes enough splats.
+Both give the same bits. numba is optional and takes 0.5 s to load. A background thread therefore
+loads the kernels once a process has decoded enough splats; until then numpy decodes.
 """
 
 from __future__ import annotations
@@ -17,13 +17,15 @@ from .kernel_loader import KernelLoader
 ChunkReader = Callable[
     [memoryview, memoryview | None, memoryview | None, CodebookRows, ChunkArrays, int], bool
 ]
-"""The compiled pass, `kernels_chunk.read`: False means that numpy must decode the chunk."""
+"""Compiled chunk reader, `kernels_chunk.read`; it returns False if numpy must decode the chunk."""
 
 MIN_SPLATS: Final = 3_000_000
-"""Splats of one decode from which loading numba and the kernels (0.5 s) pays (measured)."""
+"""Minimum number of splats in one decode for which loading the kernels (0.5 s) saves time."""
 
 MIN_SPLATS_REPEATED: Final = 150_000
-"""Splats of several decodes in one process from which loading pays: more are likely to follow."""
+"""Minimum number of splats in several decodes of one process for which the kernels are loaded.
+
+It is lower than `MIN_SPLATS` because a process that decodes repeatedly is likely to go on."""
 
 KERNEL_MODULES: Final = tuple(f"{__package__}.kernels_{name}" for name in ("chunk_layout", "chunk"))
 """Modules of the kernels that decoding calls, for `compiling.kernels_in`."""
@@ -38,12 +40,12 @@ _splats_begun = 0
 
 
 def is_compiled() -> bool:
-    """Tell whether the compiled pass is in use."""
+    """Tell whether the compiled chunk reader is in use."""
     return _chunk_reader is not None
 
 
 def chunk_reader() -> ChunkReader | None:
-    """Return the compiled pass over a chunk; None while numpy decodes."""
+    """Return the compiled chunk reader; None while numpy decodes."""
     return _chunk_reader
 
 
@@ -69,12 +71,17 @@ def load_if_worthwhile(splats: int) -> None:
 
 
 def use_compiled(wanted: bool) -> bool:
-    """Select the compiled pass, loading it now if need be, or numpy alone.
+    """Select the compiled chunk reader or numpy for all later decodes of the process.
+
+    Parameters
+    ----------
+    wanted : bool
+        Whether to use the compiled reader; it is loaded now if necessary.
 
     Returns
     -------
     bool
-        Whether the compiled pass is now in use; False if numba is missing.
+        Whether the compiled reader is now in use; False if numba is missing.
     """
     global _decided, _chunk_reader
     _decided = True
@@ -83,7 +90,7 @@ def use_compiled(wanted: bool) -> bool:
 
 
 def _switch_to_compiled() -> None:
-    """Switch to the compiled pass; `LOADER` calls this once the kernels are loaded.
+    """Switch to the compiled chunk reader; `LOADER` calls this once the kernels are loaded.
 
     An earlier call of `use_compiled` takes precedence.
     """
@@ -93,7 +100,7 @@ def _switch_to_compiled() -> None:
 
 
 def _load() -> ChunkReader | None:
-    """Return the compiled pass; None if it cannot run here."""
+    """Import the compiled chunk reader; None without numba or on a big-endian machine."""
     # The kernels read packed fields as machine words.
     if sys.byteorder != "little":
         return None

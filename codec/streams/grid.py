@@ -15,7 +15,7 @@ F32 = NDArray[np.float32]
 U32 = NDArray[np.uint32]
 
 MAX_LEVELS: Final = 1 << 24
-"""Limit of levels: every lower code is exact in float32 (SPEC 6.4)."""
+"""Maximum number of levels: every lower code is exact in float32 (SPEC 6.4)."""
 
 MAX_VALUE: Final = 2.0**100
 """Largest magnitude of minimum and maximum: sums of two decoded values stay finite (SPEC 6.4)."""
@@ -79,8 +79,8 @@ def fit(values: F32, step: float | NDArray[np.float64]) -> Grid:
     values : (n, c) float32
         Finite; n ≥ 1.
     step : float or (c,) float64
-        Largest distance between levels, per component; positive. The grid's may exceed it by one
-        part in 2^20.
+        Largest distance between levels, per component; positive. The step of the grid may exceed
+        it by one part in 2^20.
 
     Returns
     -------

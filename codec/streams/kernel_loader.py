@@ -31,7 +31,7 @@ class KernelLoader:
     modules : sequence of str
         Names of the modules whose kernels are loaded.
     on_loaded : callable
-        Called on that thread when all kernels are loaded.
+        Called on the loading thread when all kernels are loaded.
     """
 
     def __init__(self, modules: Sequence[str], on_loaded: Callable[[], object]) -> None:
@@ -63,7 +63,7 @@ class KernelLoader:
             self._thread.join()
 
     def _register(self) -> None:
-        """Register the handlers of exit and fork, once."""
+        """Register the exit and fork handlers; a second call does nothing."""
         if self._registered:
             return
         self._registered = True
@@ -107,13 +107,13 @@ class KernelLoader:
             self._on_loaded()
 
     def _stop(self) -> None:
-        """Wait for the current step and prevent further ones."""
+        """Stop loading when the process exits; return once the current step has ended."""
         self._stopped.set()
         with self._step:
             return
 
     def _reset_in_child(self) -> None:
-        """Allow a new start in a forked child, which does not inherit the thread."""
+        """Let `start` work again in a forked child, which does not inherit the loading thread."""
         self._step.release()
         if self._thread is not None and not self._ended:
             self._thread = None

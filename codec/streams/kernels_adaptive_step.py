@@ -37,7 +37,7 @@ def compute_extra_bits(scales: F32, coefficients: F32, knees: F32, extra: U8) ->
 
 @inner_exact
 def count_extra_bits(scales: F32, coefficients: F32, knees: F32, extra: U8) -> I64:
-    """Compute extra bits of each row into `extra`; return the number of rows with each count."""
+    """Compute the extra bits of each row into `extra`; return their histogram, (16,)."""
     compute_extra_bits(scales, coefficients, knees, extra)
     # Two alternating histograms: an increment does not wait for the previous one.
     rows = np.zeros((2, MAX_EXTRA_BITS + 1), np.int64)

@@ -29,14 +29,14 @@ def exact(function: Function) -> Function:
 def inner_exact(function: Function) -> Function:
     """Compile a function that only kernels call, with the rounding of `exact`.
 
-    It has no cache entry: its code is compiled into each calling kernel.
+    It has no cache entry: numba compiles its code into each calling kernel.
     """
     return jit_kernel(function, cached=False)
 
 
 @inner_exact
 def signed(value: np.unsignedinteger[Any]) -> int:
-    """Return an unsigned integer as a signed one: numba turns a mix of both into floats."""
+    """Return an unsigned integer as a signed one: numba computes a mix of both in floats."""
     return int(np.int64(value))
 
 
@@ -78,9 +78,16 @@ def plane_words(data: U8, start: int, length: int) -> U64:
 
 @inner_exact
 def is_padded(data: U8, start: int, bits: int) -> bool:
-    """Tell whether the padding of a plane is zero: the unused bits of its last byte.
+    """Tell whether the padding bits of a packed plane are zero, as SPEC 6.15 requires.
 
-    The plane begins at byte `start` and has `bits` used bits.
+    Parameters
+    ----------
+    data : uint8
+        Decompressed planes of the chunk.
+    start : int
+        Position of the plane, bytes.
+    bits : int
+        Number of bits in use; the remaining bits of the last byte are padding.
     """
     return not (bits & 7 and signed(data[start + (bits >> 3)]) >> (bits & 7))
 

@@ -1,8 +1,8 @@
-"""The compiled pass: all streams of a chunk's head, refinement and tail decoded in two calls.
+"""Compiled chunk reader: decodes head, refinement and tail of a chunk in two compiled calls.
 
 It covers the streams that the profiles `transform` and `vq` write (SPEC 6.5 to 6.7, 6.10 to 6.17).
-It declines every other chunk and every invalid one: numpy then decodes that chunk from the start
-and refuses what is invalid, so that refusals come from one place. The module needs numba.
+For any other or invalid chunk it returns False. numpy then decodes that chunk from the start and
+raises the errors, so that errors come from one place. The module needs numba.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ U8 = NDArray[np.uint8]
 U64 = NDArray[np.uint64]
 
 # Limit of decompressed and unpacked planes: a fixed part and bytes per splat. Encoded chunks have
-# about 60 bytes per splat. The pass declines larger ones: numpy needs less memory for them.
+# about 60 bytes per splat. Larger chunks are left to numpy, which needs less memory for them.
 _PLANE_BYTES_PER_SPLAT: Final = 96
 _MIN_PLANE_BYTES: Final = 1 << 14
 
@@ -80,17 +80,17 @@ def _decode_transform_chunk(
     basis: F32,
     out: tuple[F32, F32, F32, F32, F32, F32],
 ) -> bool:
-    """Decode all values of a chunk into `out`; return False if a stream is invalid.
+    """Decode a chunk of the profile `transform` into `out`; return False if a stream is invalid.
 
     Parameters
     ----------
     data, records, spans
         As in `ChunkPlanes`.
     constants : tuple
-        Digits of each byte by radix, knees of step models, steps of rotations, powers of means,
-        axes of Morton codes, first coordinates of groups.
+        `_CONSTANTS`, lookup tables of the kernels: `digit_tables()`, `KNEES`, `swing_twist.STEPS`,
+        `POWERS`, `AXES_OF_BITS`, `GROUP_STARTS`.
     basis : (C, d) float32
-        Rows of the colour codebook that the tail names.
+        Rows of the colour codebook that the tail refers to.
     out : tuple
         Means, scales, quats, opacities, sh0 and shN, two-dimensional; shN without rows if there
         is no tail.
@@ -222,7 +222,7 @@ def _decode_vq_chunk(
     sh_degree: int,
     out: tuple[F32, F32, F32, F32, F32, F32],
 ) -> bool:
-    """Decode all values of a chunk of the profile `vq`; return False if a stream is invalid.
+    """Decode a chunk of the profile `vq` into `out`; return False if a stream is invalid.
 
     Parameters
     ----------
@@ -288,7 +288,8 @@ def read(
     Returns
     -------
     bool
-        False if the chunk has other streams or is invalid; `out` then holds arbitrary values.
+        False if the chunk is invalid or has streams that neither profile writes; `out` then holds
+        arbitrary values.
     """
     payload = b"".join((head, refinement or b"", tail or b""))
     ends = np.array((len(head), len(head) + len(refinement or b""), len(payload)), np.int64)
@@ -332,18 +333,18 @@ def _codebook_number(data: U8, records: I64, stream: int) -> int:
 def _locate(
     payload: bytes, ends: I64, streams: I64, limit: int, rows: int
 ) -> tuple[U8, I64, I64] | None:
-    """Return the arrays of `ChunkPlanes` except the tables; None if the streams are not supported.
+    """Return data, records and spans of `ChunkPlanes`; None if a stream is not in `streams`.
 
     Parameters
     ----------
     payload : bytes
         Head, refinement and tail end to end.
     ends : (3,) int64
-        End of each in `payload`.
+        End of each part in `payload`.
     streams : int64
         `TRANSFORM_STREAMS` or `VQ_STREAMS`.
     limit : int
-        Limit of all planes together, decompressed and unpacked, bytes.
+        Limit of the total size of all planes after decompression and unpacking, bytes.
     rows : int
         Splats of the chunk.
     """

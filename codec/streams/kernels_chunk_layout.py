@@ -74,22 +74,22 @@ VQ_STREAMS: Final = np.array(
 )
 """Streams of chunks that the profile `vq` writes.
 
-Means, opacities, sh0 and shN stand in the same rows as in `TRANSFORM_STREAMS`."""
+Means, opacities, sh0 and shN have the same row numbers as in `TRANSFORM_STREAMS`."""
 
 SHAPE, SCALE_FACTOR = 0, 1
 SCALE_ESCAPES, QUAT_ESCAPES, SH1_ESCAPES, SH2_ESCAPES, SH3_ESCAPES = 5, 6, 7, 8, 10
 
 NO_STREAM: Final = -1
-"""Last row of `ChunkPlanes.records`, which stays zeros: the record of an absent stream."""
+"""Index of the last row of `ChunkPlanes.records`: zeros, the record of an absent stream."""
 
 MAX_PLANES: Final = 192
-"""More planes than these streams can have, with three for each code.
+"""Limit of planes in a chunk, above the maximum of either profile at three bytes per code.
 
 transform: 21 of grids, 3 of means, 21 of rotations, 8 of refinements, 73 of coordinates. vq: 21 of
 grids and indices, 3 of means, 19 of escape rows of shapes, 135 of escape rows of SH."""
 
 COMPONENTS_OF: Final = np.array([0, *(COMPONENTS[a] for a in Attribute)], np.int64)
-"""Components by the number of the attribute."""
+"""Number of components of each attribute, indexed by `Attribute`."""
 
 
 @called_with(
@@ -124,24 +124,24 @@ def locate(
     components : int64
         `COMPONENTS_OF`.
     max_bytes : int
-        Limit of all planes together, decompressed and unpacked, bytes.
+        Limit of the total size of all planes after decompression and unpacking, bytes.
     records : (s + 1, 6) int64, out
-        See `ChunkPlanes`.
+        Record of each stream, as in `ChunkPlanes`.
     spans : (4, planes) int64, out
-        See `ChunkPlanes`.
+        Radix and positions of each plane, as in `ChunkPlanes`.
     frames : (planes, 2) uint64, out
         Position and length of each zstd frame in `data`.
     sizes : (planes,) uint64, out
-        Decoded bytes of each frame.
+        Decompressed size of each frame, bytes.
 
     Returns
     -------
     frames : int
-        Number of zstd frames; -1 if the chunk has other streams, or anything is invalid.
+        Number of zstd frames; -1 if a stream is not in `streams` or the chunk is invalid.
     expanded : int
-        Decoded bytes of all frames.
+        Decompressed size of all frames, bytes.
     symbols : int
-        Symbols of all packed planes.
+        Number of symbols in all packed planes; unpacked, each takes a byte.
     """
     records[:] = 0
     planes = 0

@@ -50,7 +50,7 @@ class ChunkPlanes(NamedTuple):
 
 @inner_exact
 def digits_in_byte(radix: int) -> tuple[int, int]:
-    """Return the digits of a radix per byte, and the number of their values (SPEC 6.9)."""
+    """Return the number of digits in a byte, and the number of byte values in use (SPEC 6.9)."""
     count = 1
     limit = radix
     while limit * radix <= 256:
@@ -99,10 +99,10 @@ def _unpack_digits(
 
 @inner_exact
 def parse_frame(data: U8, start: int, stored: int) -> tuple[int, int]:
-    """Return the end and the decoded size of a zstd frame; -1 for both if its header is unusual.
+    """Return the end and the decoded size of a zstd frame; -1 for both if it is not supported.
 
-    Encoders that know the size write the usual header: one segment, its size in 1, 2 or 4 bytes, no
-    dictionary and no checksum (RFC 8878, 3.1.1.1). Blocks are skipped without decoding.
+    Supported is the header of encoders that know the content size: a single segment, a size of 1, 2
+    or 4 bytes, no dictionary and no checksum (RFC 8878, 3.1.1.1). Blocks are skipped undecoded.
     """
     # Magic number, descriptor, a size of one byte, the header of a block.
     if stored < 9:
@@ -147,7 +147,7 @@ def plane_start(planes: ChunkPlanes, plane: int, length: int) -> int:
     plane : int
         Number of the plane in the chunk.
     length : int
-        Symbols that the plane must hold.
+        Number of symbols that the plane must hold.
     """
     spans, data = planes.spans, planes.data
     radix, start, size = spans[RADIX, plane], spans[START, plane], spans[SIZE, plane]
@@ -183,8 +183,9 @@ def plane_starts(
     length : int
         Number of symbols in each plane.
     starts : int64, out
-        Positions, written from index `at` on.
+        Positions of the planes, bytes.
     at : int
+        Index in `starts` of the first position written.
     """
     for plane in range(count):
         start = plane_start(planes, first + plane, length)

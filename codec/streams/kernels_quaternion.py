@@ -30,7 +30,7 @@ def read_quaternions(planes: ChunkPlanes, stream: I64, out: F32) -> bool:
     data = planes.data
     rows = len(out)
     at = stream[PARAMS]
-    # The component that is left out in every row, or `PER_ROW`; three bytes of zeros follow.
+    # Number of the component that every row omits, or `PER_ROW`; three bytes of zeros follow.
     largest = u32(data, at)
     if largest > 3 and largest != PER_ROW:
         return False

@@ -39,7 +39,7 @@ def _coordinate(symbol: int, step: np.float32, shrink: np.float32) -> np.float32
 
 @inner_exact
 def _symbol(data: U8, begin: I64, place: int, count: int) -> int:
-    """Return symbol number `place`, whose `count` bytes lie in planes that begin at `begin`."""
+    """Return symbol number `place` of `count` byte planes that begin at positions `begin`."""
     symbol = 0
     for byte in range(count):
         symbol |= int(data[begin[byte] + place]) << (8 * byte)
@@ -82,13 +82,13 @@ def _decode_coefficients(
     groups : (g + 1,) int64
         First column of each group, then the width.
     sizes : (2g,) uint8
-        For each group, bytes of an inner symbol and of a last symbol.
+        For each group, bytes per inner symbol and bytes per last symbol (`Parameters.sizes`).
     data : uint8
     starts : int64
         Position of each plane of symbols.
     basis : (width, BASIS_COLUMNS) float32
     step, shrink : float32
-        Distance between coordinates, and the part of a step taken off their magnitude.
+        Quantiser step, and the part of a step by which magnitudes are reduced.
     out : (n, at most BASIS_COLUMNS) float32
     """
     width = groups[-1]

@@ -46,11 +46,10 @@ AXES_OF_BITS: Final = _axes_of_bits()
 def _count_bits(
     classes: U8, scales: F32, coefficients: F32, knees: F32, extra: U8
 ) -> tuple[int, int]:
-    """Compute the extra bits of each row; return the bit counts of the two packed planes.
+    """Compute the extra bits of each row into `extra`; return the bit counts of the packed planes.
 
-    The planes are those of the Morton differences and of the fields below the cells.
-
-    The first count is -1 if a class is above 51.
+    The first count is of the plane of Morton differences, -1 if a class is above 51. The second
+    is of the plane of bits below the cells.
     """
     rows = count_extra_bits(scales, coefficients, knees, extra)
     fields = 0
@@ -87,7 +86,7 @@ def _decode_means(
     differences, fields, more_fields : uint64
         Packed planes as words: differences, bits below the cells, and bits of the refinement.
     extra : (n,) uint8
-        Bits below the cell of each row.
+        Number of bits below the cell of each row, per axis.
     axes_of_bits : (512,) uint64
         `AXES_OF_BITS`.
     levels : (3,) int64
@@ -96,7 +95,7 @@ def _decode_means(
         Distance between levels for each number of bits below the cell.
     minimum : (3,) float32
     more : int
-        Bits that the refinement adds, 0 without one.
+        Number of bits that the refinement adds to each axis, 0 without a refinement.
     out : (n, 3) float32
 
     Returns

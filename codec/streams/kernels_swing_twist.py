@@ -18,8 +18,7 @@ I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
 GROUPS: Final = swing_twist.SYMBOL_BITS + 1
-"""Groups of rows by extra bits: those without, which have no plane, and one for each plane of
-symbols."""
+"""Number of groups of rows: one without extra bits, and one for each plane of symbols."""
 
 
 @inner_exact
@@ -139,7 +138,7 @@ def _decode_rotations(data: U8, starts: I64, extra: U8, counts: I64, steps: F32,
 def read_rotations(
     planes: ChunkPlanes, stream: I64, knees: F32, steps: F32, scales: F32, out: F32
 ) -> bool:
-    """Decode the rotations of a chunk; return False if anything in their stream is invalid.
+    """Decode the rotations of a chunk; return False if the stream is invalid.
 
     Parameters
     ----------

@@ -39,11 +39,12 @@ class StreamCodec:
     read : callable
         Writes the (rows, c) float32 values of a stream.
     refined_by : Kind or None
-        Kind of the streams that refine it in a refinement; None if it cannot be refined.
+        Kind of the stream in the refinement that refines this one; None if it cannot be refined.
     heads_only : bool
-        Whether it is limited to splats of heads: no escape rows, no rows of codebooks.
+        Whether the kind is allowed only for splats of heads: not for escape rows or codebooks.
     levels_only : bool
-        Whether it is limited to opacities of later levels (SPEC 7.5); its reader adds to `out`.
+        Whether the kind is allowed only for opacities of later levels (SPEC 7.5); its reader adds
+        to `out`.
     codebook : callable or None
         Returns the codebook and the number of escape rows that a stream refers to; None if the
         kind refers to no codebook.

@@ -1,4 +1,4 @@
-"""Differences streams of opacities: what a level adds to the logits of a head (SPEC 6.12)."""
+"""Differences streams of opacities: logits of a level minus those of the head (SPEC 6.12)."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     Raises
     ------
     FormatError
-        As `parse` and `read_largest`, and ``stream-planes``, ``code-range``.
+        Codes of `parse` and `read_largest`; ``stream-planes``; ``code-range``.
     """
     largest, grid = parse(stream)
     which = read_largest(stream, largest, grid)
@@ -113,11 +113,11 @@ def complete_quaternions(largest: int, which: U8 | None, others: F32, out: F32) 
     Parameters
     ----------
     largest : int
-        Component that every row omits, if `which` is None.
+        Number of the component that every row omits, if `which` is None.
     which : (rows,) uint8 or None
-        Component that each row omits.
+        Number of the component that each row omits.
     others : (rows, 3) float32
-        Stored components.
+        Stored components, in the order wxyz without the omitted one.
     out : (rows, 4) float32
         Quaternions wxyz, w at least 0.
     """

@@ -53,7 +53,7 @@ COMPONENTS: Final = {
     Attribute.SH2: 15,
     Attribute.SH3: 21,
 }
-"""Values per row of each attribute; SHN has the 45 of degree 3 for every SH degree."""
+"""Values per row of each attribute; SHN has 45, as for SH degree 3, at every SH degree."""
 
 
 class Kind(IntEnum):
@@ -72,7 +72,7 @@ class Kind(IntEnum):
 
 
 ESCAPE: Final = 1
-"""Record flag: the rows are escape rows, which the chunk stores beside its codebook."""
+"""Record flag: the rows are escape rows, vectors that the chunk stores outside the codebook."""
 
 INFINITIES: Final = 2
 """Record flag: two codes above the grid's levels stand for +inf and -inf."""
@@ -174,7 +174,7 @@ def compress_payload(plain: bytes, *, digits: bool = True) -> bytes:
 
 
 def _payload(streams: Sequence[Stream], stored: Callable[[U8], tuple[int, bytes]]) -> bytes:
-    """Return streams as a payload; the function `stored` encodes a plane to its word and bytes."""
+    """Return the payload of streams; `stored` encodes a plane and returns its word and bytes."""
     records: list[bytes] = []
     bodies: list[bytes] = []
     for stream in streams:
@@ -279,13 +279,13 @@ def unpack(payload: memoryview, where: str, max_rows: int) -> list[StoredStream]
     where : str
         Name of the segment in messages.
     max_rows : int
-        Rows of a record at most; checked before anything is allocated.
+        Maximum number of rows of a record; checked before anything is allocated.
 
     Raises
     ------
     FormatError
-        ``stream-record``: a record leaves the payload, does not fit its attribute, or bytes are
-        left over; ``stream-count``; ``stream-duplicate``; ``stream-rows``.
+        ``stream-record``: a record exceeds the payload or does not fit its attribute, or bytes
+        follow the last plane; ``stream-count``; ``stream-duplicate``; ``stream-rows``.
     UnsupportedError
         ``stream-attribute-unknown``, ``stream-kind-unknown``: numbers of a later version.
     """

@@ -1,4 +1,4 @@
-"""Bits streams: further bits of sorted means, equally many for every row (SPEC 6.17)."""
+"""Bits streams: bits that refine sorted means, the same number for every row (SPEC 6.17)."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
 MAX_BITS: Final = 15
-"""Bits that a refinement adds to an axis at most (SPEC 6.17)."""
+"""Maximum number of bits that a refinement adds to each axis (SPEC 6.17)."""
 
 _PARAMS: Final = struct.Struct("<B3s")
 
 
 def half_level(bits: int) -> int:
-    """Return half a level of the head, in refined levels; 0 for 0 bits."""
+    """Return half the step of the head in refined steps, for a refinement of `bits` bits."""
     return 1 << bits >> 1
 
 
@@ -41,7 +41,7 @@ def write(codes: I64, bits: int) -> Stream:
     codes : (n, 3) int64
         Refined codes in the order of the head, which stores their `coarse_codes`.
     bits : int
-        1 to `MAX_BITS`.
+        Number of bits that the refinement adds to each axis, 1 to `MAX_BITS`.
     """
     low = (codes + half_level(bits) - (coarse_codes(codes, bits) << bits)).astype(np.uint64)
     fields = low[:, 0] | (low[:, 1] << np.uint64(bits)) | (low[:, 2] << np.uint64(2 * bits))
@@ -101,7 +101,7 @@ def read(stream: StoredStream, codes: I64) -> tuple[I64, int]:
     Raises
     ------
     FormatError
-        As `parse` and `read_plane`; ``code-range``: a refined code below 0.
+        Codes of `parse` and `read_plane`; ``code-range``: a refined code below 0.
     """
     bits = parse(stream)
     fields = bit_fields.unpack(

@@ -19,7 +19,7 @@ F32 = NDArray[np.float32]
 U32 = NDArray[np.uint32]
 
 MAX_RADIX: Final = 16
-"""Levels of the fine grid per level of the coarse grid at most (SPEC 6.16)."""
+"""Maximum number of fine levels per coarse level (SPEC 6.16)."""
 
 
 def write(attribute: Attribute, codes: U32, grid: Grid, radices: Sequence[int]) -> Stream:
@@ -87,7 +87,8 @@ def read(
     Raises
     ------
     FormatError
-        As `parse`; ``code-range``: a code of the head, a digit or a fine code is out of range.
+        Codes of `parse`; ``code-range``: a code of the head, a digit or a fine code is out of
+        range.
     """
     codes = grid_planes.read_codes(head, coarse)
     grid, radices = parse(digits, coarse.components)

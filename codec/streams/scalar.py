@@ -61,7 +61,7 @@ def parse(stream: StoredStream, components: int) -> Grid:
 
 
 def infinity_codes(stream: StoredStream) -> int:
-    """Return the number of codes reserved for infinities above the levels, 0 or 2."""
+    """Return the number of codes above the grid's levels that stand for infinities, 0 or 2."""
     return 2 if stream.flags & INFINITIES else 0
 
 
@@ -74,7 +74,7 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     Raises
     ------
     FormatError
-        As `parse`, and ``stream-planes``, ``code-range``.
+        Codes of `parse`; ``stream-planes``; ``code-range``.
     """
     grid = parse(stream, out.shape[1])
     if inputs.refinement is None:

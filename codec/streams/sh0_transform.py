@@ -65,7 +65,7 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     Raises
     ------
     FormatError
-        As `parse`, and ``stream-planes``, ``code-range``.
+        Codes of `parse`; ``stream-planes``; ``code-range``.
     """
     grid, axes = parse(stream)
     coordinates = np.empty((stream.rows, 3), np.float32)

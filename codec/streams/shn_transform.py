@@ -26,13 +26,15 @@ PARAMS: Final = struct.Struct("<IffHH")
 """Fixed parameters: codebook, step, shrink, width, reserved; code sizes follow (SPEC 6.14)."""
 
 MAX_BASIS_ROWS: Final = 255
-"""Rows of a basis at most: the number of a row fits a byte (SPEC 6.14)."""
+"""Maximum number of basis rows in use: the number of a row fits a byte (SPEC 6.14)."""
 
 MAX_FACTOR: Final = 2.0**32
 """Largest step, and largest magnitude in a basis: sums of products stay finite (SPEC 6.14)."""
 
 GROUP_STARTS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 18, 26)
-"""First coordinate of each group that shares planes: strong ones alone, sparse ones together."""
+"""First coordinate of each group of coordinates that share planes.
+
+The first coordinates are large and have groups of their own; the last are mostly 0."""
 
 # Rows per block: sums and products of a block fit the second-level cache.
 _BLOCK: Final = 2048
@@ -41,6 +43,10 @@ _BLOCK: Final = 2048
 @dataclass(frozen=True)
 class Parameters:
     """Parameters of a basis stream of shN.
+
+    The shN of a splat is a sum of codebook rows, the basis; its coordinates are their weights. The
+    codes of a splat end with its last non-zero coordinate: that code is its last code, all codes
+    before it are inner codes.
 
     Parameters
     ----------
@@ -51,8 +57,8 @@ class Parameters:
     width : int
         Number of coordinates in use.
     sizes : bytes
-        For each group of coordinates: bytes of one inner code, then of one last code. The last code
-        of a row is the code of its last non-zero coordinate; the codes before it are inner codes.
+        For each group of coordinates that share planes: bytes per inner code, then bytes per last
+        code.
     """
 
     step: float
@@ -62,7 +68,7 @@ class Parameters:
 
 
 def write(codes: I64, codebook: int, step: float, shrink: float) -> Stream:
-    """Return a stream of shN, stored as coordinates on a basis.
+    """Return a basis stream of shN, given quantised coordinates.
 
     Parameters
     ----------
@@ -73,7 +79,7 @@ def write(codes: I64, codebook: int, step: float, shrink: float) -> Stream:
     step : float
         Quantiser step of the coordinates.
     shrink : float
-        Decoders reduce the magnitude of non-zero coordinates by this part of a step, 0 to 0.5.
+        Part of a step by which decoders reduce the magnitude of non-zero coordinates, 0 to 0.5.
     """
     used = np.flatnonzero(codes.any(axis=0))
     width = int(used[-1]) + 1 if len(used) else 0
@@ -104,9 +110,21 @@ def coordinate_groups(width: int) -> tuple[range, ...]:
 
 
 def _by_falling_end(ends: U8, width: int) -> tuple[I64, list[int]]:
-    """Return the rows by descending coordinate count, and cumulative row counts.
+    """Return the order of rows by descending number of coordinates, and counts of rows.
 
-    The second list has the number of rows with more than 0, 1, … `width` coordinates.
+    Parameters
+    ----------
+    ends : (n,) uint8
+        Number of coordinates of each row up to its last non-zero one.
+    width : int
+        Number of coordinates in use, at least the maximum of `ends`.
+
+    Returns
+    -------
+    order : (n,) int64
+        Rows, those with the most coordinates first.
+    above : list of int
+        Number of rows with more than 0, 1, … `width` coordinates.
     """
     order = np.argsort(np.uint8(255) - ends, kind="stable").astype(np.int64)
     counts = np.bincount(ends, minlength=width + 1)
@@ -222,7 +240,7 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     Raises
     ------
     FormatError
-        As `parse` and `read_ends`.
+        Codes of `parse` and `read_ends`.
     ValueError
         No codebook is given.
     """
@@ -250,20 +268,20 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """One coordinate of consecutive rows, by falling end.
+    """Inner or last codes of one coordinate, for a range of rows in `_by_falling_end` order.
 
     Parameters
     ----------
     first, last : int
-        Half-open range of ranks.
+        Half-open range of ranks; the rank of a row is its place in that order.
     symbols : (last - first,) uint8
-        Inner or last codes.
+        Inner or last codes of one byte.
     table : (m,) float32
         Coordinate of each symbol.
     coordinates : (last - first,) float32 or None
-        Coordinates of codes of several bytes, used instead of symbols and table.
+        Decoded coordinates, used instead of symbols and table if codes have several bytes.
     row : (d,) float32
-        Row of the basis.
+        Row of the basis for this coordinate.
     """
 
     first: int
@@ -274,7 +292,7 @@ class _Part:
     row: F32
 
     def compute_products(self, start: int, out: F32) -> None:
-        """Multiply coordinates by the basis row, from the row of rank `start` on, into `out`."""
+        """Multiply the coordinates from rank `start` on by the basis row, into (m, d) `out`."""
         own = slice(start - self.first, start - self.first + len(out))
         if self.coordinates is not None:
             np.multiply(self.coordinates[own, None], self.row, out=out)
@@ -287,15 +305,18 @@ class _Part:
 
 
 def _parts(stream: StoredStream, found: Parameters, above: list[int], basis: F32) -> list[_Part]:
-    """Return the parts of all coordinates in order, inner codes before last codes.
+    """Return the inner and the last codes of each coordinate, by ascending coordinate.
 
     Parameters
     ----------
     stream : StoredStream
+        Basis stream of shN.
     found : Parameters
+        Parameters of the stream.
     above : list of int
-        Number of rows with an end above 0, 1, … the width.
+        Number of rows with more than 0, 1, … `found.width` coordinates.
     basis : (C, d) float32
+        Rows of the codebook.
     """
     factors = np.float32(found.step), np.float32(found.shrink)
     octets = np.arange(256, dtype=np.uint32)

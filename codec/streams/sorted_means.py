@@ -27,7 +27,7 @@ U64 = NDArray[np.uint64]
 CELL_AXIS_BITS: Final = 17
 """Bits of a cell's coordinate along one axis."""
 MAX_CELLS: Final = 1 << CELL_AXIS_BITS
-"""Cells along an axis at most (SPEC 6.5)."""
+"""Maximum number of cells along an axis (SPEC 6.5)."""
 
 MORTON_BITS: Final = 3 * CELL_AXIS_BITS
 """Morton codes stay below 2^51: a double holds them and their differences (SPEC 6.5)."""
@@ -41,7 +41,7 @@ POWERS: Final = np.ldexp(
 
 
 def cell_grid(grid: Grid) -> tuple[Grid, int]:
-    """Return the grid of cells for a fine grid, and the halvings from a cell to a fine level.
+    """Return a coarse grid of cells for a fine grid, and the bits from a cell to a fine level.
 
     Parameters
     ----------
@@ -51,9 +51,9 @@ def cell_grid(grid: Grid) -> tuple[Grid, int]:
     Returns
     -------
     cells : Grid
-        At most `MAX_CELLS` levels an axis.
+        Grid of the cells, at most `MAX_CELLS` levels along each axis.
     bits : int
-        Halvings from a cell to a fine level; 0 if the fine grid serves as cells.
+        Number of times that a cell is halved to reach the fine step; 0 if cells are fine levels.
     """
     bits = max(0, (int(grid.levels.max()) - 1).bit_length() - CELL_AXIS_BITS)
     levels = (grid.levels.astype(np.int64) + (1 << bits) - 1) >> bits
@@ -67,7 +67,7 @@ def cell_grid(grid: Grid) -> tuple[Grid, int]:
 
 
 def quantise(means: F32, grid: Grid, extra_bits: U8, refined_by: int = 0) -> I64:
-    """Return the codes of means, each row on the grid of cells halved by its own bits.
+    """Return the codes of means; the step of a row is the cell size halved once per extra bit.
 
     Parameters
     ----------
@@ -76,9 +76,9 @@ def quantise(means: F32, grid: Grid, extra_bits: U8, refined_by: int = 0) -> I64
     grid : Grid
         Grid of the cells.
     extra_bits : (n,) uint8
-        Bits below the cell in the head.
+        Number of bits below the cell that the head stores for each row, per axis.
     refined_by : int
-        Bits that a refinement adds.
+        Number of bits that a refinement adds to each axis.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def dequantise(codes: I64, grid: Grid, bits: U8) -> F32:
 
 
 def morton_order(codes: I64, extra_bits: U8) -> I64:
-    """Return the order of rows by the Morton codes of their cells; the sort is stable."""
+    """Return the stable sort order of rows by the Morton codes of their cells."""
     keys = morton.interleave(_cells(codes, extra_bits))
     return np.argsort(keys, kind="stable").astype(np.int64)
 
@@ -127,7 +127,7 @@ def write(codes: I64, grid: Grid, extra_bits: U8, model: StepModel) -> Stream:
     grid : Grid
         Grid of the cells, at most `MAX_CELLS` levels along an axis.
     extra_bits : (n,) uint8
-        Extra bits that the model gives for the decoded scales of the head.
+        Number of extra bits of each row, as the model gives it for the head's decoded scales.
     model : StepModel
         Step model from which decoders derive the extra bits.
     """
@@ -172,7 +172,7 @@ def _bit_length(values: U64) -> U8:
 
 
 def difference_widths(classes: U8, where: str) -> U8:
-    """Return the bits of each row in the plane of differences.
+    """Return the number of bits that each row has in the plane of differences.
 
     Raises
     ------
@@ -235,7 +235,7 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     Raises
     ------
     FormatError
-        As `parse`, `unpack_differences` and `refinement_bits.read`;
+        Codes of `parse`, `unpack_differences` and `refinement_bits.read`;
         ``bits-padding``; ``code-range``: a cell or a refined code beyond the grid.
     ValueError
         The inputs have no scales.

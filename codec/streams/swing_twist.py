@@ -25,7 +25,7 @@ SYMBOL_BITS: Final = 6
 """High bits of a code that are stored as a symbol; lower bits are packed (SPEC 6.11)."""
 
 COMPONENT_PLANES: Final = SYMBOL_BITS + 1
-"""Planes of a component: symbols for each number of extra bits, and the low bits."""
+"""Planes of a component: one of symbols for each number of extra bits, and one of low bits."""
 
 BASE_STEP: Final = 2.0
 """Quantiser step of a component without extra bits; values lie in ±1."""
@@ -126,7 +126,7 @@ def write(components: F64, scales: F32, swing: StepModel, twist: StepModel) -> S
 
 
 def extra_bits_of(scales: F32, swing: StepModel, twist: StepModel) -> list[U8]:
-    """Return the extra bits of the components a, b and c, (n,) each."""
+    """Return the extra bits of the swings a and b and of the twist c, (n,) each (SPEC 6.10)."""
     swings = swing.extra_bits(scales)
     return [swings, swings, twist.extra_bits(scales)]
 
@@ -180,7 +180,7 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
     Raises
     ------
     FormatError
-        As `parse`; ``bits-padding``; ``code-range``: a code beyond the levels of its row.
+        Codes of `parse`; ``bits-padding``; ``code-range``: a code beyond the levels of its row.
     ValueError
         The inputs have no scales.
     """
@@ -200,7 +200,17 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
 
 
 def _read_codes(stream: StoredStream, first: int, extra_bits: U8) -> U32:
-    """Return the codes of the component whose planes begin at number `first`."""
+    """Return the (rows,) codes of one component.
+
+    Parameters
+    ----------
+    stream : StoredStream
+        Swing_twist stream.
+    first : int
+        Number of the component's first plane in the stream.
+    extra_bits : (rows,) uint8
+        Number of extra bits of each row.
+    """
     capped = np.minimum(extra_bits, SYMBOL_BITS)
     counts = np.bincount(capped, minlength=SYMBOL_BITS + 1).tolist()
     symbols = [stream.plane(first + m - 1, counts[m]) for m in range(1, SYMBOL_BITS + 1)]

@@ -71,10 +71,10 @@ def decompress_located(stored: memoryview, frames: U64, sizes: U64) -> bytes | N
     stored : memoryview
         Bytes that contain the frames.
     frames : (n, 2) uint64
-        Position and length of each frame. The caller has checked its header, and that it ends with
-        its last block.
+        Position and length of each frame, bytes. The caller has checked that each frame has a
+        valid header and ends with its last block.
     sizes : (n,) uint64
-        Decoded length of each, bytes; above 0.
+        Decompressed size of each frame, bytes; above 0.
     """
     try:
         if len(frames) < _MIN_BATCH_FRAMES or not _HAS_BATCH_CALL:
@@ -92,7 +92,7 @@ def decompress_located(stored: memoryview, frames: U64, sizes: U64) -> bytes | N
 
 
 def _check_header(stored: memoryview, length: int, where: str) -> None:
-    """Raise the code of SPEC 6.3 that a frame header breaks.
+    """Raise the error of the first rule of SPEC 6.3 that a frame header breaks.
 
     libzstd's own check is not used: it accepts skippable frames and dictionary fields that hold 0,
     and reports the largest windows as damage.
@@ -157,7 +157,7 @@ def _window_bytes(descriptor: int) -> int:
 
 
 def _decompress_frame(stored: memoryview, length: int) -> bytes:
-    """Return the bytes of one whole frame whose header is checked."""
+    """Decompress one whole frame; the caller has checked its header."""
     if length:
         raw: bytes = _decompressor().decompress(stored, allow_extra_data=False)
         return raw

@@ -1,4 +1,4 @@
-"""Chunks decoded by the compiled pass, against numpy."""
+"""Chunks decoded by the compiled chunk reader, against numpy."""
 
 import numpy as np
 import pytest
@@ -56,7 +56,7 @@ def switch():
 
 @pytest.fixture
 def answers(monkeypatch):
-    """Return a list of the answers of the compiled pass, True where it decoded a chunk."""
+    """Return a list of the answers of the compiled chunk reader, True where it decoded a chunk."""
     found = []
     plain = decoding_tiers.chunk_reader
 

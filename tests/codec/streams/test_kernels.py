@@ -1,4 +1,4 @@
-"""The compiled pass against numpy: the same bits, the same refusals."""
+"""The compiled chunk reader against numpy: the same bits, the same refusals."""
 
 import json
 from pathlib import Path
@@ -44,7 +44,7 @@ ROWS = 700
 
 @pytest.fixture
 def both():
-    """Call something with numpy alone and then with the compiled pass."""
+    """Call something with numpy alone and then with the compiled chunk reader."""
     before = decoding_tiers.is_compiled()
 
     def call(function):
@@ -143,7 +143,7 @@ def test_unusual_frame_headers_are_declined(name, frame):
 
 
 def decode_head(head, refinement, both):
-    """Decode a head without tail both ways; the compiled pass must accept it."""
+    """Decode a head without tail both ways; the compiled chunk reader must accept it."""
     books = chunk_arrays.CodebookRows(lambda number: None, lambda number: None)
 
     def decode():
