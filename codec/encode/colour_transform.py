@@ -41,14 +41,14 @@ _ROW_LEVELS: Final = 256
 
 @dataclass(frozen=True, eq=False)
 class ColourBasis:
-    """Basis rows of shN, most visible first.
+    """Basis of shN: B rows of SH coefficients, most visible first.
 
     Parameters
     ----------
     rows : (B, 3·(K-1)) float32
-        Coefficients, SH index first, channels inside.
+        Basis rows, flattened by SH index, then by channel.
     metric : (3·(K-1), 3·(K-1)) float64
-        Squared error of colour per squared errors of coefficients.
+        Quadratic form M of the views: coefficient errors e give a squared colour error of eᵀ·M·e.
     """
 
     rows: F32
@@ -67,12 +67,12 @@ class ColourBasis:
         return out
 
     def with_decoded_rows(self, decoded: F32) -> ColourBasis:
-        """Return the basis with its decoded rows.
+        """Return the basis with its quantised rows.
 
         Parameters
         ----------
         decoded : (B, K-1, 3) float32
-            Rows as a decoder has them.
+            Basis rows as a decoder reads them.
         """
         return replace(self, rows=decoded.reshape(len(decoded), -1))
 

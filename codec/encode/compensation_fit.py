@@ -73,7 +73,7 @@ def plan_layers(chunk_splats: Sequence[int], effective_splats: int) -> list[int]
 
 
 def _step_interval(splats: int) -> int:
-    """Return the number of iterations between two steps of a layer."""
+    """Return the number of iterations between two steps of a layer of `splats` splats."""
     return min(max(1, round(splats / _LONG_LAYER)), _RAREST)
 
 
@@ -406,7 +406,7 @@ def placeholder_compensation(
 def _identity_chunks(
     chunk_splats: Sequence[int], effective_splats: int, layers: Sequence[int]
 ) -> int:
-    """Return the number of chunks of the layer without shifts; 0 where there is no such layer."""
+    """Return the number of chunks of the last layer, which has no shifts; 0 for no such layer."""
     if not layers:
         return 0
     chunks = int(np.searchsorted(np.cumsum(chunk_splats), _UNCHANGED * effective_splats)) + 1

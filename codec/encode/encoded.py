@@ -83,7 +83,7 @@ class EncodedChunk:
     tail_drop : float
         Squared picture error that the tail removes.
     until : int
-        Number of chunks from which on a prefix no longer draws this one; 0 for always drawn
+        Prefixes of this number of chunks or more do not draw the chunk; 0 if all prefixes draw it
         (SPEC 5.10).
     opacities : tuple of bytes
         Opacity payloads of the levels after the chunk's first (SPEC 5.11).
@@ -125,7 +125,7 @@ class EncodedLevel:
     chunks : int
         Number of first chunks that make up the level.
     scale : float
-        Downscaling of the level's pictures in width and height.
+        Divisor of the width and height of the full picture.
     """
 
     chunks: int

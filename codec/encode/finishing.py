@@ -37,10 +37,10 @@ _PLACEHOLDER_DB = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Finisher:
-    """Last step of an encode: additions to the chunks that need decoded splats.
+    """Last step of an encode: additions to the chunks, computed from decoded splats.
 
-    They are the view table, preview splats, compensation and predicted quality. A search for a
-    target repeats the encode.
+    The additions are view table, preview splats, compensation and predicted quality. To meet a
+    target, `search` encodes the chunks several times.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class Finisher:
 
     @cached_property
     def evaluator(self) -> PrefixEvaluator:
-        """Renders of the source in the test views, shared by a search and the prediction."""
+        """Evaluator with renders of the source in the test views, for search and prediction."""
         return PrefixEvaluator(
             self.source,
             sample_evenly(self.test_views, self.preset.test_views),
@@ -92,7 +92,7 @@ class Finisher:
 
     @property
     def effective_splats(self) -> int:
-        """Number of splats that would show the scene if all contributed equally."""
+        """Smallest number of splats of the source with 95 % of the contribution."""
         return effective_splats(self.prepared.scores.contribution)
 
     @property
@@ -241,7 +241,7 @@ class Finisher:
 
 
 def mean_psnr_db(encoded: EncodedScene) -> float:
-    """Return the mean PSNR in the test views that a scene's report has, dB.
+    """Return the mean PSNR over the test views in a scene's report, dB.
 
     Parameters
     ----------

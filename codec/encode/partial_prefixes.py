@@ -35,7 +35,7 @@ class ReceivedParts:
 
 
 def received_parts(encoded: EncodedScene) -> list[ReceivedParts]:
-    """List the received refinements and tails of each prefix, half-way in bytes to the next head.
+    """Return the refinements and tails that each prefix has half-way in bytes to the next head.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def received_parts(encoded: EncodedScene) -> list[ReceivedParts]:
     Returns
     -------
     list of ReceivedParts
-        Parts of the prefixes of 1, 2, … chunks, without that of all chunks.
+        Parts of each prefix, from 1 chunk to all but one.
     """
     behind: list[list[OrderedSegment]] = []
     for place in encoded.ordered_segments():
@@ -130,7 +130,10 @@ def _without_ended(
 
 
 def _heads(encoded: EncodedScene, runs: Sequence[slice]) -> Splats:
-    """Decode the heads of the first chunks alone, at SH degree 0."""
+    """Return the splats of the first chunks from their heads alone, at SH degree 0.
+
+    `runs` has the row range of each of these chunks.
+    """
     rows = np.arange(runs[-1].stop if runs else 0)
     coarse = encoded.decoded.with_sh_degree(0).take(rows)
     for chunk, run in zip(encoded.chunks, runs, strict=False):

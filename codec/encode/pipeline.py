@@ -90,7 +90,7 @@ def encode(
     scored = score_scene(splats, request, timed)
     if len(splats):
         _warn_of_coverage(scored.report)
-    request = _without_pictures(splats, request, scored)
+    request = _disable_without_views(splats, request, scored)
     references = _render_references(splats, request, scored, timed)
     prepared = prepare(
         splats,
@@ -139,8 +139,13 @@ def _require_encodable(
         objects.require_objects(splats, request.config.ordering.object_budgets)
 
 
-def _without_pictures(splats: Splats, request: EncodeRequest, scored: ScoredViews) -> EncodeRequest:
-    """Return the request without compensation where there are no views to fit it in."""
+def _disable_without_views(
+    splats: Splats, request: EncodeRequest, scored: ScoredViews
+) -> EncodeRequest:
+    """Return the request, without compensation and preview if no view was scored.
+
+    Both are fitted to pictures of the scored views.
+    """
     if scored.views:
         return request
     if request.config.preview is not None and len(splats):

@@ -93,7 +93,7 @@ class PreparedScene:
     source : Splats
         Scene that is encoded.
     rows : (n,) int64
-        Row numbers of the source in the order, without splats that are invisible everywhere.
+        Source rows of the splats, in encoding order; splats invisible everywhere are left out.
     scores : Scores
         Scores of the source.
     config : EncodeConfig
@@ -146,7 +146,7 @@ def prepare(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> PreparedScene:
-    """Order a scene.
+    """Order the splats of a scene; leave out splats that are invisible everywhere.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ from .encoded import EncodedScene
 
 
 class PreviewMaker(Protocol):
-    """Interface of what makes the preview chunks of an encoded scene."""
+    """Interface of a maker of preview chunks for an encoded scene."""
 
     def add(
         self,

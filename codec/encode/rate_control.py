@@ -260,7 +260,7 @@ def search_finished_size(
 
 @dataclass(frozen=True)
 class _Trial:
-    """Nominal quality, dB, and the value measured at it."""
+    """Trial encode of a search: nominal quality, dB, and measured value; see `_Goal`."""
 
     quality_db: float
     value: float
@@ -268,14 +268,14 @@ class _Trial:
 
 @dataclass(frozen=True, eq=False)
 class _Goal:
-    """Goal of a search: the value aimed at, and when to stop.
+    """Goal of a search: the target value, and when to stop.
 
     Parameters
     ----------
     value : float
-        Value aimed at.
+        Target value: PSNR, dB, or base-2 logarithm of the file size in bytes.
     rise : float
-        Typical slope: rise of the value per nominal dB.
+        Typical rise of the value per dB of nominal quality.
     start_db : float
         Nominal quality of the first trial, dB.
     is_enough : callable
@@ -361,8 +361,8 @@ def _search(
 def _next(trials: list[_Trial], goal: float, rise: float) -> float:
     """Return the next quality: between trials on both sides of the goal, else beyond the last.
 
-    Values are not monotonic: a codebook may change its number of rows. So the two trials are
-    neighbours by quality, and the closest such pair.
+    Values are not monotonic: a codebook may change its number of rows. Of all neighbours by quality
+    with the goal between them, the closest pair is used.
     """
     by_quality = sorted(trials, key=lambda trial: trial.quality_db)
     pairs = [

@@ -100,7 +100,7 @@ def score_scene(splats: Splats, request: EncodeRequest, progress: Progress) -> S
 
 
 def _score_planned(splats: Splats, request: EncodeRequest, progress: Progress) -> ScoredViews:
-    """Plan views for a scene without cameras, and score the scene in them."""
+    """Plan views for a scene without cameras, and score it in the planned views."""
     planned = _plan_views(splats, request, progress)
     settings = request.scoring
     settings = replace(settings, jitter=settings.jitter and request.effort.planned_jitter)
@@ -123,7 +123,7 @@ def _score_planned(splats: Splats, request: EncodeRequest, progress: Progress) -
 
 
 def _plan_views(splats: Splats, request: EncodeRequest, progress: Progress) -> ViewPlan:
-    """Return planned scoring and test views; none for a lossless archive that shows nothing."""
+    """Return planned scoring and test views; none if a near-lossless scene shows nothing."""
     try:
         settings = request.effort.plan_config(request.config.threads)
         return plan(splats, settings, executor=request.executor, progress=progress)
@@ -134,7 +134,7 @@ def _plan_views(splats: Splats, request: EncodeRequest, progress: Progress) -> V
 
 
 def single_camera_share(scores: Scores, config: ScoreConfig) -> float:
-    """Return the share of all contribution from splats that a single camera shows.
+    """Return the share of all contribution from splats that only one camera shows.
 
     It estimates the part of a picture from a further camera that the scored cameras do not show
     (leave-one-out; Good 1953, "The population frequencies of species").

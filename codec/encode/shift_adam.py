@@ -37,7 +37,7 @@ class ShiftAdam:
         self._count = np.zeros(shape[:-1])
 
     def step(self, part: slice | int, gradient: F64) -> F64:
-        """Return the update to subtract from a part of the array.
+        """Update the moments and return the step to subtract from a part of the array.
 
         Parameters
         ----------

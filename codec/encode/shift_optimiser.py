@@ -83,7 +83,7 @@ class FitConfig:
 
 
 def coded_splats(sizes: Sequence[int], effective_splats: int, config: FitConfig) -> int:
-    """Return the number of splats, from the first on, that have codes.
+    """Return the number of leading splats that have codes, which are codebook indices.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ class ShiftOptimiser:
             book = few_rows.train(shifts / _SPREAD, rows) * _SPREAD
             self._codebooks.append(_in_steps(book))
             first = size
-        self._choose_rows(self._coded)
+        self._update_rendered(self._coded)
 
     def step(
         self,
@@ -247,7 +247,7 @@ class ShiftOptimiser:
         draw_shifts(
             starts, chunk_shifts, strengths, own, bare.scales, bare.opacities, scales, opacities
         )
-        gradients = self._measure(number, references, views)
+        gradients = self._layer_gradient(number, references, views)
         self._counts[:count] += 1
         of_chunks, of_strengths = np.zeros((2, *chunk_shifts.shape))
         means, squares = self._moments
@@ -264,7 +264,7 @@ class ShiftOptimiser:
             of_chunks,
             of_strengths,
         )
-        self._choose_rows(size)
+        self._update_rendered(size)
         chunk_shifts[:count] -= rate * self._chunk_steps.step(number, of_chunks)[:count]
         # A chunk's strength in its first layer stays 1, which fixes the unit of its splats' shifts.
         older = self._first_layer[:count] < number
@@ -295,7 +295,7 @@ class ShiftOptimiser:
             first = size
         return stored
 
-    def _measure(
+    def _layer_gradient(
         self,
         number: int,
         references: ReferenceViews,
@@ -315,8 +315,8 @@ class ShiftOptimiser:
             add_gradient(result.rows, result.scales, result.opacities, weight, gradients)
         return gradients
 
-    def _choose_rows(self, stop: int) -> None:
-        """Update the shifts used for rendering: own shifts, or codebook rows after training."""
+    def _update_rendered(self, stop: int) -> None:
+        """Update the rendered shifts of the first `stop` splats: own, or of codebook rows."""
         if not self._codebooks:
             self._own[:stop] = self._splat_shifts[:stop]
             return
@@ -336,6 +336,6 @@ class ShiftOptimiser:
 
 
 def _in_steps(shifts: F64) -> NDArray[np.int8]:
-    """Quantise shifts to the units of the file."""
+    """Quantise shifts to int8, in the units of the file."""
     stored: NDArray[np.int8] = np.clip(np.rint(shifts / _STEPS), -127, 127).astype(np.int8)
     return stored

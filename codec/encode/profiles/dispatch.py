@@ -47,7 +47,7 @@ class PlannedScene:
 
 
 class Profile(Protocol):
-    """Plans a scene of at least one row at a nominal quality, dB."""
+    """Planner of a profile: prepares the codebooks and chunk encoder of a scene."""
 
     def __call__(self, scene: ChunkedScene, quality_db: float, progress: Progress) -> PlannedScene:
         """Return the codebooks of the scene and the encoder of its chunks.
@@ -144,7 +144,7 @@ def _vq(scene: ChunkedScene, quality_db: float, progress: Progress) -> PlannedSc
 
 
 def _vq_start(codebooks: Sequence[EncodedCodebook], degree: int) -> vq.VqStart:
-    """Return the decoded rows of earlier codebooks."""
+    """Return the decoded rows of earlier codebooks, to start training from."""
     start = vq.VqStart()
     for book in codebooks:
         rows = book.decode(degree)

@@ -32,15 +32,15 @@ def quantise_means(
     Parameters
     ----------
     means : (n, 3) float32
-        Scene units.
+        Means of the chunk, scene units.
     scales : (n, 3) float32
         Log scales decoded from the head, which decide the bits of each row.
     costs : (n,) float64
-        `Costs.mean`.
+        Squared picture error per squared error of a coordinate of each mean (`Costs.mean`).
     lagrangian : float
         λ of the refined values.
     later_bits : int
-        Bits of each coordinate in the refinement.
+        Bits of each coordinate that the refinement holds.
     sort : bool
         Sort by Morton code; otherwise all means share one step.
     """
@@ -75,7 +75,7 @@ def _widest(means: F32) -> float:
 
 
 def _grid(means: F32, step: float) -> Grid:
-    """Return a grid with exactly the step `step`, which extra bits halve."""
+    """Return a grid of means with the step `step`; each extra bit of a splat halves the step."""
     minimum = means.min(axis=0)
     span = means.max(axis=0).astype(np.float64) - minimum
     levels = np.ceil(span / step) + 1

@@ -38,7 +38,7 @@ def differences_to_store(
     Parameters
     ----------
     scales : (n, 3) float32
-        Log scales: middle, thin, long.
+        Log scales; columns middle, thin, long.
     costs : Costs
         Costs of these rows.
     lagrangian : float
@@ -78,14 +78,16 @@ def refine_scales(parts: Split, differences: F32, costs: Costs) -> Refined:
 
 
 def opacities_to_store(opacities: F32, scales: F32, stored: F32) -> F32:
-    """Return opacities corrected for the area change of quantised scales.
+    """Return opacity logits corrected for the area change of quantised scales.
+
+    A splat whose decoded scales enlarge its area gets a lower opacity.
 
     Parameters
     ----------
     opacities : (n,) float32
-        Logits.
+        Opacity logits of the source.
     scales, stored : (n, 3) float32
-        Log scales of the source and decoded ones: middle, thin, long.
+        Log scales of the source, and as decoded; columns middle, thin, long.
 
     Returns
     -------

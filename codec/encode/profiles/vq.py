@@ -48,11 +48,11 @@ class VqPlan:
     costs : EnergyCosts
         Costs of each splat.
     quats : (N, 4) float32
-        Unit, axes renamed so that w is the largest component.
+        Unit quaternions, with axes renamed so that w is the largest component.
     scales : (N, 3) float32
-        Log, of the renamed axes.
+        Log scales of the renamed axes.
     factors : (N,) float32
-        Log of the size that the shape vectors leave out.
+        Log of the size factor, which the shape vectors leave out.
     shape_payload : bytes
         Payload of the shape codebook.
     shape_rows : int
@@ -62,7 +62,7 @@ class VqPlan:
     shape_escape : (N,) bool
         Mask of splats stored as escape rows in the chunk.
     colour_payloads : tuple of bytes
-        One per SH band; empty where the scene has none.
+        Payload of each SH band; empty without a colour codebook.
     colour_rows : int
         Rows of the colour codebook.
     colour_indices : (N,) uint32
@@ -307,7 +307,7 @@ def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton:
 def _indices(
     attribute: Attribute, book: int, size: int, indices: U32, escape: NDArray[np.bool_]
 ) -> Stream:
-    """Return the stream of codebook indices; escape rows follow the codebook's."""
+    """Return the stream of codebook indices; the k-th escape row has index `size` + k, from 0."""
     count = int(escape.sum())
     indices = indices.copy()
     indices[escape] = size + np.arange(count, dtype=np.uint32)
@@ -331,13 +331,13 @@ def _bands(coefficients: F32, step: float, *, escape: bool = False) -> list[Stre
 
 
 def _row_costs(costs: EnergyCosts, indices: U32, rows: int) -> EnergyCosts:
-    """Return the costs of codebook rows: a row's error is that of all splats that use it."""
+    """Return the costs of codebook rows: the sum over the splats that use a row."""
     weight = np.bincount(indices, weights=costs.energy, minlength=rows)
     return replace(costs, energy=np.maximum(weight, costs.energy.min()))
 
 
 def _store_shapes(rows: F32, indices: U32, costs: EnergyCosts) -> tuple[bytes, F32]:
-    """Return a shape codebook's payload and the vectors that its decoded rows stand for."""
+    """Return a shape codebook's payload and the shape vectors of its decoded rows."""
     quats, scales = covariance.quats_and_scales(rows)
     # Similar rows together: their planes compress.
     order = np.lexsort((quats[:, 2], quats[:, 1], np.rint(scales.min(axis=1))))
