@@ -36,7 +36,7 @@ def dump(data: bytes) -> list[str]:
     Parameters
     ----------
     data : bytes
-        A valid file without pages whose planes are all stored in their records.
+        A valid file without pages and without byte planes: every grid has one level.
     """
     lines = []
     position = 0

@@ -28,7 +28,7 @@ _TYPES: Final = {
 
 
 def _entry(name: str, kind: str, components: int = 0) -> dict[str, Value]:
-    """Return the root's entry of one attribute."""
+    """Return the entry of one extra attribute in the root."""
     entry: dict[str, Value] = {"name": name, "type": kind}
     return entry | ({"components": components} if components else {})
 
@@ -56,14 +56,14 @@ def labels(rows: int) -> list[bytes]:
 
 
 def with_attributes(draft: Draft, attributes: Sequence[Value], payloads: Sequence[bytes]) -> Draft:
-    """Return the file with attributes listed in its root and one attribute segment per payload."""
+    """Return the draft with attributes listed in its root and one segment per attribute payload."""
     added = [Segment(SegmentKind.ATTRIBUTES, i, data) for i, data in enumerate(payloads)]
     whole = with_segments(draft, [*draft.groups[0].segments, *added])
     return replace(whole, root=whole.root | {"attributes": list(attributes)})
 
 
 def _all_types() -> Valid:
-    """Return a file with an attribute of each type and of several components."""
+    """Return the vector of extra attributes: one of each type, one of several components."""
     ends: dict[str, list[float]] = {}
     for size in (1, 2, 4):
         ends[f"u{size}"] = [(1 << 8 * size) - 1, 0]
@@ -86,8 +86,8 @@ def _all_types() -> Valid:
     return Valid("attributes", build(draft), ("5.7",), note)
 
 
-def _coded() -> Valid:
-    """Return a file whose attribute planes are packed."""
+def _packed() -> Valid:
+    """Return the vector of an extra attribute whose plane holds several symbols per byte."""
     rows = 3
     frame_of = [[row // 2 * 1000] for row in range(rows)]
     packed = bytes([3]) + pack_symbols(labels(rows)[0], 3)
@@ -103,7 +103,7 @@ def _coded() -> Valid:
 
 
 def _some_chunks() -> Valid:
-    """Return a file of two chunks of which one has attributes."""
+    """Return the vector of two chunks, one with and one without extra attributes."""
     whole = two_chunks()
     segments = [
         *whole.groups[0].segments,
@@ -116,7 +116,7 @@ def _some_chunks() -> Valid:
 
 
 def _pages() -> Valid:
-    """Return a file whose attributes and cameras are listed in pages."""
+    """Return the vector of attributes and cameras that are listed in index pages."""
     whole = two_chunks()
     segments = whole.groups[0].segments
     added = [Segment(SegmentKind.ATTRIBUTES, i, store_planes(labels(2))) for i in range(2)]
@@ -168,7 +168,7 @@ def valid() -> list[Valid]:
     """Return the valid vectors of SPEC 5.7 and 5.8."""
     return [
         _all_types(),
-        _coded(),
+        _packed(),
         _some_chunks(),
         _pages(),
         Valid("cameras", _with_cameras(_camera_segment(3)), ("5.8",), "three cameras"),

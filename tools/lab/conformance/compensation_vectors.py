@@ -46,7 +46,7 @@ def _pack_codes(codes: Sequence[int], bits: int) -> bytes:
 
 
 def _draft(layers: Sequence[tuple[int, bytes]]) -> Draft:
-    """Return a file of five chunks with compensation segments.
+    """Return the draft of a file of five chunks with compensation segments.
 
     Parameters
     ----------
@@ -107,21 +107,27 @@ def valid() -> list[Valid]:
 
 
 def _blend() -> Valid:
-    """Return a file of chunks of several sizes, whose blends of two layers round in float32."""
+    """Return the vector of two layers whose blends round in float32; chunk sizes differ."""
     data = build(_two_layers([0] * len(_SIZES)))
     note = "prefixes between two layers and behind the last, where every operation rounds"
     return Valid("compensation-blend", data, ("5.9", "8.5"), note)
 
 
 def _cells() -> Valid:
-    """Return the chunks of `_blend` as a tree of cells; its sets of chunks are compensated too."""
+    """Return the vector of `_blend` with a tree of cells, whose sets of chunks are checked too."""
     data = build(_two_layers([1, 3, 1, 3, 2, 7, 2]))
     note = "the same chunks cut into cells: sets of chunks that hold with each chunk its parent"
     return Valid("compensation-cells", data, ("5.4", "5.9", "8.5"), note)
 
 
 def _two_layers(cells: Sequence[int]) -> Draft:
-    """Return a file of chunks of `_SIZES` splats with two layers, each chunk in one of `cells`."""
+    """Return the draft of a file with two compensation layers.
+
+    Parameters
+    ----------
+    cells : sequence of int
+        Cell of each chunk; `_SIZES` are the splat counts of the chunks.
+    """
     entries = [k for row in range(16) for k in (7 * row - 50, 113 - 15 * row)]
     first = _layer([85], [-77], [63, 61], entries, _pack_codes([3, 15, 8, 11, 6], 4))
     second = _layer(
@@ -145,7 +151,7 @@ def _two_layers(cells: Sequence[int]) -> Draft:
 
 
 def _zeros() -> Valid:
-    """Return a file with scales and opacities of -0 and one layer of zero shifts."""
+    """Return the vector of scales and opacities of -0 with one layer of zero shifts."""
     minus = [
         handmade.floats(Attribute.SCALES, [[-0.0, -1.0, -0.0]] * _ROWS),
         handmade.floats(Attribute.OPACITIES, [[-0.0]] * _ROWS),

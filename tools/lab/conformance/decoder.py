@@ -29,7 +29,7 @@ KINDS: Final = ("numpy", "compiled", "reference")
 
 
 def hello(kind: str) -> Answer:
-    """Return the answer to ``hello``: name, version and abilities of a decoder of `KINDS`."""
+    """Return the answer to ``hello``: name, version and capabilities of a decoder of `KINDS`."""
     return {
         "name": f"cogsplat ({kind})",
         "version": cogsplat.__version__,

@@ -1,7 +1,7 @@
 """Differential fuzzing: several decoders decode seeded mutants of files and must agree.
 
-Agreement means the same reason code, or the same bits in all arrays. A decoder that refuses nothing
-is asked only about the mutants that all other decoders accept.
+Agreement means the same reason code, or the same bits in all arrays. A decoder that does not refuse
+invalid files decodes only the mutants that all other decoders accept.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Disagreement:
         Number of the mutant in its run.
     mutant : Mutant
     verify : bool
-        Whether the decoders were asked to make a verifier's checks.
+        Whether the requests included a verifier's checks.
     verdicts : tuple of str
         Verdict of each decoder: a reason code, or splat count and hash of its arrays.
     """
@@ -97,7 +97,7 @@ def fuzz(
     timeout_s: float = 30.0,
     progress: Progress = silent,
 ) -> FuzzReport:
-    """Let decoders decode mutants ``first`` to ``first + count - 1`` of a seeded run.
+    """Decode mutants ``first`` to ``first + count - 1`` of a seeded run with several decoders.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def fuzz(
     first : int
         Number of the first mutant.
     timeout_s : float
-        Time limit for one answer, seconds; a decoder that exceeds it disagrees.
+        Time limit for one answer, seconds; exceeding it counts as a disagreement.
     progress : Progress
         Called with ``("mutants", mutants done, mutants)``.
 
@@ -153,7 +153,7 @@ def fuzz(
 
 
 class _Decoders:
-    """Decoders of a run; decoders that refuse nothing are asked last."""
+    """Decoders of a run; the decoders that do not refuse invalid files decode last."""
 
     def __init__(self, decoders: Sequence[DecoderProcess], folder: Path) -> None:
         self._decoders = decoders
@@ -165,7 +165,7 @@ class _Decoders:
         self._verifiers = all(self.hellos[n].level == "verifier" for n in self._strict)
 
     def verdicts(self, mutant: Mutant, *, verify: bool) -> tuple[str, ...]:
-        """Return the verdict of each decoder; empty for a decoder that was not asked."""
+        """Return the verdict of each decoder on a mutant; "" for one that did not decode it."""
         self._path.write_bytes(mutant.data)
         found = [""] * len(self._decoders)
         verify = verify and self._verifiers
@@ -173,19 +173,19 @@ class _Decoders:
         for number, verdict in answers.items():
             found[number] = verdict
         agreed = set(answers.values())
-        # A decoder that refuses nothing is asked only about files that passed a verifier's checks.
+        # Decoders that do not refuse invalid files get only mutants that a verifier accepts.
         if verify and len(agreed) == 1 and self._is_small_and_whole(agreed.pop(), mutant):
             for number, verdict in self._ask(self._lenient, mutant, verify=False).items():
                 found[number] = verdict
         return tuple(found)
 
     def _is_small_and_whole(self, verdict: str, mutant: Mutant) -> bool:
-        """Tell whether a mutant was accepted, is not truncated, and is small enough."""
+        """Tell whether a mutant was accepted, is not truncated, and suits slow decoders in size."""
         word, *rest = verdict.split()
         return word == "accepted" and not mutant.partial and int(rest[0]) <= _MOST_SPLATS_FOR_SLOW
 
     def _ask(self, numbers: Sequence[int], mutant: Mutant, *, verify: bool) -> dict[int, str]:
-        """Send the mutant to a selection of decoders; return the verdicts by decoder number."""
+        """Send a mutant to the decoders of given numbers; return their verdicts by number."""
         # All requests are sent before the first answer is read, so that decoders run in parallel.
         for number in numbers:
             out = self._outs[number]
@@ -199,7 +199,7 @@ class _Decoders:
 
     @staticmethod
     def _verdict(answer: Answer | None, reason: str, out: Path) -> str:
-        """Return an answer as text: reason code, or splat count and hash of the arrays."""
+        """Return the verdict of an answer: reason code, or splat count and hash of the arrays."""
         if answer is None:
             return f"nothing: {reason}"
         if answer.get("ok") is not True:

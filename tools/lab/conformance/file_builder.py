@@ -42,7 +42,7 @@ class ChunkRow:
 
 @dataclass(frozen=True)
 class Group:
-    """Segments and chunks that one index lists, the root or a page.
+    """Segments and chunks that one index lists; an index is the root or a page.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Draft:
-    """Content of a file before it is packed.
+    """Content of a conformance file before `build` packs it.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def _tables(group: Group) -> Index:
 
 
 def table(index: Index, name: str) -> dict[str, Value]:
-    """Return a table of an index, for changes in place."""
+    """Return a table of an index by name, such as ``chunks``; changes to it change the index."""
     found = index[name]
     if not isinstance(found, dict):
         raise TypeError(f"{name} is {type(found).__name__}, expected a map")
@@ -146,14 +146,14 @@ def poke(data: bytes, offset: int, layout: str, value: float) -> bytes:
 
 
 def build(draft: Draft, edit: Edit | None = None, *, behind_page: bytes = b"") -> bytes:
-    """Pack a file.
+    """Pack a draft into the bytes of a file.
 
     Parameters
     ----------
     draft : Draft
     edit : callable, optional
-        ``edit(number, index)`` changes an index before it is packed: 0 is the root, 1 and up pages.
-        The root is packed last, so it lists the changed pages.
+        Called as ``edit(number, index)`` to change an index before it is packed. Number 0 is the
+        root, 1 and up are pages. The root is packed last, so it lists the changed pages.
     behind_page : bytes
         Bytes appended to every page.
     """
@@ -186,14 +186,14 @@ def build(draft: Draft, edit: Edit | None = None, *, behind_page: bytes = b"") -
 
 
 def with_root(root: bytes, behind: bytes) -> bytes:
-    """Return the file of a packed root and the bytes that follow it."""
+    """Return a file, given its root as msgpack bytes and all bytes that follow the root."""
     file_length = PREAMBLE_BYTES + len(root) + len(behind)
     fields = (MAGIC, MAJOR, MINOR, len(root), file_length, zlib.crc32(root), 0)
     return seal(struct.pack("<8sHHIQII28x", *fields)) + root + behind
 
 
 def seal(head: bytes) -> bytes:
-    """Return a preamble of 64 bytes from its first 60, with the CRC computed."""
+    """Return the preamble whose first 60 bytes are those of `head`, with its CRC computed."""
     return head[:60] + struct.pack("<I", zlib.crc32(head[:60]))
 
 
@@ -203,7 +203,7 @@ def preamble_field(data: bytes, offset: int, layout: str, value: int) -> bytes:
 
 
 def split_root(data: bytes) -> tuple[bytes, bytes]:
-    """Return the packed root of a file, and the bytes after it."""
+    """Return the root of a file as msgpack bytes, without the preamble, and all bytes after it."""
     (length,) = struct.unpack_from("<I", data, 12)
     end = PREAMBLE_BYTES + length
     return data[PREAMBLE_BYTES:end], data[end:]
@@ -254,7 +254,7 @@ class Record:
 
 
 def plane(raw: bytes) -> tuple[int, bytes]:
-    """Return length word and stored bytes of a plane: a zstd frame if that is smaller."""
+    """Return word and stored bytes of a plane, as a zstd frame if the frame is smaller."""
     frame: bytes = zstandard.ZstdCompressor(level=19).compress(raw)
     return (len(frame) | 1 << 31, frame) if len(frame) < len(raw) else (len(raw), raw)
 

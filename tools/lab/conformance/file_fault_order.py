@@ -26,7 +26,7 @@ Change = Callable[[Index], object]
 
 
 def _poke(name: str, key: str, offset: int, layout: str, value: float) -> Change:
-    """Return a change that overwrites one number in a column of a table."""
+    """Return a function that overwrites one number in a column of an index's table."""
 
     def change(index: Index) -> None:
         table(index, name)[key] = poke(column(index, name, key), offset, layout, value)
@@ -35,7 +35,7 @@ def _poke(name: str, key: str, offset: int, layout: str, value: float) -> Change
 
 
 def _all(*changes: Change) -> Change:
-    """Return a change that applies several changes in order."""
+    """Return a function that applies several changes to an index in order."""
 
     def change(index: Index) -> None:
         for each in changes:
@@ -45,7 +45,7 @@ def _all(*changes: Change) -> Change:
 
 
 def _page_entry(key: str, value: int) -> Change:
-    """Return a change that sets a key in the root's entry of the first page."""
+    """Return a function that sets a key in the root's entry of the first page."""
 
     def change(index: Index) -> None:
         found = index["pages"]

@@ -1,7 +1,8 @@
 """Seeded mutants of whole COGS files: damaged, truncated, or inconsistent with valid checksums.
 
-Some mutants are damaged as by transport. The others change one table entry, msgpack value or
-payload and recompute every length, CRC and hash, so that checksums do not reveal the fault.
+Some mutants have damaged or missing bytes, as after a faulty transfer. In the others one table
+entry, msgpack value or payload is changed and every length, CRC and hash recomputed, so that
+checksums do not reveal the fault.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ _ATTRIBUTES_KIND: Final = 129
 
 @dataclass(frozen=True)
 class Mutant:
-    """A mutated file and how decoders should read it.
+    """A mutated file, and whether decoders should read it as a truncated file.
 
     Parameters
     ----------
@@ -67,18 +68,26 @@ class Mutant:
 
 @dataclass
 class _Parts:
-    """A parsed file: its indexes, the root first, and the payloads that each lists."""
+    """A parsed file.
+
+    Parameters
+    ----------
+    indexes : list of dict
+        Root, then the pages.
+    payloads : list of list of bytes
+        Payloads of the segments that each index lists.
+    """
 
     indexes: list[Index]
     payloads: list[list[bytes]]
 
     @property
     def places(self) -> list[tuple[int, int]]:
-        """Index and row of every segment."""
+        """Place of every segment: number of the index that lists it, and row in its table."""
         return [(i, row) for i, group in enumerate(self.payloads) for row in range(len(group))]
 
     def kind(self, place: tuple[int, int]) -> int:
-        """Return the kind of the segment at (index, row)."""
+        """Return the kind of the segment at a place: number of its index, and row in its table."""
         index, row = place
         return column(self.indexes[index], "segments", "kind")[row]
 
@@ -141,7 +150,7 @@ def _parse(data: bytes) -> _Parts:
 
 
 def _read_payloads(index: Index, data: bytes, at: int, payloads: list[list[bytes]]) -> int:
-    """Append the payloads of one index to `payloads`; return their end offset."""
+    """Append a list of one index's payloads, from `at` on, to `payloads`; return their end."""
     group = []
     for (length,) in struct.iter_unpack("<I", column(index, "segments", "length")):
         group.append(data[at : at + length])
@@ -196,7 +205,7 @@ _WIDTHS: Final = {"kind": 1, "owner": 4, "length": 4, "crc": 4, "hash": 16, "nee
 
 
 def _mutate_segments(parts: _Parts, other: _Parts, rng: random.Random) -> str:
-    """Swap, move, drop, double or replace a random segment; return the kind of mutation."""
+    """Swap, move, drop, duplicate or replace a random segment; return the kind of mutation."""
     a, b = rng.choice(parts.places), rng.choice(parts.places)
     index, row = a
     group = parts.payloads[index]
@@ -350,7 +359,7 @@ def _fit_table(segments: Index, group: Sequence[bytes]) -> None:
 def _fit_entry(
     entry: Index, page: bytes, index: Index, group: Sequence[bytes], span: bytes, *, counts: bool
 ) -> None:
-    """Recompute the root's entry of a page; with `counts`, also its segments, chunks and span."""
+    """Recompute length and CRC in the root's entry of a page; with `counts`, also the counts."""
     if counts:
         entry["segments"] = len(group)
         entry["chunks"] = len(column(index, "chunks", "splats")) // 4

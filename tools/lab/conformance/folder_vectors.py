@@ -27,21 +27,22 @@ _CODEBOOKS: Final = (3, 4, 5, 6)
 _OF_CHUNKS: Final = (1, 2, 7, 8, 129)
 
 Objects = dict[str, bytes]
-"""File contents by name, relative to the folder."""
+"""Contents of a folder's files by path relative to the folder."""
 
 
 @dataclass(frozen=True)
 class ValidFolder:
-    """A folder to decode.
+    """A valid conformance folder: manifests and segment objects.
 
     Parameters
     ----------
     name : str
     stands_for : dict of str to str
-        Name of the equivalent valid vector, by name of the manifest.
+        Name of the valid vector that decodes to the same arrays, for each manifest by name.
     note : str
         Description of the case.
     objects : dict of str to bytes
+        Contents of the manifests and the objects, by name.
     """
 
     name: str
@@ -52,7 +53,7 @@ class ValidFolder:
 
 @dataclass(frozen=True)
 class InvalidFolder:
-    """A folder to refuse.
+    """A must-reject folder, which breaks one rule.
 
     Parameters
     ----------
@@ -73,7 +74,7 @@ class InvalidFolder:
 
 
 def valid(files: Mapping[str, bytes]) -> list[ValidFolder]:
-    """Return the valid folders, made from the bytes of the valid vectors by name."""
+    """Return the valid folders, given the bytes of each valid vector by name."""
 
     def one(name: str, note: str) -> ValidFolder:
         return ValidFolder(name, {MANIFEST: name}, note, folder_of_file(files[name]))
@@ -98,7 +99,7 @@ def valid(files: Mapping[str, bytes]) -> list[ValidFolder]:
 
 
 def invalid(files: Mapping[str, bytes]) -> list[InvalidFolder]:
-    """Return the must-reject folders, made from valid vectors by name; all have `MANIFEST`."""
+    """Return the must-reject folders, given the bytes of each valid vector by name."""
     small, large = folder_of_file(files["one-splat"]), folder_of_file(files["pages"])
     manifest = small[MANIFEST]
     paged = large[MANIFEST]
@@ -296,18 +297,18 @@ class _Segment:
 
 @dataclass(frozen=True)
 class _Index:
-    """A root, with the preamble before it, or a page: its bytes and the segments that it lists."""
+    """Bytes of a page, or of preamble and root, and the segments that it lists."""
 
     stored: bytes
     segments: list[_Segment]
 
 
-# Key of the object, its size, and the offset of the segment in it, bytes.
+# Location of a segment: key of its object, size of the object, and offset in it, bytes.
 _Placement = tuple[bytes, int, int]
 
 
 def _read_indexes(data: bytes) -> list[_Index]:
-    """Return root and pages of a file, with the offsets of their segments in the file."""
+    """Return root and pages of a file with the segments that each lists."""
     root_end, root = _read_root(data)
     found = [_Index(data[:root_end], _read_segments(root, root_end))]
     position = root_end + sum(segment.length for segment in found[0].segments)
@@ -320,7 +321,17 @@ def _read_indexes(data: bytes) -> list[_Index]:
 
 
 def _build_manifest(data: bytes, indexes: list[_Index], where: Mapping[int, _Placement]) -> bytes:
-    """Pack the manifest: preamble, root and pages, each with the placement of its segments."""
+    """Return a folder's manifest: preamble, root and pages, each followed by its placement table.
+
+    Parameters
+    ----------
+    data : bytes
+        The file.
+    indexes : list of _Index
+        Root and pages of the file.
+    where : mapping of int to _Placement
+        Placement of each segment by its offset in the file.
+    """
     stored = b""
     for index in indexes:
         rows = [where[segment.position] for segment in index.segments]
@@ -329,7 +340,7 @@ def _build_manifest(data: bytes, indexes: list[_Index], where: Mapping[int, _Pla
 
 
 def _placement_table(rows: Sequence[_Placement]) -> bytes:
-    """Pack the placement of segments in objects, with its CRC."""
+    """Return the packed placement table of segments, with its CRC (SPEC 3.4)."""
     columns = b"".join(key for key, _, _ in rows)
     columns += struct.pack(f"<{len(rows)}I", *(size for _, size, _ in rows))
     columns += struct.pack(f"<{len(rows)}I", *(offset for _, _, offset in rows))
@@ -342,7 +353,7 @@ def _placement_bytes(segments: int) -> int:
 
 
 def _read_root(data: bytes) -> tuple[int, dict[str, list[dict[str, int]]]]:
-    """Return the root's end offset and its map."""
+    """Return the end of a file's root, bytes, and the root unpacked from msgpack."""
     (length,) = struct.unpack_from("<I", data, 12)
     return PREAMBLE_BYTES + length, msgpack.unpackb(data[PREAMBLE_BYTES : PREAMBLE_BYTES + length])
 

@@ -46,7 +46,7 @@ def pseudo_random(count: int, below: int, seed: int) -> list[int]:
 
 
 def grid(rows: Sequence[GridRow]) -> Grid:
-    """Return the grid with these ranges and levels per component."""
+    """Return a grid, given minimum, maximum and number of levels of each component."""
     low, high, levels = zip(*rows, strict=True)
     return Grid(np.array(low, np.float32), np.array(high, np.float32), np.array(levels, np.uint32))
 
@@ -70,7 +70,7 @@ def scalar(
         Codes of each component, one per row of the stream.
     flags : int
     levels : sequence of int, optional
-        Levels that set the number of planes; those of the grid by default.
+        Numbers of levels that planes are made for; the levels of the grid by default.
     """
     extra = 2 if flags & INFINITIES else 0
     cut = levels or [count + extra for _, _, count in rows]
@@ -151,8 +151,8 @@ def sorted_means(
         Grid of the cells, by component.
     model : StepModel
     extra_bits : sequence of int, optional
-        Extra bits per axis that the model gives each row; none by default. Their values are
-        pseudo-random.
+        Number of extra bits per axis that the model gives each row; 0 by default. The values of
+        the bits are pseudo-random.
     seed : int
     """
     codes = np.array(cells, np.uint32)
@@ -167,7 +167,7 @@ def sorted_means(
 
 
 def vq(attribute: Attribute, codes: Sequence[int], book: int, size: int, escape: int) -> Stream:
-    """Return a vq stream of indices into codebook `book` of `size` rows and `escape` more rows."""
+    """Return a vq stream of indices into `size` rows of codebook `book`, then `escape` rows."""
     planes = grid_planes.split_planes(np.array(codes, np.uint32), size + escape)
     return Stream(attribute, Kind.VQ, len(codes), struct.pack("<II", book, escape), planes)
 
@@ -181,7 +181,7 @@ def floats(attribute: Attribute, values: Sequence[Sequence[float]]) -> Stream:
 
 
 def random_head(rows: int, seed: int, *changed: Stream) -> list[Stream]:
-    """Return the streams of a pseudo-random chunk head; `changed` replace their attributes."""
+    """Return the streams of a pseudo-random chunk head, with `changed` in place of some."""
     plain = [
         random_scalar(Attribute.SCALES, rows, seed + 3, span=4.0, levels=90),
         random_quats(rows, seed + 4),
@@ -193,7 +193,7 @@ def random_head(rows: int, seed: int, *changed: Stream) -> list[Stream]:
 
 
 def _replaced(plain: Sequence[Stream], changed: Sequence[Stream]) -> list[Stream]:
-    """Return the streams of `plain`, with `changed` in place of equal attributes."""
+    """Return the streams of `plain`, each replaced by the one of its attribute in `changed`."""
     found = {stream.attribute: stream for stream in changed}
     return [found.get(stream.attribute, stream) for stream in plain]
 
@@ -204,7 +204,7 @@ def stream_index(body: Sequence[Stream], attribute: Attribute) -> int:
 
 
 def uniform_head(rows: int, *changed: Stream) -> list[Stream]:
-    """Return the streams of a head of equal splats; `changed` replace their attributes."""
+    """Return the streams of a head of equal splats, with `changed` in place of some."""
 
     def flat(attribute: Attribute) -> Stream:
         return constant(attribute, rows, *[0.5] * COMPONENTS[attribute])
@@ -230,7 +230,7 @@ def vq_head(
 
 
 def shape_codebook(rows: int, seed: int) -> list[Stream]:
-    """Return the streams of a shape codebook."""
+    """Return the pseudo-random streams of a shape codebook."""
     return [
         random_scalar(Attribute.SCALES, rows, seed, span=1.0, levels=60),
         random_quats(rows, seed + 1, largest=[i % 4 for i in range(rows)]),
@@ -238,11 +238,11 @@ def shape_codebook(rows: int, seed: int) -> list[Stream]:
 
 
 def band(number: int, rows: int, seed: int, *, escape: bool = False) -> Stream:
-    """Return the stream of one SH band, 1 to 3."""
+    """Return a pseudo-random stream of SH band `number`, which is 1 to 3."""
     attribute = (Attribute.SH1, Attribute.SH2, Attribute.SH3)[number - 1]
     return random_scalar(attribute, rows, seed + number, span=0.5, levels=17, escape=escape)
 
 
 def bands(degree: int, rows: int, seed: int, *, escape: bool = False) -> list[Stream]:
-    """Return the streams of the SH bands up to a degree."""
+    """Return pseudo-random streams of all SH bands up to a degree."""
     return [band(number, rows, seed, escape=escape) for number in range(1, degree + 1)]

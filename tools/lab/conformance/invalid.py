@@ -41,7 +41,7 @@ class Invalid:
     stage : str
         Operation that must refuse the file: ``open``, ``decode`` or ``verify``.
     partial : bool
-        Whether a reader of truncated files accepts it.
+        Whether a reader of truncated files accepts the file.
     """
 
     name: str
@@ -54,23 +54,23 @@ class Invalid:
 
 
 def no_splats() -> Draft:
-    """Return a file of no splats at SH degree 0, which consists of preamble and root."""
+    """Return the draft of a file without splats: only preamble and root, SH degree 0."""
     return Draft(root_keys(0, 0), [Group([], [])])
 
 
 def uniform_chunk() -> Draft:
-    """Return a file of one chunk of three equal splats at SH degree 0."""
+    """Return the draft of a file of one chunk of three equal splats, SH degree 0."""
     return one_chunk(pack_streams(handmade.uniform_head(3)), 3)
 
 
 def chunk_with_tail(degree: int = 2) -> Draft:
-    """Return a file of one chunk of three splats with a tail."""
+    """Return the draft of a file of one chunk of three splats with a tail."""
     head = pack_streams(handmade.uniform_head(3))
     return one_chunk(head, 3, tail=pack_streams(handmade.bands(degree, 3, 5)), sh_degree=degree)
 
 
 def chunk_with_codebooks() -> Draft:
-    """Return a file of one chunk whose shapes and colours come from codebooks, SH degree 2."""
+    """Return the draft of a file of one chunk with shape and colour codebooks, SH degree 2."""
     shape = handmade.vq(Attribute.SHAPE, [0, 4, 2], 0, 5, 0)
     colour = handmade.vq(Attribute.SHN, [1, 0, 3], 1, 4, 0)
     rows = {
@@ -83,7 +83,7 @@ def chunk_with_codebooks() -> Draft:
 
 
 def two_chunks() -> Draft:
-    """Return a file of two chunks with tails, SH degree 1."""
+    """Return the draft of a file of two chunks with tails, SH degree 1."""
     segments = []
     for number in range(2):
         head = pack_streams(handmade.uniform_head(2))
@@ -94,7 +94,7 @@ def two_chunks() -> Draft:
 
 
 def paged_chunks() -> Draft:
-    """Return a file whose second chunk is listed in an index page."""
+    """Return the draft of `two_chunks` with the second chunk listed in an index page."""
     whole = two_chunks()
     segments = whole.groups[0].segments
     parts = [Group(segments[:2], [ChunkRow(2)]), Group(segments[2:], [ChunkRow(2)])]
@@ -102,7 +102,7 @@ def paged_chunks() -> Draft:
 
 
 def build_edited(draft: Draft, change: Callable[[Index], object], number: int = 0) -> bytes:
-    """Pack the file with `change` applied to one index: 0 is the root, 1 and up are pages."""
+    """Pack the draft after `change` of one index; `number` 0 is the root, 1 and up are pages."""
 
     def edit(index_number: int, index: Index) -> None:
         if index_number == number:
@@ -112,7 +112,7 @@ def build_edited(draft: Draft, change: Callable[[Index], object], number: int = 
 
 
 def key_setter(key: str, value: Value, *, within: str = "") -> Callable[[Index], object]:
-    """Return a change that sets a key of an index, or of the table `within` it."""
+    """Return a function that sets a key of an index, or of its table named `within`."""
 
     def change(index: Index) -> None:
         (table(index, within) if within else index)[key] = value

@@ -22,7 +22,7 @@ def _bounds(rows: Sequence[Sequence[float]]) -> tuple[float, ...]:
 
 
 def _with_box(data: bytes, box: Sequence[float]) -> bytes:
-    """Return the file of one chunk with its chunk box replaced."""
+    """Return a file of one chunk with the box in its chunk table replaced."""
     root, behind = split_root(data)
     index = unpack(root, "root")
     table(index, "chunks")["box"] = struct.pack("<6f", *box)
@@ -33,7 +33,7 @@ def boxes() -> list[Invalid]:
     """Return vectors whose chunk box bounds only the refined, or only the unrefined, means."""
 
     def bad(name: str, note: str, *, refine: bool) -> Invalid:
-        """Return a file whose box bounds only the means decoded with this `refine`.
+        """Return a vector whose chunk box bounds only the refined, or only the unrefined, means.
 
         The file is the first valid vector of one chunk in which the two bounding boxes differ.
         """

@@ -39,17 +39,17 @@ def _refused(name: str, data: bytes, code: str, clause: str, note: str) -> Inval
 
 
 def _head(*changed: Stream, rows: int = 3) -> bytes:
-    """Return a file of one chunk whose random head has the changed streams."""
+    """Return a file of one chunk with a random head in which given streams are replaced."""
     return build(one_chunk(pack_streams(handmade.random_head(rows, 1, *changed)), rows))
 
 
 def _raw(head: bytes, rows: int = 3) -> bytes:
-    """Return a file of one chunk with a head of given bytes."""
+    """Return a file of one chunk, given the payload of its head."""
     return build(one_chunk(head, rows))
 
 
 def _tail(entries: Sequence[Stream], degree: int = 2) -> bytes:
-    """Return a file of one chunk of three splats with a tail of given streams."""
+    """Return a file of one chunk of three splats, given the streams of its tail."""
     head = pack_streams(handmade.uniform_head(3))
     return build(one_chunk(head, 3, tail=pack_streams(entries), sh_degree=degree))
 
@@ -276,7 +276,7 @@ def sorted_means() -> list[Invalid]:
 def _books(
     head: Sequence[Stream], tail: Sequence[Stream], needs: tuple[int, ...] = (0, 1)
 ) -> bytes:
-    """Return the file with codebooks of 5 shapes and 4 colours, its head and tail replaced."""
+    """Return the file of `chunk_with_codebooks` with another head and tail."""
     draft: Draft = chunk_with_codebooks()
     segments = list(draft.groups[0].segments[:3])
     segments.append(Segment(SegmentKind.HEAD, 0, pack_streams(head), needs))
@@ -349,7 +349,7 @@ def codebooks() -> list[Invalid]:
 
 
 def heads_and_tails() -> list[Invalid]:
-    """Return the vectors of SPEC 7: streams missing, in the wrong place, of the wrong kind."""
+    """Return the vectors of SPEC 7: streams missing, in the wrong payload or of the wrong kind."""
     head = handmade.random_head(3, 1)
 
     def lacks(attribute: Attribute) -> bytes:

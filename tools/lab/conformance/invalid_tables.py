@@ -40,7 +40,7 @@ from .invalid import (
 def _poked(
     draft: Draft, name: str, key: str, offset: int, layout: str, value: float, number: int = 0
 ) -> bytes:
-    """Return the file with one number in a column of a table overwritten."""
+    """Return the file of a draft with one number overwritten in a column of a table."""
 
     def change(index: Index) -> None:
         table(index, name)[key] = poke(column(index, name, key), offset, layout, value)
@@ -49,7 +49,7 @@ def _poked(
 
 
 def _without(draft: Draft, name: str, key: str) -> bytes:
-    """Return a file whose index lacks a column of a table."""
+    """Return the file of a draft with one column deleted from a table of its root."""
     return build_edited(draft, lambda index: table(index, name).pop(key))
 
 
@@ -256,7 +256,7 @@ def index_pages() -> list[Invalid]:
         ),
         Invalid(
             "decoded-size",
-            _wide(),
+            _two_largest_chunks(),
             "decoded-size",
             "9.2",
             "half a million splats in a kilobyte",
@@ -265,8 +265,8 @@ def index_pages() -> list[Invalid]:
     ]
 
 
-def _wide() -> bytes:
-    """Return a valid file of two chunks of 2^18 splats each, all alike, at SH degree 3."""
+def _two_largest_chunks() -> bytes:
+    """Return a small file that decodes to two chunks of 2^18 equal splats at SH degree 3."""
     rows, count = 1 << 18, 2
     head = pack_streams(handmade.uniform_head(rows))
     segments = [Segment(SegmentKind.HEAD, chunk, head) for chunk in range(count)]

@@ -136,7 +136,7 @@ def kinds() -> list[Invalid]:
 
 
 def _heads_only() -> list[Invalid]:
-    """Return files whose escape rows or codebook use kinds that are allowed in heads only."""
+    """Return the vectors of escape rows and codebooks with kinds that are allowed in heads only."""
     scales = good_streams.differences(3, 1)
     rotations = good_streams.rotations(scales, 2)
     shape = handmade.vq(Attribute.SHAPE, [5, 6, 7], 0, 5, 3)

@@ -37,7 +37,7 @@ def _level(chunks: Value, scale: Value) -> Value:
 
 
 def _head(chunk: int, *changed: Stream) -> Segment:
-    """Return the random head of a chunk with the changed streams."""
+    """Return the random head of a chunk in which given streams are replaced."""
     return Segment(
         SegmentKind.HEAD, chunk, pack_streams(handmade.random_head(_ROWS, 3 + chunk, *changed))
     )
@@ -74,7 +74,7 @@ def _refinement(chunk: int) -> Segment:
 
 
 def _ending_chunks() -> Draft:
-    """Return a file of four chunks: chunk 0 ends after three chunks, chunk 1 after all four."""
+    """Return the draft of four chunks: 0 ends at a prefix of three chunks, 1 at one of four."""
     segments = [
         _head(0), _head(1), _tail(0), _head(2), _refinement(0), _tail(2), _head(3), _refinement(3),
     ]  # fmt: skip
@@ -83,7 +83,7 @@ def _ending_chunks() -> Draft:
 
 
 def _three_levels() -> Draft:
-    """Return a file of levels of two, three and five chunks, of which chunk 1 ends at level 1."""
+    """Return the draft of levels of two, three and five chunks; chunk 1 ends at level 1."""
     infinite = handmade.scalar(
         Attribute.OPACITIES, [(-1.0, 1.0, 30)], [[31, 30, 1, 2, 3, 4, 5]], flags=INFINITIES
     )
@@ -102,7 +102,7 @@ def _three_levels() -> Draft:
 
 
 def _kept_opacities() -> Draft:
-    """Return a file of four levels in which only chunk 0 has opacities of a later level."""
+    """Return the draft of four levels; only chunk 0 has opacities of a later level."""
     floats = handmade.floats(
         Attribute.OPACITIES, [[-0.0], [math.inf], [-math.inf], [1.0], [2.0], [2.0**100], [-3.5]]
     )
@@ -115,7 +115,7 @@ def _kept_opacities() -> Draft:
 
 
 def _compensated_ending() -> Draft:
-    """Return the file of `_ending_chunks` with a compensation layer of its first two chunks."""
+    """Return the draft of `_ending_chunks` with a compensation layer of its first two chunks."""
     layer: dict[str, Value] = {
         "scales": b"\x33\x0b", "opacities": b"\x21\xf5", "strengths": bytes(4),
         "book": b"", "codes": b"",
@@ -236,7 +236,7 @@ def invalid_opacities() -> list[Invalid]:
         return Invalid(name, data, "chunk-opacities", "5.11", note)
 
     def last(name: str, data: bytes, code: str, clause: str, note: str) -> Invalid:
-        """Return the file with the payload of the last opacities of chunk 0 replaced."""
+        """Return a vector in which the last opacities payload of chunk 0 is replaced by `data`."""
         place = max(k for k, s in enumerate(body)
                     if (s.kind, s.owner) == (SegmentKind.OPACITIES, 0))  # fmt: skip
         changed = [*body[:place], replace(body[place], payload=data), *body[place + 1 :]]

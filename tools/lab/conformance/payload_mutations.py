@@ -37,7 +37,7 @@ _LARGEST_PLANE: Final = 1 << 18
 
 
 def mutate_bytes(data: bytes, rng: random.Random) -> bytes:
-    """Return `data` after one random edit: bytes changed, cut, doubled, reversed or added."""
+    """Return `data` after one random edit: bytes changed, cut, duplicated, reversed or added."""
     out = bytearray(data)
     at = rng.randrange(len(out) + 1)
     width = rng.choice((1, 1, 2, 4, 16))
@@ -167,7 +167,7 @@ def _mutate_field(record: Record, rng: random.Random) -> None:
 
 
 def _mutate_list(entries: list[_T], rng: random.Random) -> None:
-    """Swap two entries, drop one, double one, or reverse the list."""
+    """Swap, drop or duplicate random entries of a list, or reverse it, in place."""
     if not entries:
         return
     a, b = rng.randrange(len(entries)), rng.randrange(len(entries))

@@ -1,4 +1,4 @@
-"""The protocol between the conformance runner and a decoder under test: JSON lines over pipes.
+"""Protocol between the conformance runner and a decoder under test: JSON lines over pipes.
 
 The runner starts the decoder as a process, writes one JSON object a line to its standard input, and
 reads one line from its standard output for each. ``docs/conformance.md`` describes the requests and
@@ -27,7 +27,7 @@ Answer = dict[str, object]
 
 @dataclass(frozen=True)
 class Hello:
-    """Name and abilities of a decoder, as it answers ``hello``.
+    """Name and capabilities of a decoder, from its answer to ``hello``.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Hello:
     level : str
         Conformance level, one of `LEVELS`.
     refuses : bool
-        Whether the decoder refuses invalid files; if not, none are sent.
+        Whether the decoder refuses invalid files; if not, it is tested with valid files only.
     partial : bool
         Whether the decoder reads truncated files.
     folders : bool
@@ -176,7 +176,7 @@ class DecoderProcess:
         return reason
 
     def hello(self) -> Hello:
-        """Ask for the decoder's name and abilities.
+        """Send a ``hello`` request; return the decoder's name and capabilities.
 
         Raises
         ------

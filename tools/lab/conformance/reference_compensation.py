@@ -17,7 +17,17 @@ def _f32(value: float) -> float:
 
 
 class _Layer:
-    """One compensation layer (SPEC 5.9)."""
+    """One compensation layer, parsed from its payload (SPEC 5.9).
+
+    Parameters
+    ----------
+    data : bytes
+        Payload of the layer.
+    before : int
+        Number of chunks of the previous layer, 0 for the first layer.
+    chunk_splats : sequence of int
+        Number of splats in each chunk of the file.
+    """
 
     def __init__(self, data: bytes, before: int, chunk_splats: Sequence[int]) -> None:
         table = msgpack.unpackb(data)
@@ -34,7 +44,7 @@ class _Layer:
         self.entries = [book[code] for code in codes] if book else [(0, 0)] * count
 
     def shift(self, chunk: int, entry: tuple[int, int]) -> Pair:
-        """Return the shifts of log scales and logit for a splat of a chunk (SPEC 5.9)."""
+        """Return the shifts of log scales and logit for a splat, given its chunk and book entry."""
         scale = self.scales[chunk] / 128 + self.strengths[2 * chunk] / 64 * entry[0] / 128
         opacity = self.opacities[chunk] / 16 + self.strengths[2 * chunk + 1] / 64 * entry[1] / 16
         return scale, opacity
@@ -102,7 +112,7 @@ def closed_sets(cells: Sequence[int]) -> list[list[int]]:
     Parameters
     ----------
     cells : sequence of int
-        Cell of each chunk, at least 1 (SPEC 5.4); a small file, for the sets grow as 2^chunks.
+        Cell of each chunk, at least 1 (SPEC 5.4); few chunks, as the number of sets is 2^chunks.
     """
     sets = [
         [chunk for chunk in range(len(cells)) if number >> chunk & 1]

@@ -1,6 +1,6 @@
 """Reference decoder, written from SPEC alone; it computes the arrays of the conformance vectors.
 
-It shares no code with the codec or the container. It is slow, and for valid files only.
+It shares no code with the codec or the container. It is slow and decodes only valid files.
 """
 
 from __future__ import annotations
@@ -38,8 +38,10 @@ _BAND_VALUES: Final = (9, 15, 21)
 _NAMES: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
 
 Rows = dict[str, list[Row]]
+"""Decoded splats: rows of values of each array, by array name."""
 Camera = dict[str, str | int | float | list[float]]
 Viewpoint = tuple[list[float], list[int], list[float]]
+"""Position, direction, and share of each chunk."""
 
 
 @dataclass(frozen=True)
@@ -58,22 +60,20 @@ class Segment:
 
 @dataclass(frozen=True)
 class Prefix:
-    """Content that the first `size` bytes of a file provide.
-
-    The content stays the same up to the `size` of the next prefix.
+    """Content that can be decoded from the first `size` bytes of a file.
 
     Parameters
     ----------
     size : int
-        Length of the prefix, bytes.
+        Length of the shortest prefix with this content, bytes.
     chunks : int
         Number of first chunks whose heads can be decoded.
     tails : tuple of int
-        Numbers of the chunks whose tails can be decoded too.
+        Numbers of the chunks whose tails can be decoded.
     refined : tuple of int
         Numbers of the chunks whose refinements are in the prefix.
     opacities : tuple of (int, int)
-        Chunk, and its number of opacities segments in the prefix; chunks without are left out.
+        Number of a chunk, and of its opacities segments in the prefix; only chunks with any.
     """
 
     size: int
@@ -98,7 +98,8 @@ class Scene:
     attributes : list of (name, type, components)
         Extra attributes, components 0 where none are stated.
     attribute_values : dict of int to list of bytes
-        Little-endian values of each attribute, row by row, by chunk; chunks without are left out.
+        Little-endian values of each attribute, row by row, for each chunk with attributes by
+        number.
     cameras : list of dict
         Cameras with the keys of `first_view` and ``name``.
     view_table : list of (list of float, list of int, list of float)
@@ -106,13 +107,13 @@ class Scene:
     compensated : dict of int to list of float
         Compensated log scales, then logits, of the drawn chunks of a prefix, by its chunk count.
     compensated_sets : list of (list of int, list of float)
-        Chunk numbers of every other compensated set, and its log scales and logits.
+        For sets of chunks that are not prefixes: chunk numbers; compensated log scales and logits.
     until : list of int
-        Prefix length in chunks at which each chunk ends, 0 if it does not.
+        Prefix length in chunks from which each chunk is no longer drawn, 0 if it never ends.
     levels : list of (float, int, dict of str to list of list of float)
         Scale, chunk count and drawn rows of each level.
     drawn : list of dict of str to list of list of float
-        Drawn rows of each of `prefixes`; empty if no chunk ends and no level has opacities.
+        Rows that each of `prefixes` draws; empty if no chunk ends and no level has opacities.
     """
 
     sh_degree: int
@@ -172,7 +173,7 @@ class _File:
         return position
 
     def drawn(self, chunks: int) -> list[int]:
-        """Return the chunks that a prefix draws (SPEC 5.10)."""
+        """Return the chunks that a prefix of `chunks` chunks draws (SPEC 5.10)."""
         return [c for c in range(chunks) if self.until[c] == 0 or self.until[c] > chunks]
 
     def payload(self, segment: Segment) -> Payload:
@@ -274,7 +275,7 @@ def _tail(payload: Payload, books: dict[int, list[Row]], degree: int, rows: int)
 
 
 def _attribute_types(file: _File) -> list[tuple[str, str, int]]:
-    """Return name, type and component count of each extra attribute."""
+    """Return name, type and component count of each extra attribute that the root lists."""
     entries = file.root.get("attributes", [])
     return [(entry["name"], entry["type"], entry.get("components", 0)) for entry in entries]
 
@@ -458,7 +459,7 @@ class _Chunks:
         return rows
 
     def level(self, number: int) -> tuple[float, int, Rows]:
-        """Return scale, chunk count and drawn rows of a level (SPEC 5.11)."""
+        """Return scale, chunk count and drawn splats of a level (SPEC 5.11)."""
         entries = self._file.root["levels"]
         chunks = entries[number]["chunks"]
         parts = []
@@ -468,7 +469,7 @@ class _Chunks:
         return entries[number]["scale"], chunks, self.concatenate(parts)
 
     def prefix(self, prefix: Prefix) -> Rows:
-        """Return the drawn rows of a prefix (SPEC 8.2)."""
+        """Return the splats that a prefix draws, those of chunks that have not ended (SPEC 8.2)."""
         counts = dict(prefix.opacities)
         return self.concatenate(
             self.decode_chunk(

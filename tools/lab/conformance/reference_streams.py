@@ -87,7 +87,7 @@ def _entries(params: bytes) -> list[tuple[float, float, int]]:
 
 
 def _bytes_per_code(codes: int) -> int:
-    """Return the bytes, 0 to 3, that hold one of `codes` different codes (SPEC 6.4)."""
+    """Return the number of bytes per code, 0 to 3, for `codes` different codes (SPEC 6.4)."""
     return next(count for count in range(4) if codes <= 256**count)
 
 
@@ -315,7 +315,7 @@ def quats(record: Record, scales: list[Row] | None = None) -> list[Row]:
 
 
 def indices(record: Record, size: int) -> list[int]:
-    """Return the indices into a codebook of `size` rows and the escape rows behind (SPEC 6.7)."""
+    """Return the indices of a vq stream; from `size` on they refer to escape rows (SPEC 6.7)."""
     escape = struct.unpack("<II", record.params)[1]
     return _codes(record, 0, _bytes_per_code(size + escape), record.rows)
 

@@ -46,9 +46,20 @@ def digits(attribute: Attribute, head: Stream, radices: Sequence[int], seed: int
 def refined_means(
     scales: Stream, bits: int, seed: int, *, model: StepModel = _COARSE, cells: int = _CELLS
 ) -> tuple[Stream, Stream]:
-    """Return the sorted means of a head, and their refinement by `bits` bits per axis.
+    """Return pseudo-random sorted means of a head, and their refinement by `bits` bits per axis.
 
-    The first row is in the first cell, and its refined code is 0.
+    The first row has the lowest code in head and refinement, 0, so that tests can go below it.
+
+    Parameters
+    ----------
+    scales : Stream
+        Scales of the head, from which `model` derives the extra bits.
+    bits, seed : int
+        Bits that the refinement adds to each axis; seed of the codes.
+    model : StepModel
+        Step model of the means.
+    cells : int
+        Number of cells along each axis.
     """
     extra = coarse.extra_bits(scales, model)
     count = scales.rows
@@ -71,7 +82,7 @@ def refined_means(
 
 
 def _chunk(head: bytes, rows: int, refined: bytes) -> Draft:
-    """Return a file of one chunk with a refinement."""
+    """Return the draft of a file of one chunk, given the payloads of its head and refinement."""
     segments = [Segment(SegmentKind.HEAD, 0, head), Segment(SegmentKind.REFINEMENT, 0, refined)]
     return Draft(root_keys(rows, 0), [Group(segments, [ChunkRow(rows)])])
 
@@ -129,7 +140,7 @@ def valid() -> list[Valid]:
 
 
 def _late() -> Draft:
-    """Return a file of three chunks whose two refinements come last."""
+    """Return the draft of a file of three chunks whose two refinements come last."""
     bodies = [_refined_head(seed) for seed in (11, 31, 51)]
     heads = [
         Segment(SegmentKind.HEAD, chunk, pack_streams(head))

@@ -33,7 +33,7 @@ class Failure:
     Parameters
     ----------
     vector : str
-        Name such as ``valid/sh3`` or ``invalid/zstd-cut``, and the part of the file if not all.
+        Name such as ``valid/sh3`` or ``invalid/zstd-cut``; for a partial file, also the part.
     clauses : tuple of str
         SPEC clauses that the vector covers.
     expected, found : str
@@ -149,7 +149,7 @@ class _Checker:
         return Report(self._hello, self._passed, self._failures, by_clause)
 
     def _record(self, vector: str, clauses: tuple[str, ...], expected: str, found: str) -> None:
-        """Count one check by clause, and add a failure if `found` is not empty."""
+        """Count one check for each clause; it failed if `found`, the fault, is not empty."""
         right = not found
         self._passed += right
         for clause in clauses:
@@ -160,7 +160,7 @@ class _Checker:
             self._failures.append(Failure(vector, clauses, expected, found))
 
     def check_valid(self, entry: Entry) -> None:
-        """Check a valid file: complete, without refinements, and truncated at each prefix."""
+        """Check the decoding of a valid file, also without refinements and truncated."""
         name, clauses = str(entry["name"]), tuple(map(str, _list(entry["clauses"])))
         path = self._vectors / "valid" / f"{name}.cogs"
         whole = self._load_arrays(path.with_suffix(".f32"), entry)
@@ -301,9 +301,9 @@ def _prefixes(entry: Entry) -> list[tuple[int, int, list[int], list[int]]]:
 def _prefix_rows(
     whole: Arrays, heads: Arrays, counts: list[int], tails: list[int], refined: list[int]
 ) -> Arrays:
-    """Return the expected rows of a prefix: refined chunks from `whole`, the rest from `heads`.
+    """Return the expected arrays of a prefix, with refined chunks from `whole`, else from `heads`.
 
-    Chunks that are not in `tails` have no SH coefficients above DC.
+    The SH coefficients above DC are 0 in chunks that are not in `tails`.
     """
     rows = sum(counts)
     out = {name: values[:rows].copy() for name, values in heads.items()}

@@ -27,13 +27,14 @@ def beyond_tolerance(name: str, given: F32, exact: F32, rows: dict[str, F32]) ->
     name : str
         ``means``, ``scales``, ``quats``, ``opacities``, ``sh0`` or ``shN``.
     given, exact : (n, ...) float32
-        Values of the viewer, and of an exact decoder.
+        Values of the viewer under test, and of an exact decoder.
     rows : dict of str to array
         All exact arrays by name; the tolerance of means depends on the scales.
 
     Returns
     -------
     (n, ...) bool
+        True for values beyond the tolerance.
     """
     wide, true = given.astype(np.float64), exact.astype(np.float64)
     if name == "quats":

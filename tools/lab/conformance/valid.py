@@ -122,7 +122,7 @@ def _grid_ends() -> Valid:
 
 
 def _negative_zero() -> Valid:
-    """Return the vector of centre grids with a minimum of -0, which decodes as +0."""
+    """Return the vector of grids of means and rotations with a minimum of -0, decoded as +0."""
     means = handmade.scalar(
         Attribute.MEANS, [(-0.0, -0.0, 1), (-0.0, 1.0, 2), (-1.0, 1.0, 3)], [[0, 0]] * 2 + [[1, 2]]
     )
@@ -134,7 +134,7 @@ def _negative_zero() -> Valid:
 
 
 def _quats() -> Valid:
-    """Return the vector of quaternions with each component left out in turn."""
+    """Return the vector of quaternions with each component omitted in turn."""
     left_out: list[int | list[int]] = [0, 1, 2, 3, [row % 4 for row in range(12)]]
     segments = []
     for chunk, largest in enumerate(left_out):
@@ -344,7 +344,7 @@ def _book_band_absent() -> Valid:
 
 
 def _root_values() -> Valid:
-    """Return the vector of a root and a chunk row with no default values."""
+    """Return the vector of a root and a chunk row whose values differ from the defaults."""
     view: Index = {
         "width": 1920,
         "height": 1080,

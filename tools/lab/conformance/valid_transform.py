@@ -82,7 +82,7 @@ def sh0_basis(rows: int, seed: int) -> Stream:
 
 
 def shn_basis(codes: Sequence[Sequence[int]], book: int, step: float, shrink: float) -> Stream:
-    """Return a stream of shN, stored as coordinates on a basis (`shn_transform.write`).
+    """Return a basis stream of shN, given coordinates as lists; see `shn_transform.write`.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def shn_basis(codes: Sequence[Sequence[int]], book: int, step: float, shrink: fl
 
 
 def _one_stream(name: str, streams: Sequence[Stream], clauses: tuple[str, ...], note: str) -> Valid:
-    """Return a vector of one chunk: given streams, else uniform streams."""
+    """Return a vector of one chunk with given streams; all other attributes are uniform."""
     rows = streams[0].rows
     head = pack_streams(handmade.uniform_head(rows, *streams))
     return Valid(name, build(one_chunk(head, rows)), clauses, note)
@@ -145,7 +145,7 @@ def _packed() -> list[Valid]:
 
 
 def _packed_ends() -> Valid:
-    """Return a file whose planes end after 1 to 8 symbols of their last packed byte."""
+    """Return the vector of planes whose last packed byte holds 1 to 8 symbols."""
     segments, rows = [], []
     for chunk, count in enumerate(range(1, 10)):
         opacities = handmade.scalar(Attribute.OPACITIES, [(-1.0, 1.0, 2)], [[1] * count])
@@ -221,7 +221,7 @@ def _sorted_flat() -> Valid:
 
 
 def _sorted_shapes() -> Valid:
-    """Return a file whose extra bits depend on a codebook's scales and scale factors."""
+    """Return the vector of means whose extra bits depend on a shape codebook and scale factors."""
     rows = 12
     shape = handmade.vq(Attribute.SHAPE, [i % 5 for i in range(rows)], 0, 5, 0)
     factor = handmade.random_scalar(Attribute.SCALE_FACTOR, rows, 9, span=4.0, levels=50)
@@ -243,7 +243,7 @@ def _sorted_shapes() -> Valid:
 
 
 def _sorted_underflow(scales: Stream) -> Valid:
-    """Return a file with grid steps so small that half a step underflows float32."""
+    """Return the vector of means with grid steps so small that half a step underflows float32."""
     cells = [handmade.pseudo_random(3, 9, 60 + row) for row in range(scales.rows)]
     ranges = [(0.0, 1e-40, 9), (-1e-41, 1e-41, 9), (1e-45, 3e-45, 9)]
     means = handmade.sorted_means(cells, ranges, _MODEL, extra_bits(scales).tolist(), 7)

@@ -43,7 +43,7 @@ _THREE = _table(3, _stored_plane(bytes([0, 1, 254, 255, 1, 255, 1, 1, 239, 250, 
 
 
 def _draft(payloads: Sequence[bytes]) -> Draft:
-    """Return a file of four chunks with one view table per payload before chunk 1's head."""
+    """Return the draft of four chunks with a view table for each payload before chunk 1's head."""
     segments = []
     for chunk in range(_CHUNKS):
         if chunk == 1:

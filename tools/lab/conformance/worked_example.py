@@ -182,7 +182,7 @@ def _payloads(quats: Record | None) -> dict[SegmentKind, bytes]:
 
 
 def with_quats(quats: Record | None) -> bytes:
-    """Return the file with the record of its quaternions replaced, or unchanged for None."""
+    """Return the example file; `quats`, if not None, replaces the record of its quaternions."""
     segments = [
         Segment(kind, 0, data, (0,) if kind == SegmentKind.TAIL else ())
         for kind, data in _payloads(quats).items()
@@ -192,7 +192,7 @@ def with_quats(quats: Record | None) -> bytes:
 
 
 def valid() -> Valid:
-    """Return the file as a valid vector."""
+    """Return the example file as a valid vector."""
     data = with_quats(None)
     clauses = ("6.5", "6.10", "6.11", "6.12", "6.13", "6.14", "6.16", "6.17")
     return Valid(NAME, data, clauses, "three splats of the transform kinds, decoded in appendix A")

@@ -55,7 +55,7 @@ _THREE_BYTES: Final = (1 | 1 << 1 | 3 << 3).to_bytes(3, "little") + b"\0"
 
 
 def _file_of_empty(frame: bytes) -> bytes:
-    """Return a file whose first plane of 0 bytes is this zstd frame."""
+    """Return a file whose first plane of 0 bytes is stored as the given zstd frame."""
     quats = worked_example.swing_twist_record()
     place = next(i for i, (_, stored) in enumerate(quats.planes) if not stored)
     quats.planes[place] = (len(frame) | 1 << 31, frame)
