@@ -164,7 +164,7 @@ class _Batch:
     default=1,
     show_default=True,
     metavar="N",
-    help="Number of scenes encoded at once, each with --threads.",
+    help="Number of scenes encoded at once, each with --threads threads.",
 )
 @threads_option
 @scheduler_option

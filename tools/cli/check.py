@@ -53,7 +53,7 @@ class _Target(click.ParamType[Path | str]):
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
-        """Leave names of files to the shell."""
+        """Delegate the completion of file names to the shell."""
         return INPUT.shell_complete(ctx, param, incomplete)
 
 
@@ -73,7 +73,7 @@ class _Target(click.ParamType[Path | str]):
     "--hosts",
     metavar="NAME,…",
     help=f"For a URL: say what to change on these hosts: {', '.join(HOSTS)}.  [default: the host "
-    "that answers, or all where it is unknown]",
+    "that answers, or all if it is unknown]",
 )
 @click.option("--strict", is_flag=True, help="For a URL: exit with 3 for warnings as well.")
 @partial_option
@@ -97,7 +97,7 @@ def check(
     For a URL, the host is checked first: byte ranges, compression, CORS, ETags, cache headers, and
     the seconds to the first chunk. Each finding has a code and says what to change.
 
-    Exit status 3 where there are errors, 4 where a file cannot be read or a host not be reached.
+    Exit status 3 if there are errors, 4 if a file cannot be read or a host cannot be reached.
     """
     chosen = _hosts(hosts)
     if isinstance(target, str):
