@@ -7,6 +7,7 @@ from typing import Final
 
 from cogsplat.codec.clustering.kmeans import TrainingConfig
 from cogsplat.codec.encode.profiles.near_lossless import NearLosslessBounds
+from cogsplat.codec.finite_fields import require_finite
 from cogsplat.codec.order import chunk_plan
 from cogsplat.codec.order.orders import OrderConfig, require_order
 from cogsplat.codec.rate.pruning import PruneConfig
@@ -79,6 +80,7 @@ class Target:
     size_bytes: int | None = None
 
     def __post_init__(self) -> None:
+        require_finite(self)
         if (self.psnr_db is None) == (self.size_bytes is None):
             raise ValueError(f"{self}, expected either a PSNR or a size")
         if self.psnr_db is not None and not MIN_PSNR_DB <= self.psnr_db <= MAX_QUALITY_DB:
@@ -152,6 +154,7 @@ class EncodeConfig:
     ablation: Ablation = field(default_factory=Ablation)
 
     def __post_init__(self) -> None:
+        require_finite(self)
         if self.profile not in PROFILE_NAMES:
             raise ValueError(f"profile {self.profile!r}, expected one of {PROFILE_NAMES}")
         require_order(self.order, self.ordering)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.clustering import few_rows
 from cogsplat.codec.executor import Executor
+from cogsplat.codec.finite_fields import require_finite
 from cogsplat.codec.order.prefix_inflation import Inflation
 from cogsplat.codec.render.gradients import Gradient, gradient
 from cogsplat.codec.render.shading import row_colours
@@ -73,6 +74,7 @@ class FitConfig:
     threads: int = 0
 
     def __post_init__(self) -> None:
+        require_finite(self)
         if not 0 <= self.code_bits <= 8:
             raise ValueError(f"code_bits {self.code_bits}, expected 0 to 8")
         if self.iterations < 1 or self.views < 1:

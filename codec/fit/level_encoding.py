@@ -15,6 +15,7 @@ from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.encoded import EncodedChunk, EncodedLevel, EncodedScene
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.request import EncodeRequest
+from cogsplat.codec.finite_fields import require_finite
 from cogsplat.codec.order.objects import ATTRIBUTE
 from cogsplat.codec.order.orders import OrderConfig
 from cogsplat.codec.progress import Progress, silent
@@ -53,6 +54,7 @@ class LevelEncoding:
     threads: int = 0
 
     def __post_init__(self) -> None:
+        require_finite(self)
         if not self.opacity_step > 0:
             raise ValueError(f"opacity step {self.opacity_step}, expected more than 0")
 

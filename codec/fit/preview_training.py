@@ -14,6 +14,7 @@ from cogsplat.codec.encode.encoder import encode_chunks
 from cogsplat.codec.encode.prepared import PreparedScene, prepare
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.preview_chunks import prepend_preview
+from cogsplat.codec.finite_fields import require_finite
 from cogsplat.codec.order import prefix_inflation
 from cogsplat.codec.order.chunk_plan import plan_chunks
 from cogsplat.codec.progress import Progress, silent
@@ -97,6 +98,7 @@ class PreviewConfig:
     threads: int = 0
 
     def __post_init__(self) -> None:
+        require_finite(self)
         if not 0.0 < self.share < 1.0:
             raise ValueError(f"share {self.share}, expected between 0 and 1")
         steps = (self.round_steps, self.quantised_steps, self.encode_interval)

@@ -8,6 +8,7 @@ from itertools import pairwise
 from types import MappingProxyType
 from typing import Final
 
+from cogsplat.codec.finite_fields import require_finite
 from cogsplat.codec.threads import thread_count
 
 LOSS_NAMES: Final = ("squared", "photo", "structure")
@@ -59,6 +60,7 @@ class TrainConfig:
     threads: int = 0
 
     def __post_init__(self) -> None:
+        require_finite(self)
         if self.loss not in LOSS_NAMES:
             raise ValueError(f"loss {self.loss!r}, expected one of {LOSS_NAMES}")
         if not 0.0 <= self.worst_views <= 1.0:
@@ -99,6 +101,7 @@ class LevelsConfig:
     threads: int = 0
 
     def __post_init__(self) -> None:
+        require_finite(self)
         if not self.scales or min(self.scales) < 1 or any(a <= b for a, b in pairwise(self.scales)):
             raise ValueError(f"scales {self.scales}, expected whole numbers above 0 that fall")
         if len(self.shares) != len(self.scales):

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from cogsplat.codec.encode.presets import PRESETS
+from cogsplat.codec.finite_fields import require_finite
 
 from .train_config import TrainConfig
 
@@ -65,6 +66,7 @@ class TuneConfig:
     train: TrainConfig = field(default_factory=TrainConfig)
 
     def __post_init__(self) -> None:
+        require_finite(self)
         if self.keep is not None and not 0.0 < self.keep <= 1.0:
             raise ValueError(f"keep {self.keep}, expected above 0 and at most 1")
         if not 0.0 < self.round_keep < 1.0:

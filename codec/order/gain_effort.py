@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cogsplat.codec.finite_fields import require_finite
+
 
 @dataclass(frozen=True)
 class GainEffort:
@@ -32,6 +34,7 @@ class GainEffort:
     views: int = 20
 
     def __post_init__(self) -> None:
+        require_finite(self)
         if not 0 < self.until <= 1 or not self.growth > 0 or self.views < 1:
             raise ValueError(
                 f"{self}, expected until above 0 to 1, growth above 0 and at least 1 view"

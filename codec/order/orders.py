@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.executor import Executor
+from cogsplat.codec.finite_fields import require_finite
 from cogsplat.codec.geometry import frustum
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
@@ -91,6 +92,7 @@ class OrderConfig:
     object_budgets: tuple[tuple[int | None, float], ...] = ()
 
     def __post_init__(self) -> None:
+        require_finite(self)
         if not 0 <= self.octree_depth <= octree.MAX_DEPTH:
             raise ValueError(f"octree depth {self.octree_depth}, expected 0 to {octree.MAX_DEPTH}")
         if self.octree_capacity < 1:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.finite_fields import require_finite
 from cogsplat.codec.splats import Splats
 
 from .costs import robust_energy
@@ -50,6 +51,7 @@ class PruneConfig:
     worth: float = WORTH
 
     def __post_init__(self) -> None:
+        require_finite(self)
         if not 0 <= self.peak < 1:
             raise ValueError(f"peak {self.peak}, expected 0 to 1")
         if self.views < 1:

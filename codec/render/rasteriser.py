@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.compiling import called_with
+from cogsplat.codec.finite_fields import require_finite
 from cogsplat.codec.geometry.frustum import NEAR
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats
@@ -57,6 +58,7 @@ class RenderConfig:
     device: str = "cpu"
 
     def __post_init__(self) -> None:
+        require_finite(self)
         if not self.kernel_px >= 0.0:
             raise ValueError(f"kernel_px {self.kernel_px}, expected 0 or more")
         if not self.near_plane > 0.0:

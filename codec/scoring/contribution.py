@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.executor import Executor, LocalThreads
+from cogsplat.codec.finite_fields import require_finite
 from cogsplat.codec.geometry.frustum import NEAR
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.blend_weights import PEAK, SQUARE, WEIGHT, add_weights
@@ -106,6 +107,7 @@ class ScoreConfig:
     device: str = "cpu"
 
     def __post_init__(self) -> None:
+        require_finite(self)
         if self.top_k < 0:
             raise ValueError(f"top_k {self.top_k}, expected 0 (all) or more")
         if not 0.0 <= self.least_weight <= 1.0:

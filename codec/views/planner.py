@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.executor import Executor, LocalThreads
+from cogsplat.codec.finite_fields import require_finite
 from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR, in_picture
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
@@ -155,6 +156,7 @@ class ViewPlanConfig:
     threads: int = 0
 
     def __post_init__(self) -> None:
+        require_finite(self)
         if self.views < 1:
             raise ValueError(f"{self.views} views, expected at least 1")
         if not (1 <= self.width <= 65535 and 1 <= self.height <= 65535):

@@ -6,6 +6,8 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+from cogsplat.codec.finite_fields import require_finite
+
 KIB = 1 << 10
 MIB = 1 << 20
 
@@ -78,6 +80,7 @@ class NetworkOptions:
     random: Callable[[], float] | None = None
 
     def __post_init__(self) -> None:
+        require_finite(self)
         for name in ("retries", "gap_bytes", "pause_seconds"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} {getattr(self, name)}, expected 0 or more")

@@ -37,7 +37,7 @@ from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT_BY_RANGES, OutputPath
-from cogsplat.tools.terminal.values import ChunkRange
+from cogsplat.tools.terminal.values import ChunkRange, FiniteNumber
 from cogsplat.tools.workflow.inputs import LoadedScene, Selection, decode_part, decode_part_with
 from cogsplat.tools.workflow.scene_output import write_any
 
@@ -54,7 +54,7 @@ from cogsplat.tools.workflow.scene_output import write_any
 @compensate_option
 @click.option(
     "--level",
-    type=click.FloatRange(min=0),
+    type=FiniteNumber(min=0),
     metavar="L",
     help="Level of a scene with levels, 0 the coarsest; 1.5 lies halfway between 1 and 2.",
 )

@@ -70,7 +70,7 @@ from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.scene_writing import no_extras_option
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
 from cogsplat.tools.terminal.usage import usage_errors
-from cogsplat.tools.terminal.values import Colour, byte_count, number_of_bytes
+from cogsplat.tools.terminal.values import Colour, FiniteNumber, byte_count, number_of_bytes
 from cogsplat.tools.workflow.byte_table import print_byte_table
 from cogsplat.tools.workflow.compile_ahead import CompileAhead
 from cogsplat.tools.workflow.file_evaluation import FileEvaluation, settings_of
@@ -227,7 +227,7 @@ _GROUPS: Final = {
 @preview_option
 @click.option(
     "--prune",
-    type=click.FloatRange(0, 1, max_open=True),
+    type=FiniteNumber(0, 1, max_open=True),
     show_default=str(PruneConfig().peak),
     metavar="PEAK",
     help="Drop splats that are not worth their bytes, among those whose weight is below PEAK in "

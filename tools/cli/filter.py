@@ -32,7 +32,7 @@ from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
-from cogsplat.tools.terminal.values import Box, box
+from cogsplat.tools.terminal.values import Box, FiniteNumber, box
 from cogsplat.tools.workflow.inputs import (
     drop_invalid_splats,
     input_files,
@@ -55,19 +55,19 @@ Marks = dict[str, NDArray[np.bool_]]
 @writing_options(OUTPUT_FORMATS, "Without it, OUT's extension names the format.")
 @click.option(
     "--min-opacity",
-    type=click.FloatRange(0, 1),
+    type=FiniteNumber(0, 1),
     metavar="A",
     help="Leave out splats of lower opacity, 0 to 1.",
 )
 @click.option(
     "--min-size",
-    type=click.FloatRange(min=0),
+    type=FiniteNumber(min=0),
     metavar="S",
     help="Leave out splats whose largest standard deviation is below this, scene units.",
 )
 @click.option(
     "--max-size",
-    type=click.FloatRange(min=0),
+    type=FiniteNumber(min=0),
     metavar="S",
     help="Leave out splats whose largest standard deviation is above this, scene units.",
 )
@@ -79,7 +79,7 @@ Marks = dict[str, NDArray[np.bool_]]
 )
 @click.option(
     "--floaters",
-    type=click.FloatRange(min=0),
+    type=FiniteNumber(min=0),
     metavar="D",
     help="Leave out floaters: splats with less contribution than the median whose log distance to "
     "their neighbours exceeds the median by D standard deviations. 3 is cautious, 2 finds more.",

@@ -18,6 +18,7 @@ from cogsplat.tools.delivery.viewer_pages import linked_page
 from cogsplat.tools.terminal.options import json_option, quiet_option
 from cogsplat.tools.terminal.output import display_title, print_json, print_line
 from cogsplat.tools.terminal.standard_streams import PATH
+from cogsplat.tools.terminal.values import FiniteNumber
 
 _LARGEST_PORT: Final = 65535
 
@@ -76,21 +77,21 @@ class BitRate(click.ParamType["float"]):
 )
 @click.option(
     "--latency",
-    type=click.FloatRange(0, 60_000),
+    type=FiniteNumber(0, 60_000),
     default=0.0,
     metavar="MS",
     help="Time from a request to the first byte of its answer, milliseconds.",
 )
 @click.option(
     "--loss",
-    type=click.FloatRange(0, 1),
+    type=FiniteNumber(0, 1),
     default=0.0,
     metavar="SHARE",
     help="Share of the answers that end early.",
 )
 @click.option(
     "--fail-rate",
-    type=click.FloatRange(0, 1),
+    type=FiniteNumber(0, 1),
     default=0.0,
     metavar="SHARE",
     help="Share of the requests answered with status 503.",

@@ -43,7 +43,7 @@ from cogsplat.tools.terminal.output_names import COGS, check_distinct, check_nam
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
-from cogsplat.tools.terminal.values import Colour, byte_count
+from cogsplat.tools.terminal.values import Colour, FiniteNumber, byte_count
 from cogsplat.tools.workflow.inputs import (
     drop_invalid_splats,
     input_files,
@@ -60,6 +60,8 @@ if TYPE_CHECKING:
     from cogsplat.codec.fit.tuning import CheckpointArrays, Milestone
 
 _DEFAULT_DB: Final = 40.0
+# A week; far larger numbers overflow in seconds.
+_MAX_MINUTES: Final = 10_080
 # `TuneConfig.prefix_weight` with a preview, whose purpose is the quality of the first bytes.
 _PREFIX_WEIGHT: Final = 0.5
 
@@ -109,7 +111,7 @@ _GROUPS: Final = {
 )
 @click.option(
     "--minutes",
-    type=click.FloatRange(0, min_open=True),
+    type=FiniteNumber(0, _MAX_MINUTES, min_open=True),
     metavar="N",
     help="Time limit, minutes; at most 12 times the usual steps are trained. Without it, the "
     "number of steps is fixed and every run has the same result.",
@@ -117,7 +119,7 @@ _GROUPS: Final = {
 @training_images_option
 @click.option(
     "--keep",
-    type=click.FloatRange(0, 1, min_open=True),
+    type=FiniteNumber(0, 1, min_open=True),
     metavar="SHARE",
     help="Share of the splats to keep. Without it, the fewest that reach the target.",
 )

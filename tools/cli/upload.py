@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import closing
 from datetime import timedelta
 from pathlib import Path
+from typing import Final
 
 import click
 
@@ -24,6 +25,10 @@ from cogsplat.tools.terminal.output import count_text, print_json, print_line, s
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import PATH
+from cogsplat.tools.terminal.values import FiniteNumber
+
+# A hundred years; far larger numbers overflow in dates.
+_MAX_HOURS: Final = 876_000
 
 
 @click.command(
@@ -44,7 +49,7 @@ from cogsplat.tools.terminal.standard_streams import PATH
 @click.option("--yes", is_flag=True, help="Delete without confirmation.")
 @click.option(
     "--older-than",
-    type=click.FloatRange(min=0),
+    type=FiniteNumber(0, _MAX_HOURS),
     default=24.0,
     show_default=True,
     metavar="HOURS",

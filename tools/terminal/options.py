@@ -16,6 +16,7 @@ from cogsplat.codec.encode.config import (
 from cogsplat.codec.metrics import SSIM_BORDERS
 from cogsplat.codec.render.cuda_device import DEVICES, cuda_device
 from cogsplat.codec.splats import MAX_SH_DEGREE
+from cogsplat.tools.terminal.values import FiniteNumber
 
 from .standard_streams import PATH
 from .values import byte_count, chunk_range, colour, object_labels
@@ -142,7 +143,7 @@ def quality_option(what: str) -> Callable[[Command], Command]:
     """Return the option ``--quality``; `what` is its help."""
     return click.option(
         "--quality",
-        type=click.FloatRange(MIN_QUALITY_DB, MAX_QUALITY_DB),
+        type=FiniteNumber(MIN_QUALITY_DB, MAX_QUALITY_DB),
         default=EncodeConfig().quality_db,
         show_default=True,
         metavar="DB",
@@ -154,7 +155,7 @@ def target_psnr_option(what: str) -> Callable[[Command], Command]:
     """Return the option ``--target-psnr``; `what` is its help."""
     return click.option(
         "--target-psnr",
-        type=click.FloatRange(MIN_PSNR_DB, MAX_QUALITY_DB),
+        type=FiniteNumber(MIN_PSNR_DB, MAX_QUALITY_DB),
         metavar="DB",
         help=what,
     )
@@ -187,7 +188,7 @@ def preview_option(command: Command) -> Command:
     """Add ``--preview``, the share of the file spent on preview splats."""
     return click.option(
         "--preview",
-        type=click.FloatRange(0, 0.5, min_open=True),
+        type=FiniteNumber(0, 0.5, min_open=True),
         metavar="SHARE",
         help="Share of the file, such as 0.02, spent on preview splats: few trained splats at the "
         "front that show the whole scene until more of it has loaded.",

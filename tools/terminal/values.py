@@ -34,6 +34,22 @@ class ChunkRange:
     last: int | None
 
 
+class FiniteNumber(click.FloatRange):
+    """Parameter type of a finite number, in a range where one is given.
+
+    click compares a number with the ends of its range, and a comparison with NaN is false.
+    """
+
+    def convert(
+        self, value: float, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """Return the number; refuse text that is none, NaN, infinity and a number out of range."""
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{value!r}, expected a finite number", param, ctx)
+        return number
+
+
 def object_labels(text: str) -> tuple[int, ...]:
     """Parse labels of objects such as ``3`` or ``1,4``.
 

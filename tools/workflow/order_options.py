@@ -24,6 +24,7 @@ from cogsplat.codec.order.orders import (
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.tools.terminal.standard_streams import PATH
+from cogsplat.tools.terminal.values import FiniteNumber
 
 from .inputs import load_cameras
 
@@ -309,7 +310,7 @@ def _with_parameters(
         ),
         click.option(
             "--first-view-share",
-            type=click.FloatRange(0, 1),
+            type=FiniteNumber(0, 1),
             default=_DEFAULTS.first_view_share,
             show_default=True,
             metavar="SHARE",
@@ -317,7 +318,7 @@ def _with_parameters(
         ),
         click.option(
             "--first-view-mix",
-            type=click.FloatRange(0, 1),
+            type=FiniteNumber(0, 1),
             default=_DEFAULTS.first_view_mix,
             show_default=True,
             metavar="SHARE",
@@ -326,14 +327,14 @@ def _with_parameters(
         ),
         click.option(
             "--frustum-share",
-            type=click.FloatRange(0, 1),
+            type=FiniteNumber(0, 1),
             metavar="SHARE",
             help="Serve the first view by its frustum instead: share of every prefix that lies "
             "in the frustum until its splats are used up.",
         ),
         click.option(
             "--frustum-margin",
-            type=click.FloatRange(0, 100),
+            type=FiniteNumber(0, 100),
             default=_DEFAULTS.frustum_margin,
             show_default=True,
             metavar="SHARE",

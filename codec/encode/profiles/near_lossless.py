@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.finite_fields import require_finite
 from cogsplat.codec.geometry import rotations
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.splats import Splats
@@ -53,6 +54,7 @@ class NearLosslessBounds:
     shN: float = 0.001  # noqa: N815 - the field's name
 
     def __post_init__(self) -> None:
+        require_finite(self)
         for name in self.__dataclass_fields__:
             if not getattr(self, name) > 0:
                 raise ValueError(f"bound {name} {getattr(self, name)}, expected more than 0")

@@ -1,14 +1,18 @@
 """What options take: byte counts, ranges, colours, sizes."""
 
+from pathlib import Path
+
 import click
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from running import Run, SmallScene, all_commands
 
 from cogsplat.tools.terminal.values import (
     MAX_SIDE,
     ByteCount,
     ChunkRange,
+    FiniteNumber,
     byte_count,
     chunk_range,
     colour,
@@ -99,3 +103,49 @@ def test_picture_sizes() -> None:
 def test_other_sizes_are_refused(text: str) -> None:
     with pytest.raises(click.BadParameter, match="expected pixels"):
         picture_size(text)
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "-inf", "1e999"])
+def test_options_of_numbers_refuse_what_is_not_finite(text: str) -> None:
+    options = [
+        (words, option)
+        for words, command in all_commands().items()
+        for option in command.params
+        if isinstance(option.type, click.types.FloatParamType)
+    ]
+    assert len(options) > 20
+    for words, option in options:
+        assert isinstance(option.type, FiniteNumber), (words, option.name)
+        with pytest.raises(click.BadParameter):
+            option.type.convert(text, option, None)
+
+
+@pytest.mark.parametrize(
+    ("words", "name", "value"),
+    [
+        ("encode", "quality", "nan"),
+        ("encode", "target-psnr", "nan"),
+        ("encode", "prune", "nan"),
+        ("encode", "preview", "nan"),
+        ("encode", "first-view-share", "nan"),
+        ("encode", "frustum-margin", "inf"),
+        ("tune", "keep", "nan"),
+        ("tune", "minutes", "1e308"),
+        ("layers", "shares", "nan,1"),
+        ("layers", "quality", "nan"),
+    ],
+)
+@pytest.mark.parametrize("place", ["command line", "file"])
+def test_a_number_that_is_not_finite_is_misuse(
+    run: Run, small: SmallScene, tmp_path: Path, words: str, name: str, value: str, place: str
+) -> None:
+    config = tmp_path / "a.toml"
+    config.write_text(f"{name} = {value if value[0] in 'ni' and ',' not in value else repr(value)}")
+    given = [f"--{name}", value] if place == "command line" else ["--config", config]
+    told = run(words, small.ply, tmp_path / "a.cogs", *given)
+    assert told.code == 2, told.err
+    assert not (tmp_path / "a.cogs").exists()
+
+
+def test_the_age_of_objects_is_within_dates(run: Run, tmp_path: Path) -> None:
+    assert run("upload", tmp_path, "s3://bucket/a", "--older-than", "1e300").code == 2

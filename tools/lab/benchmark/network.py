@@ -33,6 +33,7 @@ from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 from cogsplat.tools.terminal.options import json_option
 from cogsplat.tools.terminal.output import print_facts, print_json
 from cogsplat.tools.terminal.standard_streams import PATH
+from cogsplat.tools.terminal.values import FiniteNumber
 
 _STATUS: Final = "/proc/{}/status"
 _RANGE_BYTES: Final = 65536
@@ -380,8 +381,12 @@ def large(chunks: int, tries: int, as_folder: bool, as_json: bool) -> None:
 
 @main.command()
 @click.argument("scene", type=PATH)
-@click.option("--bits", type=float, default=10e6, show_default=True, help="Bandwidth, bit/s.")
-@click.option("--latency", type=float, default=50.0, show_default=True, help="Latency, ms.")
+@click.option(
+    "--bits", type=FiniteNumber(), default=10e6, show_default=True, help="Bandwidth, bit/s."
+)
+@click.option(
+    "--latency", type=FiniteNumber(), default=50.0, show_default=True, help="Latency, ms."
+)
 @json_option
 def link(scene: Path, bits: float, latency: float, as_json: bool) -> None:
     """Load a scene over a slow link."""
@@ -391,7 +396,7 @@ def link(scene: Path, bits: float, latency: float, as_json: bool) -> None:
 @main.command()
 @click.argument("scene", type=PATH)
 @click.option("--readers", type=click.IntRange(min=1), default=200, show_default=True)
-@click.option("--seconds", type=click.FloatRange(min=1), default=60.0, show_default=True)
+@click.option("--seconds", type=FiniteNumber(min=1), default=60.0, show_default=True)
 @json_option
 def readers(scene: Path, readers: int, seconds: float, as_json: bool) -> None:
     """Read ranges from one server by many concurrent readers."""

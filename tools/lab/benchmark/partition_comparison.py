@@ -24,6 +24,7 @@ from cogsplat.tools.lab.partitions.guillotine import cut_costs
 from cogsplat.tools.terminal.options import json_option
 from cogsplat.tools.terminal.output import print_json, print_line, print_table
 from cogsplat.tools.terminal.standard_streams import PATH
+from cogsplat.tools.terminal.values import FiniteNumber
 
 
 @dataclass(frozen=True)
@@ -130,7 +131,7 @@ def _measured(
 )
 @click.option(
     "--seconds",
-    type=click.FloatRange(0.0, min_open=True),
+    type=FiniteNumber(0.0, min_open=True),
     default=60.0,
     show_default=True,
     help="Time limit of the integer program.",

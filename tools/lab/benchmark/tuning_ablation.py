@@ -34,6 +34,7 @@ from cogsplat.formats.storage.byte_counts import parse_bytes
 from cogsplat.tools.evaluation.photos import read_photos
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 from cogsplat.tools.terminal.output import print_line, print_table
+from cogsplat.tools.terminal.values import FiniteNumber
 
 F32 = NDArray[np.float32]
 Row = tuple[str, ...]
@@ -208,7 +209,7 @@ def main() -> None:
     parser.add_argument("--images", type=Path)
     parser.add_argument(
         "--background",
-        type=float,
+        type=FiniteNumber(),
         nargs=3,
         metavar=("R", "G", "B"),
         default=[0.0, 0.0, 0.0],

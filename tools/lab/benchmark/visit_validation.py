@@ -33,6 +33,7 @@ from cogsplat.tools.lab.streaming.curves import picture_strips
 from cogsplat.tools.lab.streaming.traces import Trace, recorded_trace
 from cogsplat.tools.lab.streaming.visit_client import Browser
 from cogsplat.tools.pictures.png import write_png
+from cogsplat.tools.terminal.values import FiniteNumber
 
 from .chromium import opened_page
 
@@ -219,7 +220,9 @@ def compare(
     "--budget", default=0, show_default=True, help="Memory limit, splats; 0 for no limit."
 )
 @click.option("--moments", default=12, show_default=True)
-@click.option("--seconds", type=float, help="Part of the trace to follow; by default all of it.")
+@click.option(
+    "--seconds", type=FiniteNumber(), help="Part of the trace to follow; by default all of it."
+)
 @click.option(
     "--splats-per-second",
     default=2e6,

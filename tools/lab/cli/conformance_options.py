@@ -11,6 +11,7 @@ import click
 
 from cogsplat.codec.errors import StorageError
 from cogsplat.tools.terminal.standard_streams import PATH
+from cogsplat.tools.terminal.values import FiniteNumber
 
 Command = TypeVar("Command", bound=Callable[..., object])
 
@@ -30,7 +31,7 @@ def timeout_option(what: str) -> Callable[[Command], Command]:
     """Return the option ``--timeout``; `what` is the noun for what the limit applies to."""
     return click.option(
         "--timeout",
-        type=click.FloatRange(min=0, min_open=True),
+        type=FiniteNumber(min=0, min_open=True),
         default=30.0,
         show_default=True,
         metavar="SECONDS",

@@ -48,7 +48,7 @@ from cogsplat.tools.terminal.output import (
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH
-from cogsplat.tools.terminal.values import number_of_bytes
+from cogsplat.tools.terminal.values import FiniteNumber, number_of_bytes
 from cogsplat.tools.workflow.inputs import (
     drop_invalid_splats,
     input_files,
@@ -103,7 +103,7 @@ _GROUPS: Final = {
 )
 @click.option(
     "--pose-seconds",
-    type=click.FloatRange(0.0, min_open=True),
+    type=FiniteNumber(0.0, min_open=True),
     default=0.5,
     show_default=True,
     metavar="S",
@@ -125,7 +125,7 @@ _GROUPS: Final = {
 )
 @click.option(
     "--latency",
-    type=click.FloatRange(0.0),
+    type=FiniteNumber(0.0),
     default=20.0,
     show_default=True,
     metavar="MS",
@@ -183,7 +183,7 @@ _GROUPS: Final = {
 )
 @click.option(
     "--goal",
-    type=click.FloatRange(0.0, 100.0),
+    type=FiniteNumber(0.0, 100.0),
     default=50.0,
     show_default=True,
     metavar="DB",
