@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 Change = Callable[["EncodeConfig"], "EncodeConfig"]
 
-# Overshoot of the three measurements per technique. The second overshoots the target, so that two
-# measurements bracket it.
+# PSNR added to the correction after each of the three measurements of a technique, dB. The second
+# correction overshoots the target by 0.3 dB, so that two measurements bracket it.
 _OVERSHOOT_DB: Final = (0.0, 0.3, 0.0)
 
 
@@ -42,11 +42,11 @@ class AblationRow:
     more : float
         Relative increase of the bytes over the full encoder.
     roam_db : float
-        PSNR of roaming views at that size, interpolated.
+        PSNR of roam views at that size, interpolated.
     encode_s : float
         Shortest encoding time, without scoring, s.
     nearest_db : float
-        Distance of the nearest measurement from the target PSNR.
+        Smallest difference of a measured PSNR from the PSNR interpolated at, dB.
     """
 
     technique: str
@@ -88,33 +88,35 @@ class _Point:
 
 
 def changes(sh_degree: int) -> dict[str, Change]:
-    """Return by technique the function that disables it in a configuration."""
+    """Return the functions that disable one technique in a configuration, by technique."""
     from cogsplat.codec.encode.config import Ablation
 
     def without(**flags: bool) -> Change:
         return lambda config: replace(config, ablation=replace(config.ablation, **flags))
 
     named: dict[str, Change] = {
-        "order by gain: contribution's": lambda config: replace(config, order="contribution"),
-        "any order: the source's": lambda config: replace(config, order="source"),
-        "coarse heads": lambda config: replace(config, refine=False),
-        "steps by chunk": without(chunk_steps=False),
-        "scored sensitivities": without(sensitivities=False),
-        "means as fine as splats are small": without(fine_means=False),
+        "order by gain (contribution instead)": lambda config: replace(
+            config, order="contribution"
+        ),
+        "reordering (source order instead)": lambda config: replace(config, order="source"),
+        "coarse heads and refinements": lambda config: replace(config, refine=False),
+        "quantiser steps per chunk": without(chunk_steps=False),
+        "measured sensitivities": without(sensitivities=False),
+        "means quantised by splat size": without(fine_means=False),
         "Morton order in chunks": lambda config: replace(config, morton=False),
-        "rotations as fine as shapes ask": without(fine_rotations=False),
-        "kept areas": without(areas=False),
-        "symbols sharing bytes": without(digits=False),
+        "rotations quantised by anisotropy": without(fine_rotations=False),
+        "area correction of coarse scales": without(areas=False),
+        "several symbols per byte": without(digits=False),
         "pruning": lambda config: replace(config, prune=None),
     }
     if sh_degree:
         named |= {
             "principal axes of shN": without(colour_basis=False),
-            "shN weighed by its views": without(view_metric=False),
-            "sh0 for what shN loses": without(sh0_makes_up=False),
+            "shN errors weighted by views": without(view_metric=False),
+            "mean shN error added to sh0": without(sh0_makes_up=False),
         }
     nothing = Ablation(**dict.fromkeys(Ablation.__dataclass_fields__, False))
-    named["all of these"] = lambda config: replace(
+    named["all techniques"] = lambda config: replace(
         config, order="source", refine=False, morton=False, prune=None, ablation=nothing
     )
     return named
@@ -138,7 +140,7 @@ def stage_cost(splats: int, sh_degree: int, cameras: Sequence[Camera]) -> StageC
 
     config = EncodeConfig(compensate=False, order="contribution")
     encode = stage_costs(splats, EncodeRequest(config=config), scored=True)
-    # Each test view, and two roaming views for each.
+    # Each test view, and two roam views for each.
     once = sum(cost.total() for cost in encode) + 3 * render_cost(splats, cameras)
     return StageCost("ablation", len(_OVERSHOOT_DB) * once, len(changes(sh_degree)) + 1)
 
@@ -216,7 +218,19 @@ def _measurement(
     evaluators: tuple[PrefixEvaluator, PrefixEvaluator],
     prepare_s: float,
 ) -> Callable[[float], _Point]:
-    """Return the function that encodes at a nominal quality and measures the result."""
+    """Return a function that encodes at a given nominal quality, dB, and measures the result.
+
+    Parameters
+    ----------
+    given : BenchInput
+        Input of the benchmark.
+    prepared : PreparedScene
+        Scene in chunk order, with the configuration to measure.
+    evaluators : pair of PrefixEvaluator
+        Evaluators in the held-out and in the roam views.
+    prepare_s : float
+        Duration of the preparation, s; part of the encoding time.
+    """
     from cogsplat.codec.encode.encoder import encode_chunks
     from cogsplat.formats.cogs import scene_writer
 
@@ -234,9 +248,9 @@ def _measurement(
 def _measure_near(
     measure: Callable[[float], _Point], quality_db: float, target_db: float
 ) -> list[_Point]:
-    """Measure at three nominal qualities; each step adds the PSNR missing so far.
+    """Measure at three nominal qualities, each corrected by the last difference to the target.
 
-    The second step overshoots (`_OVERSHOOT_DB`), so that two measurements bracket the target.
+    The second correction overshoots (`_OVERSHOOT_DB`): two measurements bracket the target.
 
     Parameters
     ----------
@@ -266,7 +280,7 @@ def _clamp(quality_db: float) -> float:
 def equal_quality(
     points: Sequence[tuple[float, float, float]], target_db: float
 ) -> tuple[float, float]:
-    """Interpolate bytes and roaming PSNR at a held-out PSNR.
+    """Interpolate bytes and PSNR in roam views at a held-out PSNR.
 
     Parameters
     ----------
@@ -278,7 +292,7 @@ def equal_quality(
     Returns
     -------
     tuple of float
-        Bytes, interpolated in their logarithm, and roaming PSNR, dB.
+        Bytes, interpolated in their logarithm, and PSNR in roam views, dB.
     """
     table = np.unique(np.array(points, np.float64), axis=0)
     quality, sizes, roam = table.T

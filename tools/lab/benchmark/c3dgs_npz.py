@@ -46,10 +46,10 @@ def write(splats: Splats, scores: Scores, path: Path, *, threads: int = 0) -> No
     splats : Splats
         Valid rows, at least one.
     scores : Scores
-        Scores of the splats. Sensitivities weight the codebook training; splats without
+        Scores of the splats, whose sensitivities weight the codebook training. Splats without
         contribution to any view are dropped. Shapes use `Scores.sensitivities` with respect to
-        the log scales. Colours of high sensitivity are stored without clustering; an equal number
-        of shapes is.
+        the log scales. Colours of high sensitivity, and an equal number of shapes, are stored
+        without clustering.
     path : Path
     threads : int
         0 for all cores; the bytes do not depend on it.
@@ -146,7 +146,15 @@ def _morton_order(means: F32) -> NDArray[np.int64]:
 
 
 def _cluster(vectors: F32, weights: F64, kept: NDArray[np.bool_], threads: int) -> tuple[F32, I32]:
-    """Return codebook rows followed by the unclustered vectors, and the row of each vector."""
+    """Cluster the vectors that are not in `kept`.
+
+    Returns
+    -------
+    rows : (r, d) float32
+        Codebook rows, then the kept vectors.
+    indices : (n,) int32
+        Row of each vector.
+    """
     rows = np.zeros((0, vectors.shape[1]), np.float32)
     indices = np.zeros(len(vectors), np.int32)
     if not kept.all():

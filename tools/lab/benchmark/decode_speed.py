@@ -148,7 +148,7 @@ def measure(
     Parameters
     ----------
     path : Path
-        COGS file. A first decode, which reads it from disk, is not timed.
+        COGS file. The first decode, which reads the file from disk, is not timed.
     name : str
         Name for the results.
     pairs : int
@@ -207,7 +207,7 @@ def measure(
 
 
 def load_spz(modules: Path, path: Path, loads: int) -> list[float]:
-    """Time repeated loads of a file from memory by the SPZ library, s.
+    """Return the duration of each load of an SPZ file from memory by the SPZ library, s.
 
     Raises
     ------
@@ -227,7 +227,7 @@ def load_spz(modules: Path, path: Path, loads: int) -> list[float]:
 
 
 def encode_synth(path: Path, splats: int, sh_degree: int, views: int) -> None:
-    """Encode a synthetic scene without pruning, scored on few small views.
+    """Encode a synthetic scene without pruning, scored in small training views.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def encode_synth(path: Path, splats: int, sh_degree: int, views: int) -> None:
 
 
 def machine() -> dict[str, object]:
-    """Describe the machine: platform, processor, cores, versions."""
+    """Return platform, processor, core count and versions of this machine."""
     return {
         "platform": platform.platform(),
         "processor": platform.processor() or platform.machine(),
@@ -265,7 +265,7 @@ def machine() -> dict[str, object]:
 
 
 def numba_in_use() -> bool:
-    """Whether numba is loaded in this process."""
+    """Tell whether numba is loaded in this process."""
     return sys.modules.get("numba") is not None
 
 

@@ -2,11 +2,11 @@
 
 Run ``python -m cogsplat.tools.lab.benchmark.level_peers SCENE --cameras CAMERAS --eval-every
 8``. For every model it prints the bytes fetched and the quality in held-out views at the model's
-own picture size, then the PSNR at all sizes. The ground truth is the scene's full-size picture,
-downscaled. The models are:
+own picture size, then the PSNR at all sizes. The ground truth is a full-size render of the source
+scene, downscaled. The models are:
 
 - the levels of one file;
-- per level, a file of the same number of splats trained for this picture size alone;
+- per level, a file of the same number of splats, trained only for the picture size of the level;
 - per level, the same number of splats of largest contribution, without training;
 - one file trained on pictures of all sizes;
 - the scene itself, not stored.
@@ -44,14 +44,14 @@ Row = tuple[str, ...]
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A model for one picture size.
+    """Splats made for one picture size by one training method.
 
     Parameters
     ----------
     way : str
         Training method.
     scale : int
-        Downscaling factor of the pictures that the model is made for.
+        Downscaling factor of the pictures for which the model is made.
     splats : Splats
         Decoded splats.
     bytes_fetched : int
@@ -76,7 +76,7 @@ class ModelQuality:
 
 
 def _stored(levels: LevelledSplats, cameras: Sequence[Camera], way: str) -> list[Model]:
-    """Encode levels to a file and return each level as decoded."""
+    """Encode levels to a file, decode it, and return a model for each level."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "levels.cogs"
         cogs.save(encode_levels(levels, cameras), path, writer="benchmark")
@@ -94,14 +94,16 @@ def _stored(levels: LevelledSplats, cameras: Sequence[Camera], way: str) -> list
 
 
 def models(splats: Splats, cameras: Sequence[Camera], config: LevelsConfig) -> list[Model]:
-    """Train the levels of a scene and the models they are compared with.
+    """Return the levels of a scene, trained as one file, and the models for comparison.
 
     Parameters
     ----------
     splats : Splats
+        Source scene.
     cameras : sequence of Camera
         Training views.
     config : LevelsConfig
+        Scales, shares of splats and training steps of the levels.
     """
     found = _stored(train_levels(splats, cameras, config), cameras, "level")
     for scale, share in zip(config.scales, config.shares, strict=True):
@@ -121,18 +123,20 @@ def measure_quality(
     *,
     lpips: Lpips | None = None,
 ) -> list[ModelQuality]:
-    """Measure models at every scale against downscaled full-size pictures of the scene.
+    """Measure every model at all scales against downscaled full-size renders of the source.
 
     Parameters
     ----------
     splats : Splats
-        The scene.
+        Source scene.
     of : sequence of Model
         Models to measure.
     tests : sequence of Camera
         Test views at full size.
     config : LevelsConfig
+        Configuration whose scales are measured.
     lpips : Lpips, optional
+        Network that also measures LPIPS; by default only PSNR and SSIM are measured.
     """
     info = splats.info
     drawing = RenderConfig(kernel_px=info.kernel_px, antialiased=info.antialiased)
@@ -209,7 +213,7 @@ def chart(found: Sequence[ModelQuality], width: int) -> str:
 
 
 def main() -> None:
-    """Print the tables."""
+    """Measure the models for a scene given on the command line and print two tables."""
     parser = argparse.ArgumentParser(description=__doc__, prog="level_peers")
     parser.add_argument("scene", type=Path)
     parser.add_argument("--cameras", type=Path, required=True)

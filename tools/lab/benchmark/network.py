@@ -60,9 +60,9 @@ class LargeFile:
     opening_requests, opening_bytes : int
         Requests and bytes for opening the file.
     chunk_requests, chunk_bytes : int
-        Maximum of requests and bytes for one chunk, each in a newly opened file.
+        Maximum number of requests and bytes for one chunk, after opening the file anew.
     memory_bytes : int
-        Growth of the process's resident memory to its peak.
+        Peak resident memory of the process minus its memory before opening the file.
     """
 
     file_bytes: int
@@ -106,7 +106,7 @@ class SlowLink:
 
 @dataclass(frozen=True)
 class Readers:
-    """Responses and server memory under concurrent readers.
+    """Result of a load test: responses and server memory under concurrent clients.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class Readers:
 
 @contextmanager
 def served(path: Path, *options: str) -> Iterator[tuple[str, int]]:
-    """Serve a file in a process of its own; give its URL and the number of the process."""
+    """Serve a file from a new process for the duration of the block; yield URL and process id."""
     command = [sys.executable, "-m", "cogsplat.tools.main", "serve", str(path), "--json"]
     with subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True) as process:
         try:
@@ -141,7 +141,7 @@ def served(path: Path, *options: str) -> Iterator[tuple[str, int]]:
             while not told.endswith("}\n"):
                 line = process.stdout.readline()
                 if not line:
-                    raise RuntimeError(f"cogsplat serve ended, having said {told!r}")
+                    raise RuntimeError(f"cogsplat serve ended after printing {told!r}")
                 told += line
             yield json.loads(told)["scene_url"], process.pid
         finally:
@@ -149,7 +149,7 @@ def served(path: Path, *options: str) -> Iterator[tuple[str, int]]:
 
 
 def make_large(path: Path, chunks: int) -> None:
-    """Write a file of many chunks, all copies of one chunk of a scene of SH degree 3."""
+    """Write a file of `chunks` copies of one chunk of a synthetic scene, SH degree 3."""
     with tempfile.TemporaryDirectory() as folder:
         small = Path(folder) / "small.cogs"
         cogsplat.encode(synth(6000), small, cameras=synth_cameras(6, 120, 90), preset="fast")
@@ -177,13 +177,13 @@ def _copies(file: CogsFile, chunks: int) -> tuple[Root, list[Segment]]:
 
 
 def _parts(file: CogsFile, chunk: int) -> tuple[int | None, ...]:
-    """Return the segments of a chunk: head, refinement, tail."""
+    """Return the rows of a chunk's head, refinement and tail in the segment table, or None."""
     rows = file.chunk_rows(chunk)
     return rows.head, rows.refinement, rows.tail
 
 
 def _segment(file: CogsFile, row: int, owner: int) -> Segment:
-    """Copy a segment of a file with another owner."""
+    """Return the segment at a row of a file's segment table, with another owner."""
     needs = int(file.segments.needs[row])
     return Segment(
         int(file.segments.kind[row]),
@@ -194,13 +194,13 @@ def _segment(file: CogsFile, row: int, owner: int) -> Segment:
 
 
 def make_folder(path: Path, folder: Path) -> None:
-    """Unpack a file into a folder of objects."""
+    """Unpack a file into a folder of objects (SPEC 3.4)."""
     with cogsplat.open(path) as file:
         unpack_cogs(file, folder)
 
 
 def large_file(path: Path, tries: int, seed: int = 1, place: Path | None = None) -> LargeFile:
-    """Open a large file from a local server and read random chunks.
+    """Read random chunks of a large file from a local server and count the traffic.
 
     Parameters
     ----------
@@ -239,7 +239,7 @@ def large_file(path: Path, tries: int, seed: int = 1, place: Path | None = None)
 
 
 def load_over_link(path: Path, bits_per_second: float, latency_ms: float) -> SlowLink:
-    """Download, stream and decode a scene over a slow link."""
+    """Measure downloading, streaming and decoding a scene over a slow link."""
     options = ["--throttle", f"{bits_per_second:.0f}", "--latency", str(latency_ms)]
     with cogsplat.open(path) as file:
         file.decode([0])
@@ -278,7 +278,7 @@ def load_over_link(path: Path, bits_per_second: float, latency_ms: float) -> Slo
 
 
 def many_readers(path: Path, readers: int, seconds: float) -> Readers:
-    """Read random ranges of a file by concurrent clients, each with its own connection."""
+    """Request random byte ranges of a file by concurrent clients, each with one connection."""
     with served(path) as (url, process):
         return asyncio.run(_read(path.read_bytes(), url, process, readers, seconds))
 
@@ -328,8 +328,7 @@ async def _read(data: bytes, url: str, process: int, readers: int, seconds: floa
 def _resident_bytes(process: int | str = "self", *, peak: bool = False) -> int:
     """Return the resident memory of a process, bytes; with `peak`, its maximum.
 
-    The maximum is that of the program itself; `getrusage` would include the process that it was
-    started from.
+    The maximum of `getrusage` would include the memory of the parent process.
     """
     field = "VmHWM" if peak else "VmRSS"
     for line in Path(_STATUS.format(process)).read_text(encoding="ascii").splitlines():
@@ -389,7 +388,7 @@ def large(chunks: int, tries: int, as_folder: bool, as_json: bool) -> None:
 )
 @json_option
 def link(scene: Path, bits: float, latency: float, as_json: bool) -> None:
-    """Load a scene over a slow link."""
+    """Measure times and traffic of loading SCENE over a slow link."""
     _print(load_over_link(scene, bits, latency), as_json)
 
 
@@ -399,7 +398,7 @@ def link(scene: Path, bits: float, latency: float, as_json: bool) -> None:
 @click.option("--seconds", type=FiniteNumber(min=1), default=60.0, show_default=True)
 @json_option
 def readers(scene: Path, readers: int, seconds: float, as_json: bool) -> None:
-    """Read ranges from one server by many concurrent readers."""
+    """Test a server under load: many clients request random byte ranges of SCENE."""
     _print(many_readers(scene, readers, seconds), as_json)
 
 

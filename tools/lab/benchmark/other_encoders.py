@@ -52,15 +52,15 @@ class EncodeResult:
     Parameters
     ----------
     name : str
-        Encoder.
+        Name of the encoder.
     seconds : float
-        Duration of the process.
+        Duration of the encoder's process.
     size_bytes : int
         Size of all files; for Streamed SOG all levels.
     held_out_db : float
         Mean PSNR of the held-out views against renders of the source.
     like : str
-        Encoder whose PSNR was the target; empty for other encoders.
+        For COGS, the name of the encoder whose PSNR was the target; else empty.
     """
 
     name: str
@@ -127,13 +127,13 @@ def encoders(node_modules: Path, sh_iterations: int = 10) -> list[Encoder]:
 
 
 def _npz_command(scene: Path, cameras: Path, target: Path) -> list[str]:
-    """Return the command that writes a scene as npz in a process of its own."""
+    """Return the command line that writes a scene as `c3dgs_npz` by running this module."""
     arguments = ["--write-npz", str(target), "--cameras", str(cameras), str(scene)]
     return [sys.executable, "-m", _MODULE, *arguments]
 
 
 def _read_npz(folder: Path) -> Splats:
-    """Read the decoded scene that the encoder wrote as ``scene.npz``."""
+    """Read the scene that the encoder wrote as ``scene.npz`` in a folder."""
     from . import c3dgs_npz
 
     return c3dgs_npz.read(folder / "scene.npz")
@@ -146,7 +146,7 @@ def _read_only_file(folder: Path) -> Splats:
 
 
 def _read_finest_level(folder: Path) -> Splats:
-    """Read and concatenate the parts of level 0, in folders named LEVEL_PART."""
+    """Read level 0 of a Streamed SOG: concatenate its parts, the folders ``0_*``."""
     return concatenate([cogsplat.read(part / "meta.json") for part in sorted(folder.glob("0_*"))])
 
 
@@ -187,7 +187,7 @@ def compare(
     Yields
     ------
     EncodeResult
-        Result of each encoder, followed by those of the presets at its PSNR.
+        Result of each encoder, followed by the results of the presets at the encoder's PSNR.
 
     Raises
     ------
@@ -214,7 +214,7 @@ def compare(
 
 
 def _write_npz(scene: Path, cameras: Path, target: Path) -> None:
-    """Write a scene as npz, in the process started by `_npz_command`."""
+    """Score a scene and write it as `c3dgs_npz`; runs in the process of `_npz_command`."""
     from cogsplat.codec.scoring.contribution import ScoreConfig, score
 
     from . import c3dgs_npz

@@ -81,7 +81,17 @@ def words_of_band(degree: int) -> int:
 
 
 def _band(words: U32, bits: int, values: int) -> F32:
-    """Unpack contiguous two's complement values, from bit 0 on, of (N, W) words."""
+    """Unpack the coefficients of one SH band to (N, values) integers, as float32.
+
+    Parameters
+    ----------
+    words : (N, W) uint32
+        Packed words of each splat.
+    bits : int
+        Bits per coefficient, in two's complement; coefficients follow each other from bit 0 on.
+    values : int
+        Number of coefficients per splat.
+    """
     flat = np.unpackbits(words.view(np.uint8), axis=1, bitorder="little")[:, : bits * values]
     digits = flat.reshape(-1, values, bits).astype(np.int32)
     unsigned = digits @ (1 << np.arange(bits, dtype=np.int32))

@@ -1,4 +1,4 @@
-"""Comparison of partitions into cells: fetched over visible splats, and computing time.
+"""Comparison of partitions into cells: ratio of fetched to visible splats, and computing time.
 
 Run ``python -m cogsplat.tools.lab.benchmark.partition_comparison scene.ply --cameras PATH``.
 """
@@ -40,7 +40,7 @@ class MethodResult:
     cost : float
         Cost by the measure of SGSS (`box_costs`).
     waste : float
-        Fetched over visible splats, mean over the views.
+        Ratio of fetched to visible splats, mean over the views.
     cpu_seconds : float
         Processor time of the method, without computing the costs.
     """
@@ -65,7 +65,7 @@ class PartitionComparison:
     bound : float
         Lower bound of the cost of any partition of the grid.
     whole_waste : float
-        Fetched over visible splats for the scene as one cell.
+        Ratio of fetched to visible splats with the whole scene as one cell.
     ways : list of MethodResult
         Integer program, guillotine cuts, and trees of the same number of cells.
     """
@@ -88,7 +88,7 @@ def compare(
     cameras : sequence of Camera
         Views of the scene, in the frame of the means.
     cuboids : int
-        Number of basic cuboids at most.
+        Maximum number of basic cuboids.
     seconds : float
         Time limit of the integer program.
     """
@@ -113,7 +113,7 @@ def compare(
 def _measured(
     way: str, grid: BasicCuboids, costs: BoxCosts, boxes: list[Box], began: float
 ) -> MethodResult:
-    """Return the result of a method that started at processor time `began`."""
+    """Return the result of a method that started at processor time `began` and ends now."""
     cpu_seconds = time.process_time() - began
     cells = sum(1 for box in boxes if costs.splats[costs.index(box)])
     return MethodResult(way, cells, costs.total(boxes), waste(grid, boxes), cpu_seconds)

@@ -44,7 +44,7 @@ _FIRST_PREFIX: Final = 32 << 10
 # Number of prefixes assumed in cost estimates: 32 KiB to 512 KiB.
 _PREFIXES: Final = 5
 
-# Number of timed reads; the fastest counts, because the first one loads code.
+# Number of timed reads; the fastest counts, because the first read loads code.
 _READS: Final = 2
 
 
@@ -100,13 +100,14 @@ class Row:
         Reason code if the format cannot store the scene; all figures are 0 then.
     file_bytes : int
     bytes_per_splat : float
-        Per splat of the source, pruned ones included.
+        File bytes per splat of the source, including pruned splats.
     held_out_db, worst_db, roam_db : float
-        PSNR against the source's own renders, at most 100.
+        PSNR against renders of the source, at most 100 dB: mean over the held-out views, worst
+        view, and mean over the roam views.
     held_out_ssim, worst_ssim, roam_ssim : float
-        SSIM of the same views.
+        SSIM in the same views.
     photos_db, photo_loss_db : float or None
-        PSNR against photos of the held-out views, and its loss against that of the source.
+        PSNR against photos of the held-out views, and the source's PSNR against photos minus it.
     encode_s, decode_s : float
         Time from arrays to a file, with scoring, and from the file to arrays, s.
     """
@@ -220,7 +221,7 @@ class Bench:
     ----------
     rows : tuple of Row
     prefixes : tuple of BenchPrefix
-        Prefixes of one file per profile, that of the middle quality.
+        Prefixes of one file per profile, the file of the middle quality.
     stages : tuple of StageTime
         Stages of the encodes of these files, in order.
     """
@@ -232,7 +233,11 @@ class Bench:
 
 @dataclass(frozen=True, eq=False)
 class _Method:
-    """A method of writing the scene: its name, a writer and a reader."""
+    """A method of writing a scene: profile or format, nominal quality, writer and reader.
+
+    `scored` tells whether scoring counts in the encoding time, `prefixes` whether prefixes of the
+    file are measured.
+    """
 
     name: str
     quality_db: float | None
@@ -306,18 +311,18 @@ def run(
     profiles : sequence of str
         Profiles of `EncodeConfig.profile`.
     qualities : sequence of float or None
-        Nominal qualities of each profile that has them, dB; None for `QUALITIES`.
+        Nominal qualities of each profile in `QUALITIES`, dB; None for the values there.
     formats : sequence of str
         Formats in `FOREIGN`.
     progress : Progress
-        Called with ``files``, and with the stages of each file: those of encoding, ``held-out``,
-        ``roam`` and ``prefixes``.
+        Called with ``files``, and for each file with the stages of encoding, ``held-out``, ``roam``
+        and ``prefixes``.
 
     Returns
     -------
     Bench
-        Rows of the profiles, then of the formats. A format that cannot store the scene has its
-        reason code.
+        Rows of the profiles, then of the formats. The row of a format that cannot store the scene
+        has a reason code.
 
     Raises
     ------
@@ -350,7 +355,7 @@ def _steps(profile: str, qualities: Sequence[float] | None) -> Sequence[float | 
 
 
 def _measures_prefixes(profile: str, index: int, count: int) -> bool:
-    """Whether to measure prefixes: at the middle nominal quality of a profile in `QUALITIES`."""
+    """Tell whether prefixes are measured: for the middle nominal quality of a profile."""
     return index == count // 2 and profile in QUALITIES
 
 
@@ -387,7 +392,7 @@ def _cogs_methods(
 def _encoder(
     given: BenchInput, config: EncodeConfig, progress: Progress
 ) -> Callable[[Path], EncodeReport]:
-    """Return the function that encodes the scene to a path."""
+    """Return a function that encodes the scene to a path."""
     from cogsplat.codec.encode.request import EncodeRequest
 
     def write(path: Path) -> EncodeReport:
@@ -426,7 +431,7 @@ def _foreign_methods(given: BenchInput, names: Sequence[str]) -> list[_Method]:
 
 
 def _writer(given: BenchInput, format_: Format) -> Callable[[Path], None]:
-    """Return the function that writes the scene in a foreign format."""
+    """Return a function that writes the scene to a path in a foreign format."""
     write_scene = format_.write
     if write_scene is None:
         raise ValueError(f"format {format_.name!r} is not written, expected one of {FOREIGN}")
@@ -454,7 +459,7 @@ def _stages(method: _Method, report: EncodeReport) -> list[StageTime]:
 def _measure(
     given: BenchInput, method: _Method, path: Path, progress: Progress
 ) -> tuple[Row, EncodeReport | None]:
-    """Measure a method; return its figures and, for COGS, the report of the encoder."""
+    """Write, read and measure a scene by one method; for COGS, also return the encoder's report."""
     set_display_name(path, _label(method.name, method.quality_db))
     start = time.perf_counter()
     try:
@@ -508,7 +513,7 @@ def prefix_sizes(file_bytes: int) -> list[int]:
 def _prefixes(
     given: BenchInput, method: _Method, path: Path, progress: Progress
 ) -> list[BenchPrefix]:
-    """Measure prefixes of a file."""
+    """Decode prefixes of a file and measure their PSNR in the held-out views."""
     prefixes: list[BenchPrefix] = []
     sizes = prefix_sizes(path.stat().st_size)
     progress("prefixes", 0, len(sizes))

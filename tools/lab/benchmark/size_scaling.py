@@ -43,7 +43,7 @@ class Step:
     Parameters
     ----------
     what : str
-        Operation: ``synth``, ``encode`` or ``decode``.
+        Name of the operation: ``synth``, ``encode`` or ``decode``.
     splats : int
         Splats of the scene.
     seconds : float
@@ -89,7 +89,7 @@ def fit_line(splats: Sequence[int], values: Sequence[float]) -> Line:
     Parameters
     ----------
     splats : sequence of int
-        Scene sizes, at least two different ones.
+        Scene sizes, at least two of them different.
     values : sequence of float
         Measured costs, above 0.
 
@@ -149,7 +149,7 @@ def measure(
 def _measure_in_process(
     what: str, splats: int, out: Path, work: Callable[..., None], *arguments: object
 ) -> Step:
-    """Run an operation in a new process, so that its peak memory is measured alone."""
+    """Run an operation in a new process, whose peak memory is then that of the operation."""
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         seconds, cpu, peak = pool.submit(_timed, work, *arguments).result()
     with storage_errors(out):
@@ -157,14 +157,14 @@ def _measure_in_process(
 
 
 def _timed(work: Callable[..., None], *arguments: object) -> tuple[float, float, int]:
-    """Return wall-clock time, processor time and peak memory of an operation."""
+    """Run an operation; return its wall-clock time, processor time, s, and peak memory, bytes."""
     start, cpu = time.perf_counter(), time.process_time()
     work(*arguments)
     return time.perf_counter() - start, time.process_time() - cpu, _peak_bytes()
 
 
 def _peak_bytes() -> int:
-    """Return the peak resident memory of this process."""
+    """Return the peak resident memory of this process, bytes."""
     if _STATUS.exists():
         for line in _STATUS.read_text(encoding="ascii").splitlines():
             if line.startswith("VmHWM"):

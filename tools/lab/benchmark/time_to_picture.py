@@ -1,4 +1,4 @@
-"""Time until a browser has decoded a picture of given quality, by format.
+"""Time until a browser has decoded splats that give a certain PSNR, by format.
 
 Run ``python -m cogsplat.tools.lab.benchmark.time_to_picture SCENE --cameras PATH --out DIR`` from a
 checkout, after ``npm ci && npm run build`` in ``tools/web``.
@@ -53,7 +53,7 @@ _SPZ_VERSION: Final = 3
 _SPLAT_BYTES: Final = 32
 """Bytes per splat of a .splat file."""
 
-# PSNR thresholds whose times are reported: recognisable and good, dB.
+# PSNR of a recognisable and of a good picture, dB; the times until both are reported.
 _THRESHOLDS_DB: Final = (24.0, 30.0)
 _LATENCY_SECONDS: Final = 0.04
 _HELD_OUT: Final = 8
@@ -67,7 +67,7 @@ _PAGE: Final = b"""<!doctype html><title>arrivals</title>
 
 @dataclass(frozen=True)
 class Contender:
-    """A file and the decoder that a browser uses for it.
+    """A file of a compared format, and the decoder that the browser uses for it.
 
     Parameters
     ----------
@@ -112,12 +112,12 @@ class Arrival:
     quality_db: tuple[float, ...]
 
     def seconds_to(self, least_db: float) -> float | None:
-        """Return the time at which a PSNR is first reached; None if it is not."""
+        """Return the time at which a PSNR is first reached, s; None if it is never reached."""
         found = (at for at, db in zip(self.seconds, self.quality_db, strict=True) if db >= least_db)
         return next(found, None)
 
     def report(self) -> dict[str, object]:
-        """Return the row of the table."""
+        """Return the figures of the table row by column name."""
         return {
             "format": self.name,
             "mbit": self.mbit,
@@ -130,7 +130,7 @@ class Arrival:
 
 
 def contenders(splats: Splats, ours: Path, folder: Path) -> list[Contender]:
-    """Write a scene in all compared formats except COGS.
+    """Write a scene in the compared formats; return the written files and the given COGS file.
 
     Parameters
     ----------
@@ -157,14 +157,14 @@ def contenders(splats: Splats, ours: Path, folder: Path) -> list[Contender]:
 
 
 class PictureComparison:
-    """Comparison of scenes with a source in fixed views.
+    """Comparison of decoded scenes with renders of a source in fixed views.
 
     Parameters
     ----------
     source : Splats
-        Scene of the reference pictures.
+        Scene of the reference renders.
     cameras : sequence of Camera
-        Views.
+        Views to compare in.
     """
 
     def __init__(self, source: Splats, cameras: Sequence[Camera]) -> None:
@@ -172,18 +172,22 @@ class PictureComparison:
         self._references = self._draw(source)
 
     def _draw(self, splats: Splats) -> list[NDArray[np.float32]]:
+        """Render a scene in all views, clipped to 0 to 1."""
         from cogsplat.codec.render.rasteriser import render_views
 
         return [np.clip(picture, 0, 1) for picture in render_views(splats, self._cameras)]
 
     def quality_db(self, splats: Splats) -> float:
-        """Return the mean PSNR of the views."""
+        """Return the mean PSNR of a scene over the views, against the reference renders, dB."""
         pairs = zip(self._draw(splats), self._references, strict=True)
         return statistics.fmean(psnr(picture, reference) for picture, reference in pairs)
 
 
 def load_median(page: Page, server: SlowServer, contender: Contender, runs: int) -> list[float]:
     """Load a file repeatedly until the last load takes about the median time of all loads.
+
+    The page keeps the snapshots of the last load, which are then measured. A snapshot is the splats
+    decoded at one time.
 
     Parameters
     ----------
@@ -198,7 +202,7 @@ def load_median(page: Page, server: SlowServer, contender: Contender, runs: int)
     Returns
     -------
     list of float
-        Times of the snapshots of the last load, s.
+        Time since the request of each snapshot of the last load, s.
     """
     ends: list[float] = []
     for _ in range(runs):
@@ -211,7 +215,7 @@ def load_median(page: Page, server: SlowServer, contender: Contender, runs: int)
 
 
 def _load(page: Page, server: SlowServer, contender: Contender) -> list[float]:
-    """Load a file once; return the times of its snapshots, s."""
+    """Load a file once; return the time since the request of each snapshot, s."""
     name = f"scene/{contender.path.name}"
     server.files[name] = contender.path.read_bytes()
     copies = page.evaluate("([way, url]) => window.arrive(way, url)", [contender.way, f"/{name}"])
@@ -239,7 +243,7 @@ def measure(
     mbit : float
         Bandwidth of the link, Mbit/s, for the result.
     runs : int
-        Loads of the file at least.
+        Minimum number of loads of the file.
     """
     seconds = load_median(page, server, contender, runs)
     kept = _sample_snapshots(seconds) if contender.way == "bytes" else range(len(seconds))
@@ -250,7 +254,10 @@ def measure(
 
 
 def _sample_snapshots(seconds: Sequence[float], count: int = 24) -> list[int]:
-    """Choose evenly spaced snapshots including the last; loading by rows produces very many."""
+    """Return the numbers of `count` evenly spaced snapshots that include the last one.
+
+    A progressive load by rows has too many snapshots to render each.
+    """
     return sorted({round(i * (len(seconds) - 1) / count) for i in range(1, count + 1)})
 
 
@@ -308,12 +315,12 @@ def run(
     node_modules: Path,
     runs: int,
 ) -> list[Arrival]:
-    """Measure files over links, in one browser.
+    """Measure the quality over time of each file over each link, in one browser.
 
     Parameters
     ----------
     source : Splats
-        Scene of the reference pictures.
+        Scene of the reference renders.
     files : sequence of Contender
     cameras : sequence of Camera
         Test views.
@@ -322,7 +329,7 @@ def run(
     node_modules : Path
         Folder with ``@sparkjsdev/spark`` and ``three``.
     runs : int
-        Loads of each file; the run of the median time counts.
+        Minimum number of loads of each file; the load of about the median time counts.
     """
     comparison = PictureComparison(source, cameras)
     arrivals = []

@@ -1,4 +1,4 @@
-"""Ablation of tuning: scenes tuned to one size without each of its parts.
+"""Ablation of tuning: scenes tuned to one file size with one part of tuning changed or left out.
 
 Run ``python -m cogsplat.tools.lab.benchmark.tuning_ablation SCENE --cameras CAMERAS --size
 60KB``, or without a scene for a synthetic one. For each variant it prints the splats and bytes of
@@ -42,7 +42,7 @@ Row = tuple[str, ...]
 
 @dataclass(frozen=True)
 class Variant:
-    """One variant of tuning.
+    """Tuning with one part changed or left out, for the ablation.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class Variant:
     config : TuneConfig
         Tuning parameters.
     photos : bool
-        Whether the ground truth are photos instead of renders of the source.
+        Whether photos are the ground truth instead of renders of the source.
     views_share : float
         Share of the cameras used as training views.
     """
@@ -63,7 +63,7 @@ class Variant:
 
 
 def variants(config: TuneConfig, share: float, *, photos: bool) -> list[Variant]:
-    """Return the default variant and one for each part left out.
+    """Return the default tuning, then variants with one part changed or left out.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def measure(
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     only: Sequence[str] = (),
 ) -> list[Row]:
-    """Tune every variant to one file size and return a table row for each.
+    """Tune a scene to one file size by every variant; return a table row for each variant.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def measure(
     size_bytes : int
         Target size of every file.
     config : TuneConfig
-        Default parameters.
+        Tuning parameters of the default variant.
     photos : tuple of sequences of (H, W, 3) float32, optional
         Photos of the training and of the test views, 0 to 1.
     background : tuple of float
@@ -202,7 +202,7 @@ def measure(
 
 
 def main() -> None:
-    """Print the table."""
+    """Run the ablation for the scene given on the command line and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, prog="tuning_ablation")
     parser.add_argument("scene", type=Path, nargs="?")
     parser.add_argument("--cameras", type=Path)

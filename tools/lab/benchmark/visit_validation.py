@@ -46,7 +46,7 @@ _FRAME_SECONDS: Final = 1 / 30
 class PageState(TypedDict):
     """Chunks that the page had decoded at one time.
 
-    A chunk is a tuple of its index, whether it is refined, and whether it has its tail.
+    A chunk is a tuple of its number, whether it is refined, and whether its tail is decoded.
     """
 
     seconds: float
@@ -86,7 +86,7 @@ def run_browser(
     budget_splats: int,
     splats_per_second: float,
 ) -> tuple[Browser, list[PageState]]:
-    """Run a visit in Chromium; return its start delays and its chunks at given times.
+    """Run a visit in Chromium; return the browser's delays and the decoded chunks at given times.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def _pose(pose: Pose) -> dict[str, object]:
 
 
 def units_of_chunks(units: Units, chunks: list[tuple[int, bool, bool]]) -> list[int]:
-    """Return the units that a page had of its decoded chunks."""
+    """Return the numbers of the units that a page had decoded: heads, refinements and tails."""
     found = []
     for chunk, refined, tail in chunks:
         kinds = {SegmentKind.HEAD: True, SegmentKind.REFINEMENT: refined, SegmentKind.TAIL: tail}
@@ -157,7 +157,7 @@ def compare(
     budget_splats: int,
     browser: Browser,
 ) -> tuple[list[Comparison], dict[str, list[np.ndarray]]]:
-    """Compare the chunks of a browser with the simulation.
+    """Compare the chunks that a browser had decoded with the simulated chunks.
 
     Parameters
     ----------
