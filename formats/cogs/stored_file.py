@@ -240,8 +240,8 @@ class StoredFile:
         length = int(self.segments.length[row])
         crc = int(self.segments.crc[row])
         key = self.segments.hash[row].tobytes()
-        cached = None if self._cache is None else self._cache.get(key)
-        if cached is not None and len(cached) == length and zlib.crc32(cached) == crc:
+        cached = None if self._cache is None else self._cache.get(key, length)
+        if cached is not None and zlib.crc32(cached) == crc:
             return memoryview(cached)
         data = self._source.read(offset, length)
         if zlib.crc32(data) != crc and isinstance(self._source, RemoteSource):
@@ -298,7 +298,8 @@ class StoredFile:
     def is_cached(self, row: int) -> bool:
         """Whether a segment is in the disk cache of a network source."""
         cache = self._cache
-        return cache is not None and cache.has(self.segments.hash[row].tobytes())
+        length = int(self.segments.length[row])
+        return cache is not None and cache.has(self.segments.hash[row].tobytes(), length)
 
     def chunk_rows(self, chunk: int) -> ChunkRows:
         """Return the rows of a chunk's segments in the segment table."""

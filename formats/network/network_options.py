@@ -49,7 +49,8 @@ class NetworkOptions:
         Configuration of obstore for ``s3://``, ``gs://`` and ``az://``, such as ``endpoint`` and
         ``region``. Missing keys come from the environment.
     cache : path, optional
-        Folder of a disk cache of segments, by hash, shared by all scenes. Roots are not cached.
+        Folder for a disk cache of segments, by hash, shared by all scenes. The cache uses its
+        subfolder ``cogsplat-segments`` alone. Roots are not cached.
     cache_bytes : int
         Approximate size limit of the disk cache, bytes.
     random : callable, optional
