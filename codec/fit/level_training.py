@@ -126,8 +126,7 @@ def train_levels(
     builder = _LevelBuilder(config.scales)
     for level, (scale, share) in enumerate(zip(config.scales, config.shares, strict=True)):
         views = [downscale_camera(camera, scale) for camera in cameras]
-        scored = score(source, views, ScoreConfig(threads=config.threads), progress=progress)
-        order = np.argsort(-scored.contribution, kind="stable")
+        order = _contribution_order(source, views, config, progress)
         order = order[~used[order]]
         added = np.sort(order[: max(round(share * len(source)) - int(used.sum()), 0)])
         used[added] = True
@@ -302,8 +301,7 @@ def train_jointly(
     config = config or LevelsConfig()
     source = splats.without_extras()
     targets = _targets(source, cameras, None, config, progress)
-    scored = score(source, cameras, ScoreConfig(threads=config.threads), progress=progress)
-    order = np.argsort(-scored.contribution, kind="stable")
+    order = _contribution_order(source, cameras, config, progress)
     scene = source.take(np.sort(order[: round(config.shares[-1] * len(source))]))
     views = [downscale_camera(camera, scale) for scale in config.scales for camera in cameras]
     pictures = [downscale_picture(target, scale) for scale in config.scales for target in targets]
@@ -312,6 +310,14 @@ def train_jointly(
     scene = scene.take(np.flatnonzero(_opacity(scene.opacities) >= MIN_OPACITY))
     zeros = np.zeros(len(scene), np.int64)
     return LevelledSplats(scene, config.scales[-1:], zeros, zeros, scene.opacities[None])
+
+
+def _contribution_order(
+    source: Splats, views: Sequence[Camera], config: LevelsConfig, progress: Progress
+) -> NDArray[np.int64]:
+    """Score the splats in views, and return their rows by falling contribution."""
+    scored = score(source, views, ScoreConfig(threads=config.threads), progress=progress)
+    return np.argsort(-scored.contribution, kind="stable")
 
 
 def _targets(

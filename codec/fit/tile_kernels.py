@@ -29,6 +29,7 @@ from cogsplat.codec.render.blending import (
     footprint_in_tile,
     open_pixels,
     rows_in_tile,
+    store_lane_sums,
     tile_area,
 )
 from cogsplat.codec.render.jit import inner_kernel, kernel
@@ -258,9 +259,4 @@ def differentiate_tiles(
                     lanes[lane + _L_GUV] += gu * v
                     lanes[lane + _L_GVV] += g * v * v
                     lanes[lane + _L_DELETED] += lost
-            for k in range(SUMS):
-                row = np.uintp(k * TILE)
-                total = _ZERO
-                for lane in range(LANES):
-                    total += lanes[row + lane]
-                sums[pair, k] = total
+            store_lane_sums(lanes, sums, SUMS, pair)

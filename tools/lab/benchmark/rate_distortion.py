@@ -87,15 +87,40 @@ def _label(method: str, quality_db: float | None) -> str:
 
 
 @dataclass(frozen=True)
-class Row:
-    """Size, time and quality of the scene written by one method.
+class _Measured:
+    """Method that a figure was measured for.
 
     Parameters
     ----------
     method : str
         Profile or foreign format.
     quality_db : float or None
-        Nominal quality; None if the profile has none.
+        Nominal quality; None if the method has none.
+    """
+
+    method: str
+    quality_db: float | None
+
+    @property
+    def label(self) -> str:
+        """Method and nominal quality."""
+        return _label(self.method, self.quality_db)
+
+    def report(self) -> dict[str, object]:
+        """Return the figures for CSV and JSON output."""
+        figures = asdict(self)
+        renamed = {"file_bytes": "bytes", "prefix_bytes": "bytes"}
+        return {renamed.get(name, name): figure for name, figure in figures.items()}
+
+
+@dataclass(frozen=True)
+class Row(_Measured):
+    """Size, time and quality of the scene written by one method.
+
+    Parameters
+    ----------
+    method, quality_db
+        The method.
     refused : str
         Reason code if the format cannot store the scene; all figures are 0 then.
     file_bytes : int
@@ -112,8 +137,6 @@ class Row:
         Time from arrays to a file, with scoring, and from the file to arrays, s.
     """
 
-    method: str
-    quality_db: float | None
     refused: str = ""
     file_bytes: int = 0
     bytes_per_splat: float = 0.0
@@ -129,11 +152,6 @@ class Row:
     decode_s: float = 0.0
 
     @property
-    def label(self) -> str:
-        """Method and nominal quality."""
-        return _label(self.method, self.quality_db)
-
-    @property
     def is_cogs(self) -> bool:
         """Whether the method is a profile of COGS."""
         return self.method not in FOREIGN
@@ -143,22 +161,15 @@ class Row:
         """Whether the held-out views equal renders of the source."""
         return self.held_out_db >= PSNR_CAP_DB
 
-    def report(self) -> dict[str, object]:
-        """Return the figures for CSV and JSON output."""
-        figures = asdict(self)
-        return {"bytes" if name == "file_bytes" else name: x for name, x in figures.items()}
-
 
 @dataclass(frozen=True)
-class BenchPrefix:
+class BenchPrefix(_Measured):
     """PSNR of one prefix of a file.
 
     Parameters
     ----------
-    method : str
-        Profile or foreign format.
-    quality_db : float or None
-        Nominal quality; None if the profile has none.
+    method, quality_db
+        The method.
     prefix_bytes : int
     splats : int
         Splats in the prefix.
@@ -166,51 +177,28 @@ class BenchPrefix:
         Mean PSNR over the test views, dB.
     """
 
-    method: str
-    quality_db: float | None
     prefix_bytes: int
     splats: int
     held_out_db: float
 
-    @property
-    def label(self) -> str:
-        """Method and nominal quality."""
-        return _label(self.method, self.quality_db)
-
-    def report(self) -> dict[str, object]:
-        """Return the figures for CSV and JSON output."""
-        figures = asdict(self)
-        return {"bytes" if name == "prefix_bytes" else name: x for name, x in figures.items()}
-
 
 @dataclass(frozen=True)
-class StageTime:
+class StageTime(_Measured):
     """Duration of one stage of an encode, without scoring.
 
     Parameters
     ----------
-    method : str
-    quality_db : float or None
+    method, quality_db
+        The method.
     stage : str
         Name of the stage in `EncodeReport`.
     wall_s, cpu_s : float
         Wall-clock time, and processor time of all threads.
     """
 
-    method: str
-    quality_db: float | None
     stage: str
     wall_s: float
     cpu_s: float
-
-    @property
-    def label(self) -> str:
-        """Method and nominal quality."""
-        return _label(self.method, self.quality_db)
-
-    def report(self) -> dict[str, object]:
-        """Return the figures for JSON output."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)

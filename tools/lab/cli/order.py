@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import warnings
 from pathlib import Path
 from typing import Final
@@ -15,7 +14,7 @@ from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.order import objects
 from cogsplat.codec.order.chunk_plan import DEFAULT_CHUNK_SPLATS
 from cogsplat.codec.order.orders import OrderInputs, needs_scores, order_rows
-from cogsplat.formats.storage.atomic import atomic_write, check_output
+from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.option_groups import GroupedCommand
 from cogsplat.tools.terminal.options import (
@@ -48,6 +47,8 @@ from cogsplat.tools.workflow.inputs import (
     scoring_cameras,
 )
 from cogsplat.tools.workflow.order_options import OrderChoice, order_options
+
+from .npy_output import write_npy
 
 # `--help` shows the first group.
 _GROUPS: Final = {
@@ -143,7 +144,7 @@ def order(
                 rows = objects.chunk_by_object(
                     rows, labels, scores.contribution, DEFAULT_CHUNK_SPLATS, config.object_budgets
                 ).rows
-        write_rows(rows, out, force=force)
+        write_npy(rows, out, force=force)
         stages("write", 1, 1)
     invalid = int(splats.invalid_rows().sum())
     if invalid:
@@ -179,21 +180,6 @@ def order(
             print_line("")
             cells = [(f"{label}", f"{count:,}", f"{share:.1%}") for label, count, share in held]
             print_table(("object", "splats", "of contribution"), cells, left=0)
-
-
-def write_rows(rows: NDArray[np.int64], path: Path, *, force: bool = False) -> None:
-    """Write a permutation as a .npy file.
-
-    Raises
-    ------
-    StorageError
-        As `atomic_write`.
-    """
-    # In memory first: numpy's own writing to files loses the reason of a failure.
-    page = io.BytesIO()
-    np.save(page, rows)
-    with atomic_write(path, force=force) as file:
-        file.write(page.getbuffer())
 
 
 def _objects(

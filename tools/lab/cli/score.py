@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import warnings
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.errors import CogsplatWarning
-from cogsplat.formats.storage.atomic import atomic_write, check_output
+from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import (
     cameras_option,
@@ -36,6 +35,8 @@ from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.workflow.inputs import input_files, plan_cameras, read_any, scoring_cameras
+
+from .npy_output import write_npy
 
 
 @click.command(
@@ -85,7 +86,7 @@ def score(
         views = views or plan_cameras(splats, threads=threads, progress=stages)
         config = ScoreConfig(top_k=top_k, jitter=not no_jitter, threads=threads, device=device)
         scores = score_splats(splats, views, config, progress=stages)
-        _write_npy(scores.contribution, out, force=force)
+        write_npy(scores.contribution, out, force=force)
         stages("write", 1, 1)
     invalid = int(splats.invalid_rows().sum())
     if invalid:
@@ -126,12 +127,3 @@ def _share_holding(contribution: NDArray[np.float64], goal: float) -> float:
     """Return the smallest share of the splats with a given share of the contribution."""
     so_far = np.cumsum(np.sort(contribution)[::-1])
     return round((int(np.searchsorted(so_far, goal * so_far[-1])) + 1) / len(so_far), 5)
-
-
-def _write_npy(values: NDArray[np.float64], path: Path, *, force: bool) -> None:
-    """Write an array as .npy."""
-    # Through memory, because numpy's own writing loses the reason of a failure.
-    page = io.BytesIO()
-    np.save(page, values)
-    with atomic_write(path, force=force) as file:
-        file.write(page.getbuffer())
