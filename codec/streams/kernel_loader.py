@@ -82,9 +82,10 @@ class KernelLoader:
         try:
             self._load_all()
         except Exception as error:
-            # numpy decodes as well, but the user should know why decoding is slower.
+            # numba and LLVM raise errors of many types, and nobody joins this thread: numpy decodes
+            # to the same bits, and the warning says why decoding is slower.
             warnings.warn(
-                CogsplatWarning(f"decoding stays in numpy, its kernels cannot be loaded: {error}"),
+                CogsplatWarning(f"decoding stays in numpy, kernels cannot be loaded: {error!r}"),
                 stacklevel=1,
             )
         finally:

@@ -214,10 +214,9 @@ class RangeFetcher:
                     await asyncio.sleep(backoff.pause_after(error))
             with self.arrival:
                 self._request_limit = min(2 * self._request_limit, self._options.request_bytes)
-        except asyncio.CancelledError:
-            raise
         except Exception as error:
-            # Includes bugs in this class: waiting readers raise the error.
+            # Errors of every type, bugs of this class too: readers that wait for the ranges raise
+            # the error in their own threads. Without it, they would wait for ever.
             with self.arrival:
                 if self.whole is not None:
                     self.whole.error = error

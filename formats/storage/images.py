@@ -19,6 +19,8 @@ from cogsplat.codec.errors import (
     UnsupportedError,
 )
 
+from .parser_errors import parser_errors
+
 U8 = NDArray[np.uint8]
 
 MAX_PIXELS: Final = (1 << 30) // 12
@@ -130,15 +132,15 @@ def decode_image(data: bytes, where: str) -> U8:
     """
     width, height = image_size(data, where)
     pillow = _pillow(where)
-    try:
-        with pillow.open(io.BytesIO(data), formats=("WEBP", "PNG")) as image:
-            pixels = np.asarray(image.convert("RGBA"))
-    # Pillow raises errors of many types for damaged images.
-    except Exception as error:
-        raise FormatError(
-            "image-damaged",
-            f"{where}: {str(error)[:200] or type(error).__name__}, expected a complete image",
-        ) from error
+    with (
+        parser_errors(
+            lambda found: FormatError(
+                "image-damaged", f"{where}: {found}, expected a complete image"
+            )
+        ),
+        pillow.open(io.BytesIO(data), formats=("WEBP", "PNG")) as image,
+    ):
+        pixels = np.asarray(image.convert("RGBA"))
     if pixels.shape != (height, width, 4):
         raise FormatError(
             "image-damaged", f"{where}: decoded to {pixels.shape}, expected {height, width, 4}"

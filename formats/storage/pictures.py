@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import DataError
 
 from .atomic import open_for_read, storage_errors
+from .parser_errors import parser_errors
 
 
 def read_picture(
@@ -58,23 +59,17 @@ def read_picture(
 
     with storage_errors(path), open_for_read(path) as file:
         data = file.read()
-    try:
-        with warnings.catch_warnings():
-            # More pixels than any camera has are an error instead of a warning.
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(io.BytesIO(data), formats=formats) as image:
-                found, mode = image.size, image.mode
-                if found == size and (not modes or mode in modes):
-                    return np.asarray(image.convert(convert) if convert else image)
-    except MemoryError:
-        raise
-    # Pillow raises errors of many types for damaged images.
-    except Exception as error:
-        raise DataError(
-            code,
-            f"{path}: {str(error)[:200] or type(error).__name__}, expected a picture "
-            f"({' or '.join(formats)})",
-        ) from error
+    expected = f"expected a picture ({' or '.join(formats)})"
+    with (
+        parser_errors(lambda text: DataError(code, f"{path}: {text}, {expected}")),
+        warnings.catch_warnings(),
+    ):
+        # More pixels than any camera has are an error instead of a warning.
+        warnings.simplefilter("error", Image.DecompressionBombWarning)
+        with Image.open(io.BytesIO(data), formats=formats) as image:
+            found, mode = image.size, image.mode
+            if found == size and (not modes or mode in modes):
+                return np.asarray(image.convert(convert) if convert else image)
     raise DataError(
         code,
         f"{path}: {found[0]}x{found[1]} px of mode {mode}, expected its camera's "

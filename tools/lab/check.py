@@ -9,7 +9,6 @@ import shutil
 import subprocess
 import sys
 import time
-from contextlib import suppress
 from pathlib import Path
 
 _ROOT = Path(__file__).resolve().parents[2]
@@ -39,15 +38,17 @@ def assemble(root: Path) -> Path:
     """
     tree = root / "build" / "tree"
     package = tree / "cogsplat"
-    shutil.rmtree(tree, ignore_errors=True)
+    if tree.exists():
+        shutil.rmtree(tree)
     package.mkdir(parents=True)
     for path in (root / "cogsplat").iterdir():
         if path.is_file():
             shutil.copy(path, package)
     for name in _PARTS:
-        with suppress(OSError, NotImplementedError):
+        try:
             (package / name).symlink_to(root / name, target_is_directory=True)
-        if not (package / name).is_dir():
+        except (OSError, NotImplementedError):
+            # Links take a right on Windows. The copy raises whatever else is wrong with the disk.
             leave = shutil.ignore_patterns("__pycache__", "node_modules")
             shutil.copytree(root / name, package / name, ignore=leave)
     return tree

@@ -22,6 +22,7 @@ from cogsplat.codec.errors import (
     UnsupportedError,
 )
 from cogsplat.codec.splats import Extra
+from cogsplat.formats.storage.parser_errors import parser_errors
 
 from .header import PlyHeader
 
@@ -87,17 +88,13 @@ def read_columns(
         text = header.format == "ascii"
         # Escape non-ASCII comments: plyfile would reject them.
         stream = io.TextIOWrapper(copy, "ascii", "backslashreplace") if text else copy
-        try:
+        with parser_errors(
+            lambda found: FormatError(
+                "ply-malformed", f"{where}: {_layout(header)}: {found}, expected a well-formed PLY"
+            ),
+            passed=(OSError,),
+        ):
             vertices = plyfile.PlyData.read(stream)["vertex"].data
-        except OSError:
-            raise
-        # Any other exception of the foreign parser is an error in the file.
-        except Exception as error:
-            raise FormatError(
-                "ply-malformed",
-                f"{where}: {_layout(header)}: {str(error)[:200] or type(error).__name__}, "
-                "expected a well-formed PLY",
-            ) from error
     with np.errstate(over="ignore", invalid="ignore"):
         for start in range(0, len(vertices), _BLOCK_ROWS):
             block = vertices[start : start + _BLOCK_ROWS]

@@ -11,9 +11,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from cogsplat.codec.errors import CogsplatError, FormatError, LimitError, UnsupportedError
+from cogsplat.codec.errors import FormatError, LimitError, UnsupportedError
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
 from cogsplat.formats.storage.magic import describe
+from cogsplat.formats.storage.parser_errors import parser_errors
 from cogsplat.formats.storage.siblings import sibling
 from cogsplat.formats.storage.zip_directory import open_zip
 
@@ -208,21 +209,18 @@ def _too_large(where: str, found: str, max_bytes: int) -> LimitError:
 @contextmanager
 def _zip_errors(where: str) -> Iterator[None]:
     """Turn exceptions of a damaged ZIP file into ``sog-zip``, as a context manager."""
+
+    def refusal(found: str) -> FormatError:
+        return FormatError("sog-zip", f"{where}: {found}, expected a whole ZIP file")
+
     try:
-        yield
-    except CogsplatError:
-        raise
+        with parser_errors(refusal, passed=(OSError,)):
+            yield
     except OSError as error:
         # EINVAL is an offset outside the file: a damaged archive, not a file system error.
         if error.errno != errno.EINVAL:
             raise
-        raise FormatError("sog-zip", f"{where}: {error}, expected a whole ZIP file") from error
-    # zipfile and zlib raise exceptions of many types on a damaged archive.
-    except Exception as error:
-        raise FormatError(
-            "sog-zip",
-            f"{where}: {str(error)[:200] or type(error).__name__}, expected a whole ZIP file",
-        ) from error
+        raise refusal(str(error)) from error
 
 
 def write_bundle(file: BinaryIO, files: Mapping[str, bytes]) -> None:
