@@ -282,7 +282,7 @@ def _assign(vectors: F32, leaves: list[_Leaf], threads: int) -> Index:
 
 
 def _update_rows(leaves: list[_Leaf], palette: F32, used: NDArray[np.bool_]) -> list[_Leaf]:
-    """Return the leaves with their rows replaced by those of a new palette.
+    """Return leaves with the rows of a new palette.
 
     Parameters
     ----------

@@ -114,7 +114,7 @@ def fit(
     prefixes : sequence of Splats, optional
         Prefix of each layer (`plan_layers`) without shifts; by default rows of `splats`.
     inflations : sequence of Inflation, optional
-        Initial shifts of each layer; by default the typical inflation of its prefix.
+        Initial shifts of each layer; by default `best_inflation` of its prefix.
     executor : Executor, optional
         Runs the work of single views; None for threads of this process.
     progress : Progress
@@ -143,7 +143,7 @@ def fit(
         prefixes = [splats.take(slice(0, int(ends[chunks - 1]))) for chunks in layers]
     if inflations is None:
         sizes = [int(ends[chunks - 1]) for chunks in layers]
-        inflations = [prefix_inflation.typical_inflation(size / effective_splats) for size in sizes]
+        inflations = [prefix_inflation.best_inflation(size / effective_splats) for size in sizes]
     optimiser = ShiftOptimiser(
         prefixes, chunk_splats, layers, inflations, effective_splats, config, executor
     )
@@ -225,12 +225,12 @@ def compensate_prefixes(
 
 
 def _initial_inflation(encoded: EncodedScene, chunks: int, effective_splats: int) -> Inflation:
-    """Return the typical inflation of a prefix; none while its preview shows the whole scene."""
+    """Return `best_inflation` of a prefix; none while its preview shows the whole scene."""
     own = encoded.chunks[:chunks]
     if any(chunk.until > chunks for chunk in own):
         return Inflation(0.0, 0.0)
     size = sum(chunk.splats for chunk in own if not chunk.until)
-    return prefix_inflation.typical_inflation(size / effective_splats)
+    return prefix_inflation.best_inflation(size / effective_splats)
 
 
 def errors_before_fit(
@@ -241,7 +241,7 @@ def errors_before_fit(
     *,
     executor: Executor | None = None,
 ) -> F64:
-    """Measure the error of each prefix with the typical inflation, before any fit.
+    """Measure the error of each prefix with `best_inflation`, before any fit.
 
     Parameters
     ----------
@@ -275,7 +275,7 @@ def errors_before_fit(
 
 
 def initial_compensation(chunk_splats: Sequence[int], effective_splats: int) -> Compensation:
-    """Return the initial compensation of a fit: the typical inflation of every prefix.
+    """Return the initial compensation of a fit: `best_inflation` of every prefix.
 
     Parameters
     ----------
@@ -288,9 +288,9 @@ def initial_compensation(chunk_splats: Sequence[int], effective_splats: int) -> 
     ends = np.cumsum(chunk_splats)
     found = []
     for chunks in layers:
-        typical = prefix_inflation.typical_inflation(int(ends[chunks - 1]) / effective_splats)
-        scales = np.full(chunks, round(typical.scales / SCALE_STEP), np.int8)
-        opacities = np.full(chunks, round(typical.opacities / OPACITY_STEP), np.int8)
+        best = prefix_inflation.best_inflation(int(ends[chunks - 1]) / effective_splats)
+        scales = np.full(chunks, round(best.scales / SCALE_STEP), np.int8)
+        opacities = np.full(chunks, round(best.opacities / OPACITY_STEP), np.int8)
         found.append(replace(_identity_layer(chunks), scales=scales, opacities=opacities))
     unchanged = _identity_chunks(chunk_splats, effective_splats, layers)
     if unchanged:

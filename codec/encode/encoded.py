@@ -221,7 +221,7 @@ class EncodedScene:
     compensation : Compensation or None
         Prefix compensation; None for a file without.
     prefix_mse : (c + 1,) float64 or None
-        Mean squared error of the pictures of 0, 1, … c chunks with the typical inflation; None if
+        Mean squared error of the pictures of 0, 1, … c chunks with `best_inflation`; None if
         it was not measured.
     report : EncodeReport
         Report of the encode.

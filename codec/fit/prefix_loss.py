@@ -59,9 +59,7 @@ class PrefixLoss:
         layers = plan_layers([len(rows) for rows in chunk_rows], effective_splats)
         prefixes = [np.concatenate(chunk_rows[:chunks]) for chunks in layers]
         shares = [len(rows) / effective_splats for rows in prefixes]
-        return cls(
-            prefixes, [prefix_inflation.typical_inflation(share) for share in shares], weight
-        )
+        return cls(prefixes, [prefix_inflation.best_inflation(share) for share in shares], weight)
 
     def add_gradients(
         self,

@@ -57,7 +57,7 @@ _MAX_LOGIT: Final = 8.0
 _DELETION_VIEWS: Final = 40
 _SCORED_VIEWS: Final = 24
 _MEASURED_VIEWS: Final = 8
-# The preview ends where the scene's own splats, with the usual inflation, have at most this share
+# The preview ends where the scene's own splats, with `best_inflation`, have at most this share
 # of its error. With 0.5, 256 KiB of a captured room show 29.9 dB in place of 30.5 dB, and shorter
 # prefixes gain nothing.
 _END_ERROR_SHARE: Final = 0.7

@@ -1,4 +1,4 @@
-"""Configurations of training: losses, learning rates, levels. Importing them compiles nothing."""
+"""Training settings: losses, learning rates, levels. The module imports no kernels."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ class GainConfig:
     ----------
     inflated : bool
         Whether prefixes are inflated as compensation will draw them
-        (`prefix_inflation.typical_inflation`) when gains are measured. Inflated prefixes show far
+        (`prefix_inflation.best_inflation`) when gains are measured. Inflated prefixes show far
         more with few splats.
     jitter : bool
         Whether to measure gains in jittered copies of the cameras too (`view_sets.jitter`).
@@ -305,7 +305,7 @@ def gain_rows(
         rows = np.flatnonzero(chosen | candidates)
         present = chosen[rows]
         inflation = (
-            prefix_inflation.typical_inflation((placed + size) / effective_splats)
+            prefix_inflation.best_inflation((placed + size) / effective_splats)
             if config.inflated
             else None
         )

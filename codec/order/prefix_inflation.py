@@ -56,7 +56,7 @@ def effective_splats(contribution: NDArray[np.float64]) -> int:
     return int(np.searchsorted(running, _EFFECTIVE_SHARE * running[-1])) + 1
 
 
-def typical_inflation(relative_size: float) -> Inflation:
+def best_inflation(relative_size: float) -> Inflation:
     """Return the offsets of log scales and opacities that best close the holes of a prefix.
 
     They are interpolated between offsets measured on three scenes.

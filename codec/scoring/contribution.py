@@ -135,10 +135,11 @@ class Scores:
         jitter, the average over the jittered copies is added. Only weights selected by
         `ScoreConfig.top_k` or `ScoreConfig.least_weight` count.
     colour_sensitivity : (N,) float64
-        Change of a channel's mean over all pixels, before clamping, per unit of an SH coefficient;
-        the largest over the coefficients (Niedermayr et al. 2024, section 3.1). It is the sum over
-        views of ``|Y| · Σw``, with the coefficient's basis Y, divided by the number of pixels. With
-        jitter, given and jittered views count half each. Top K makes it a lower bound. Zeros unless
+        Sum over pixels of the absolute derivative of a colour channel, before clamping, w.r.t. one
+        SH coefficient of the splat, divided by the number of pixels (Niedermayr et al. 2024,
+        section 3.1). For the SH basis Y this is ``|Y| · Σw``, summed over views. The value is the
+        maximum over the bases. With jitter, given and jittered views count half each. If
+        `ScoreConfig.top_k` drops weights, the value is a lower bound. Zeros unless
         `ScoreConfig.colour_sensitivity` is set.
     energy : (N,) float64
         Sum of w² over all weights, per pixel of the views: a colour error Δ of the splat alone
@@ -157,8 +158,8 @@ class Scores:
         SH bases above DC in the viewing directions of a splat: energy-weighted mean over its views;
         zeros if no view sees it.
     basis_spread : (15, 15) float64
-        Covariance of these bases over a splat's views: energy-weighted mean over the scene. It
-        gives the cost of an error of shN that sh0 cannot compensate.
+        Covariance of these bases over the views of one splat, as the energy-weighted mean of every
+        eighth splat. It gives the cost of an error of shN that sh0 cannot compensate.
     num_pixels : int
         Number of pixels of all views, jittered and covering views included.
     sensitivities : Sensitivities or None

@@ -18,7 +18,7 @@ F64 = NDArray[np.float64]
 
 _BASES = sh_coefficients(MAX_SH_DEGREE)
 
-# Interval of the splats over which the spread of directions is averaged: a sample suffices.
+# Interval of the splats in the mean of `ViewSums.basis_spread`: a sample suffices.
 _GRAM_STRIDE = 8
 
 
@@ -263,7 +263,7 @@ class ViewSums:
         return mean
 
     def basis_spread(self) -> F64:
-        """Return the typical covariance of the SH bases above DC among one splat's views.
+        """Return the covariance of the SH bases above DC over the views of one splat, as a mean.
 
         Returns
         -------

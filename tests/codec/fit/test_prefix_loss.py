@@ -46,18 +46,18 @@ def gradients_of(splats, prefixes, views, error):
     return gradients
 
 
-def test_prefixes_are_those_of_compensation_layers_with_typical_inflation():
+def test_prefixes_are_those_of_compensation_layers_with_the_best_inflation():
     chunks = [np.arange(0, 40), np.arange(40, 100), np.arange(100, 300)]
     prefixes = PrefixLoss.for_layers(chunks, 300, 1.0)
     ends = plan_layers([40, 60, 200], 300)
     assert [len(rows) for rows in prefixes.rows] == [[40, 100][end - 1] for end in ends]
-    assert prefixes.inflations[0] == prefix_inflation.typical_inflation(40 / 300)
+    assert prefixes.inflations[0] == prefix_inflation.best_inflation(40 / 300)
 
 
 def test_gradients_are_finite_differences_and_0_outside_the_prefix(scene):
     splats, views = scene
     rows = np.arange(0, 600, 2)
-    prefixes = PrefixLoss([rows], [prefix_inflation.typical_inflation(0.5)], 1.0)
+    prefixes = PrefixLoss([rows], [prefix_inflation.best_inflation(0.5)], 1.0)
     pixels = views.pictures[0].size
     # With the prefix's own error, only the weight of the class, 1, remains.
     error = squared_error(splats, prefixes, 0, views, 0) * 2 / pixels
@@ -81,7 +81,7 @@ def test_without_prefixes_there_are_no_gradients(scene):
 
 def test_training_with_the_loss_improves_prefixes(scene):
     splats, views = scene
-    prefixes = PrefixLoss([np.arange(200)], [prefix_inflation.typical_inflation(1 / 3)], 3.0)
+    prefixes = PrefixLoss([np.arange(200)], [prefix_inflation.best_inflation(1 / 3)], 3.0)
 
     off = np.random.default_rng(1).normal(0.0, 0.3, splats.sh0.shape).astype(np.float32)
     begin = replace(splats, sh0=splats.sh0 + off)

@@ -60,7 +60,7 @@ def test_short_prefixes_show_more_than_those_by_contribution(scene, inflated):
         if inflated:
             effective_splats = prefix_inflation.effective_splats(scores.contribution)
             prefix = prefix_inflation.inflate(
-                prefix, prefix_inflation.typical_inflation(len(prefix) / effective_splats)
+                prefix, prefix_inflation.best_inflation(len(prefix) / effective_splats)
             )
         return np.mean([psnr(render(splats, view), render(prefix, view)) for view in cameras])
 

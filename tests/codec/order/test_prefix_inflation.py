@@ -4,10 +4,10 @@ import oracle
 from cogsplat.codec.order import prefix_inflation
 
 
-def test_typical_inflation_falls_to_nothing():
-    assert prefix_inflation.typical_inflation(2.0) == prefix_inflation.Inflation(0.0, 0.0)
-    few, some = prefix_inflation.typical_inflation(0.0), prefix_inflation.typical_inflation(0.1)
-    assert few == prefix_inflation.typical_inflation(0.001)
+def test_the_best_inflation_falls_to_nothing():
+    assert prefix_inflation.best_inflation(2.0) == prefix_inflation.Inflation(0.0, 0.0)
+    few, some = prefix_inflation.best_inflation(0.0), prefix_inflation.best_inflation(0.1)
+    assert few == prefix_inflation.best_inflation(0.001)
     assert few.scales > some.scales > 0
     assert few.opacities > some.opacities > 0
 
