@@ -24,17 +24,15 @@ export type { AdapterOptions, AdapterStream } from "./texel_stream.js";
 /** Options of a stream into PlayCanvas. */
 export interface PlayCanvasOptions extends AdapterOptions {
   /**
-   * Rows of the resource at least; rows beyond the scene's are transparent. None by default.
+   * Minimum number of rows of the resource; rows beyond the scene's splats are transparent. No minimum by default.
    *
    * In WebGL the engine sorts by at least 1,025 keys, otherwise a quarter of the number of rows. With few keys many
-   * splats
-   * share one; with 65,536 rows there are 16,385 keys.
+   * splats share one; with 65,536 rows there are 16,385 keys.
    */
   readonly leastRows?: number;
   /**
    * Application that shows the scene. If given, the splats are sorted once more when its cameras have come to rest,
-   * because
-   * PlayCanvas 2.23.3 drops a view that arrives during a sort.
+   * because PlayCanvas 2.23.3 drops a view that arrives during a sort.
    */
   readonly application?: PlayCanvasApplication;
 }
@@ -107,18 +105,17 @@ export interface PlayCanvasSettings {
 }
 
 /**
- * Bring PlayCanvas's pictures closer to SPEC 8.7, in WebGL.
+ * Change PlayCanvas's WebGL shaders to render closer to SPEC 8.7.
  *
  * Gaussians extend to a contribution of 1/255, the scene's kernel is used, and the projection's Jacobian is clamped to
- * 1.3 times the picture. The settings apply to all splats of the application; call it before the first picture.
+ * 1.3 times the picture. The changes apply to all splats of the application. Call it before the first picture.
  *
  * The number of sorting keys stays that of the engine (2.23.3, `gsplat-unified-sort-worker`): 2^b + 1, where b is log₂
- * of
- * a quarter of the number of splats, rounded and between 10 and 20. Splats that share a key are drawn in arbitrary
+ * of a quarter of the number of splats, rounded and between 10 and 20. Splats that share a key are drawn in arbitrary
  * order;
  * `leastRows` of `streamToPlayCanvas` raises the number of keys.
  *
- * @returns Whether the engine's shaders were recognised; those of another version stay unchanged.
+ * @returns Whether the engine's shaders were recognised; shaders of another version stay unchanged.
  *
  * @example
  * ```ts

@@ -21,9 +21,8 @@ interface PlayCanvasNode {
  * Sort again when the cameras have come to rest.
  *
  * PlayCanvas 2.23.3 sorts in a worker, one order at a time. `GSplatManager.update` marks a view that arrives during a
- * sort
- * as sorted, although `GSplatUnifiedSorter.setSortParams` has dropped it. The splats then keep the order of an earlier
- * view until a camera turns again.
+ * sort as sorted, although `GSplatUnifiedSorter.setSortParams` has dropped it. The splats then keep the order of an
+ * earlier view until a camera turns again.
  *
  * @param again - Makes the engine sort for the present cameras.
  * @returns Function that ends it.

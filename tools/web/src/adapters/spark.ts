@@ -77,8 +77,7 @@ const CLAMPED_JACOBIAN = [
  * Make Spark draw by SPEC 8.7: sorted by depth, with the scene's kernel, with extents to a contribution of 1/255.
  *
  * Call it before the first picture. A renderer has one kernel for all of its scenes. In a version of Spark with an
- * unknown
- * shader, splats centred far outside the picture are hidden instead, because they would fill it.
+ * unknown shader, splats centred far outside the picture are hidden instead, because they would fill it.
  *
  * @param renderer - A `SparkRenderer`, made with `accumExtSplats: true`.
  * @returns Whether all rules apply.
@@ -115,8 +114,7 @@ const BANDS = ["sh1", "sh2", "sh3a", "sh3b"] as const;
  *
  * The mesh can be added to a three.js scene at once. Splats appear as chunks arrive; refinements and SH coefficients
  * replace their rows. Missing rows are transparent, and the others compensate for them (SPEC 8.5) unless `compensate`
- * is
- * false.
+ * is false.
  *
  * The upload, in Spark's `ExtSplats`, keeps SPEC 8.6. Spark packs all splats of a picture again before drawing, more
  * coarsely unless its renderer is made with `accumExtSplats`.

@@ -46,8 +46,7 @@ export function wantedDegree(scene: StreamedScene, options: AdapterOptions): num
  * Fill and upload a renderer's arrays as chunks arrive.
  *
  * Rows present compensate for missing ones (SPEC 8.5), less with every chunk; refinements and coefficients replace
- * rows.
- * No task is longer than `LONGEST_TASK`.
+ * rows. No task is longer than `LONGEST_TASK`.
  */
 export async function streamTexels(
   scene: StreamedScene,

@@ -80,7 +80,7 @@ function readCodes(fields: Fields, packed: Uint8Array, splats: number, rows: num
   return codes;
 }
 
-/** Addends of compensation for each splat of a chunk: log scales (one for all three axes) and logits. */
+/** Shifts of each splat of a chunk by compensation: of its log scales (one for all three axes) and of its logit. */
 export interface Shifts {
   readonly scales: Float32Array;
   readonly opacities: Float32Array;
@@ -89,12 +89,12 @@ export interface Shifts {
 /**
  * Return the shifts of a chunk in a prefix of the file (SPEC 8.5).
  *
- * @param layers - Layers received, from the first on.
- * @param chunks - Chunk table, as far as its pages were read.
- * @param scene - Chunks and splats of the whole file.
+ * @param layers - Layers received so far, from the first on.
+ * @param chunks - Chunk table of the index pages read so far.
+ * @param scene - Number of chunks and of splats in the whole file.
  * @param prefix - Number of chunks of the prefix.
- * @param chunk - Chunk of the prefix.
- * @returns undefined where nothing is added.
+ * @param chunk - Number of a chunk in the prefix.
+ * @returns undefined if the prefix is not compensated.
  */
 export function shiftsOf(
   layers: readonly CompensationLayer[],

@@ -433,7 +433,7 @@ export class SceneIndex {
     for (let i = first; i < kind.length; i++) if (kind[i] === wanted) yield [i, owner[i]!];
   }
 
-  /** Return the kinds of segments that a codebook has up to a degree. */
+  /** Return the segment kinds of a codebook: the shape kind, or the colour bands up to an SH degree. */
   private kindsOf(codebook: number, degree: number): readonly number[] {
     if (this.codebooks[codebook]!.attribute === "shape") return [SegmentKind.shapeCodebook];
     return [SegmentKind.colourBand1, SegmentKind.colourBand2, SegmentKind.colourBand3].slice(0, degree);

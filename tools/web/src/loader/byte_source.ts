@@ -25,11 +25,11 @@ export interface Answer {
 export interface ByteSource {
   /** Read a range; the answer is shorter where the file ends within it. */
   read(range: ByteRange, options?: ReadOptions): Promise<Answer>;
-  /** Return the source of a name relative to this one, for the objects of a folder; required for folders alone. */
+  /** Return the source of a path relative to this one, such as an object of a folder; required only for folders. */
   relative?(name: string): ByteSource;
 }
 
-/** A File or Blob as a source. */
+/** Byte source of a File or Blob. */
 export class BlobSource implements ByteSource {
   constructor(private readonly blob: Blob) {}
 
@@ -71,7 +71,7 @@ export async function* readParts(
   }
 }
 
-/** Wait for a promise, at most for a pause, ms; a source that stays silent may answer a retry. */
+/** Return the result of a promise; throw a retryable error if it takes longer than a pause, ms. */
 export async function withinPause<T>(work: Promise<T>, longestPause: number): Promise<T> {
   if (longestPause === Infinity) return work;
   let timer: ReturnType<typeof setTimeout> | undefined;

@@ -3,6 +3,7 @@ import { type Pose, predictPath, type WeightedPose } from "../schedule/poses.js"
 /** Age of the pose with which the latest one is compared, seconds (docs/streaming.md, 11). */
 const OBSERVED_SECONDS = 0.25;
 
+/** A pose and its time, seconds. */
 interface Seen {
   readonly pose: Pose;
   readonly seconds: number;
@@ -17,6 +18,11 @@ export class PoseHistory {
   /** Whether the last predicted path moves. */
   isMoving = false;
 
+  /**
+   * Add the latest pose.
+   *
+   * @param seconds - Time of the pose, on the clock that `path` uses.
+   */
   add(pose: Pose, seconds: number): void {
     this.seen.push({ pose, seconds });
     this.hasChanged = true;
@@ -27,7 +33,7 @@ export class PoseHistory {
     return this.seen.at(-1)?.pose;
   }
 
-  /** Return the latest pose and the predicted ones; undefined before the first pose. */
+  /** Return the latest pose and the poses predicted at a time, seconds; undefined before the first pose. */
   path(seconds: number): WeightedPose[] | undefined {
     const { seen } = this;
     while (seen.length > 1 && seen[1]!.seconds <= seconds - OBSERVED_SECONDS) seen.shift();

@@ -4,31 +4,32 @@ import { SourceError } from "../errors.js";
 export interface RetryOptions {
   /** Number of retries after the first attempt. */
   readonly retries: number;
-  /** First pause, ms; each next one is twice as long, up to `longest`. */
+  /** First pause, ms; each later pause is twice as long, up to `longest`. */
   readonly pause: number;
+  /** Longest pause, ms. */
   readonly longest: number;
-  /** Longest wait that a server may ask for, ms; a longer one fails the request. */
+  /** Longest wait that a server may request, ms; the request fails if the server requests more. */
   readonly longestWait: number;
 }
 
 export const DEFAULT_RETRY: RetryOptions = { retries: 4, pause: 250, longest: 8_000, longestWait: 60_000 };
 
-/** Return whether a retry may help: not after a refusal of the file, nor after an abort. */
+/** Return whether a retry may help; it cannot after an abort or if the file was refused. */
 export function isRetryable(error: unknown): boolean {
   // Bodies throw a TypeError when a connection breaks, in browsers and in Node.
   return error instanceof SourceError ? error.retryable : error instanceof TypeError;
 }
 
-/** Return the wait that a server asked for with an error, ms; 0 for none. */
+/** Return the wait that a server requested with its error (`Retry-After`), ms; 0 for none. */
 export function requestedWait(error: unknown): number {
   return error instanceof SourceError ? (error.retryAfter ?? 0) : 0;
 }
 
 /**
- * Wait before a retry: half of the pause fixed, half random, after the wait that the server asked for.
+ * Wait before a retry: the wait that the server requested, then a pause, of which half is random.
  *
  * @param attempt - Number of the retry, from 1.
- * @param asked - Wait that the server asked for, ms.
+ * @param asked - Wait that the server requested, ms.
  */
 export async function backOff(
   attempt: number,

@@ -97,14 +97,14 @@ export abstract class SceneFetch<Change> {
   /** Queue the changes that follow from a decoded chunk. */
   protected abstract onDecoded(rows: ChunkRows): void;
 
-  /** Note that a segment cannot be fetched. */
+  /** Called when a segment cannot be fetched. */
   protected onLost(_segment: number): void {
-    // Orders that do not depend on it go on.
+    // A fetch whose order does not depend on the segment needs no action.
   }
 
-  /** Note that a chunk cannot be decoded. */
+  /** Called when a chunk cannot be decoded. */
   protected onUndecodable(_chunk: number): void {
-    // Orders that do not depend on it go on.
+    // A fetch whose order does not depend on the chunk needs no action.
   }
 
   /** Yield changes until the scene is complete. */

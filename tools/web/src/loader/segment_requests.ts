@@ -4,12 +4,12 @@ import { LinkEstimate } from "./link_estimate.js";
 import { nextRequest, type RangeRequest } from "./range_plan.js";
 import type { RetryingReader } from "./retrying_reader.js";
 
-/** Requests in flight at most (SPEC 8.8). */
+/** Maximum number of requests in flight (SPEC 8.8). */
 export const MAX_REQUESTS = 6;
-/** Bytes of a request that may be stopped, at most, unless the connection needs longer ones: it is stopped as a whole. */
+/** Maximum size of a request, bytes, except on fast connections; short, because a request is stopped as a whole. */
 const REQUEST_BYTES = 65_536;
 
-/** Handlers of what requests bring. */
+/** Handlers of received segments, failed requests and ended requests. */
 export interface SegmentReceiver {
   /** Called with each complete segment. */
   received(segment: number, payload: Uint8Array): void;
@@ -52,7 +52,7 @@ export class SegmentRequests {
     return [...this.requests].flatMap(({ left }) => left);
   }
 
-  /** Whether another request keeps the connection busier; answers share it, so more requests only delay the first. */
+  /** Whether the connection has room for another request; more requests than it needs only delay the first. */
   private get hasRoom(): boolean {
     const { bytesPerSecond, latency } = this.link;
     const toCome = this.inFlight.reduce((sum, segment) => sum + this.missing(segment).length, 0);
@@ -60,9 +60,9 @@ export class SegmentRequests {
   }
 
   /**
-   * Request segments, adjacent ones together, until the bytes in flight fill the connection.
+   * Request segments until the bytes in flight fill the connection; adjacent segments share a request.
    *
-   * @param wanted - Segments in the order of their urgency.
+   * @param wanted - Segments, the most urgent first.
    * @param priority - `fetch` priority of a request that begins with this segment.
    */
   fillConnection(wanted: readonly number[], priority: (segment: number) => RequestPriority): void {
@@ -84,9 +84,9 @@ export class SegmentRequests {
   }
 
   /**
-   * Stop the requests of some segments; bytes already received are kept.
+   * Stop the requests that contain any of some segments; bytes already received are kept.
    *
-   * @returns Number of segments stopped, including those of the same requests.
+   * @returns Number of segments stopped, including the other segments of these requests.
    */
   stop(segments: readonly number[]): number {
     let stopped = 0;
@@ -104,7 +104,7 @@ export class SegmentRequests {
     this.stop(this.inFlight);
   }
 
-  /** Drop the bytes received of a segment. */
+  /** Drop the received bytes of an incomplete segment. */
   forget(segment: number): void {
     this.parts.delete(segment);
     this.partial.delete(segment);
@@ -117,6 +117,7 @@ export class SegmentRequests {
     return { offset: offset + had, length: length - had };
   };
 
+  /** Send a request and deliver the segments of its answer; report its failure and its end to the receiver. */
   private async run(request: Request, range: ByteRange, priority: RequestPriority | undefined): Promise<void> {
     const { signal } = request.abort;
     const start = performance.now();

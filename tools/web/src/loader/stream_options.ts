@@ -43,8 +43,7 @@ export interface StreamOptions {
   readonly ranges?: Partial<PackRanges>;
   /**
    * Bytes of rows at most; chunks beyond are not fetched. The rest of the budget may hold decoded heads until their
-   * tails
-   * arrive.
+   * tails arrive.
    */
   readonly memoryBudget?: number;
   /** Splats at most; chunks beyond are not fetched. */

@@ -194,8 +194,7 @@ export class StreamedScene implements FetchSource {
    * Fetch and decode chunks until the scene is complete.
    *
    * The order is that of the file, which shows most for its bytes, or that of `priority`. A chunk is yielded when its
-   * head
-   * has arrived, and again with its refinement or its tail.
+   * head has arrived, and again with its refinement or its tail.
    */
   async *stream(options: StreamOptions = {}): AsyncGenerator<ChunkUpdate, void, undefined> {
     this.checkSize(options);

@@ -53,11 +53,11 @@ export class Visit extends SceneFetch<VisitChange> {
   private unitsOf: readonly (readonly number[])[] = [];
   private scheduler: Scheduler | undefined;
   private parents: Int32Array = new Int32Array();
-  /** Units that have arrived, or cannot. */
+  /** Units that have arrived or cannot be fetched. */
   private readonly arrived = new Set<number>();
-  /** Chunks whose rows the caller has. */
+  /** Chunks whose rows were yielded and not evicted since. */
   private readonly yielded = new Set<number>();
-  /** Decoded rows whose parent the caller does not have yet. */
+  /** Decoded rows of chunks whose parent is not yielded yet. */
   private readonly early = new Map<number, ChunkRows>();
   /** Chunks that cannot be fetched or decoded; their children are yielded without a parent. */
   private readonly lost = new Set<number>();
@@ -108,14 +108,15 @@ export class Visit extends SceneFetch<VisitChange> {
     this.chooseSoon();
   }
 
-  /** Change the limit of splats held. */
+  /** Set the maximum number of splats in memory. */
   setSplatBudget(splats: number): void {
     this.budget = splats;
     this.chooseSoon();
   }
 
   /**
-   * Return for each chunk how much more than on average the latest pose shows of it (docs/streaming.md, 4 and 5).
+   * Return for each chunk the ratio of its share in the picture of the latest pose to its share of contribution
+   * (docs/streaming.md, 4 and 5).
    *
    * @returns undefined before the first pose.
    */
@@ -145,7 +146,7 @@ export class Visit extends SceneFetch<VisitChange> {
     if (this.scheduler === undefined) return;
     const ratios = this.currentRatios();
     let decision = this.scheduler.decide(ratios, this.holdings());
-    // A stopped request may hold units that were to go on: the decision is made again without them.
+    // A stopped request may contain units that the decision keeps. They are now missing: decide again.
     for (let isFinal = false; !isFinal; ) {
       isFinal = this.requests.stop(this.segmentsOf(decision.stop)) <= decision.stop.length;
       for (const chunk of decision.evict) this.evict(chunk);
@@ -178,7 +179,7 @@ export class Visit extends SceneFetch<VisitChange> {
     };
   }
 
-  /** Return the ratios along the predicted path, evaluated again when the pose has changed and some time has passed. */
+  /** Return the ratios along the predicted path; new poses are evaluated at intervals of `EVALUATION_SECONDS`. */
   private currentRatios(): Float64Array {
     const now = performance.now() / 1000;
     const path = this.poses.path(now);
@@ -190,7 +191,7 @@ export class Visit extends SceneFetch<VisitChange> {
       this.evaluatedAt = now;
       this.poses.hasChanged = false;
     }
-    // A camera that stops sends no pose: the timer notices it.
+    // No pose is set when the camera stops: the timer evaluates its last pose again.
     if ((this.poses.hasChanged || this.poses.isMoving) && this.timer === undefined) {
       this.timer = setTimeout(() => {
         this.timer = undefined;
@@ -203,7 +204,7 @@ export class Visit extends SceneFetch<VisitChange> {
 
   private ratiosOfPose(): PoseRatios {
     const { box, contribution } = this.index.chunks;
-    // The table is about all chunks of the file: until all boxes are known it cannot be used.
+    // The view table covers all chunks of the file: it cannot be used until the boxes of all chunks are known.
     this.poseRatios ??=
       this.table !== undefined && this.index.complete
         ? byViewTable(this.table, box, contribution)
@@ -237,6 +238,7 @@ export class Visit extends SceneFetch<VisitChange> {
     }
   }
 
+  /** Count a segment that cannot be fetched as arrived; after a lost head, yield the chunk's children without it. */
   protected override onLost(segment: number): void {
     const unit = this.unitOf.get(segment)!;
     this.arrived.add(unit);
@@ -244,6 +246,7 @@ export class Visit extends SceneFetch<VisitChange> {
     if (isHead) this.onUndecodable(chunk);
   }
 
+  /** Mark a chunk as lost and yield its decoded children without it. */
   protected override onUndecodable(chunk: number): void {
     this.lost.add(chunk);
     for (const rows of [...this.early.values()]) if (this.parents[rows.chunk] === chunk) this.onDecoded(rows);
@@ -266,10 +269,12 @@ export class Visit extends SceneFetch<VisitChange> {
     for (const child of [...this.early.values()]) if (this.parents[child.chunk] === chunk) this.onDecoded(child);
   }
 
+  /** Return whether the head of a chunk has arrived and is not evicted. */
   private isHeld(chunk: number): boolean {
     return this.unitsOf[chunk]!.some((unit) => this.units[unit]!.isHead && this.arrived.has(unit));
   }
 
+  /** Drop all bytes and rows of a chunk; if its rows were yielded, yield its eviction. */
   private evict(chunk: number): void {
     for (const unit of this.unitsOf[chunk]!) {
       const { segment } = this.units[unit]!;

@@ -10,8 +10,7 @@ export const SH_WORDS = [2, 4, 4] as const;
  * Splats packed for upload, four u32 each, within the tolerances of SPEC 8.6 except for rotations.
  *
  * The layout is that of Spark's `PackedSplats`, half the size of its `ExtSplats`. Rotations are up to 0.034 radians
- * off;
- * the layouts of `texels.ts` keep all tolerances.
+ * off; the layouts of `texels.ts` keep all tolerances.
  *
  * | word | bits | contents |
  * |---|---|---|
@@ -24,8 +23,7 @@ export const SH_WORDS = [2, 4, 4] as const;
  * | 3 | 24–31 | angle of the rotation in π/255 |
  *
  * SH bands hold coefficient by coefficient, channels innermost, in two's complement without gaps from bit 0: 9 values
- * of
- * 7 bits in two words, 15 of 8 bits in four, 21 of 6 bits in four.
+ * of 7 bits in two words, 15 of 8 bits in four, 21 of 6 bits in four.
  */
 export interface PackedSplats {
   /** Number of splats. */

@@ -24,12 +24,11 @@ export class PrefixCompensation {
    * Return the shifts of a chunk's log scales and logits while a prefix of the file is present.
    *
    * The shifts change gradually with every chunk that arrives and are zero for the whole file, so a viewer that
-   * evaluates
-   * them again after each chunk shows no jump.
+   * evaluates them again after each chunk shows no jump.
    *
    * @param prefix - Number of chunks of the prefix.
-   * @param chunk - Chunk of the prefix.
-   * @returns undefined where nothing is added.
+   * @param chunk - Number of a chunk in the prefix.
+   * @returns undefined if the prefix is not compensated.
    */
   shifts(prefix: number, chunk: number): Shifts | undefined {
     this.read();

@@ -19,8 +19,7 @@ const EPSILON = 1e-6;
 
 /**
  * Return for each chunk the ratio of its share in the picture of a pose to its share of contribution
- * (docs/streaming.md,
- * 3 to 6).
+ * (docs/streaming.md, 3 to 6).
  */
 export type PoseRatios = (pose: Pose) => Float64Array;
 

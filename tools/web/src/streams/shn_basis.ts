@@ -71,8 +71,7 @@ function groupsOf(width: number): number {
  * Read the coordinates of every row (SPEC 6.14).
  *
  * Coordinate j of the rows, ordered by falling end, is one column: the inner codes of the rows that end after j + 1,
- * then
- * the last codes of the rows that end there.
+ * then the last codes of the rows that end there.
  */
 export function readShnCoordinates(k: Kernels, stream: StreamRecord, params: ShnBasisParams): ShnCoordinates {
   const { rows } = stream;

@@ -1,16 +1,15 @@
 import { CogsplatError } from "../errors.js";
 
-/** Window of a frame at most, bytes (SPEC 6.3). */
+/** Maximum window of a frame, bytes (SPEC 6.3). */
 const MAX_WINDOW = 8_388_608;
-/** Length of a block at most, bytes (RFC 8878, 3.1.1.2.4). */
+/** Maximum length of a block, bytes (RFC 8878, 3.1.1.2.4). */
 const MAX_BLOCK = 131_072;
 
 /**
  * Check a zstd frame before it is decompressed (SPEC 6.3).
  *
  * zstd decoders for browsers accept truncated frames, wrong sizes and trailing bytes, so this function checks the
- * header
- * and the chain of blocks itself.
+ * header and the chain of blocks itself.
  *
  * @param frame - The stored bytes of the plane, nothing else.
  * @param length - Decompressed length, bytes.
@@ -39,6 +38,7 @@ export function checkFrame(frame: Uint8Array, length: number, offset: number): v
   walkBlocks(frame, sizeAt + sizeBytes, Math.min(window, MAX_BLOCK), refuse);
 }
 
+/** Return the content size in a frame header, bytes; undefined if the header has none (RFC 8878, 3.1.1.1.4). */
 function contentSize(frame: Uint8Array, at: number, bytes: number): number | undefined {
   if (bytes === 0) return undefined;
   let size = bytes === 2 ? 256 : 0;
@@ -46,6 +46,7 @@ function contentSize(frame: Uint8Array, at: number, bytes: number): number | und
   return size;
 }
 
+/** Return the window size of a window descriptor, bytes (RFC 8878, 3.1.1.1.2). */
 function windowSize(descriptor: number): number {
   const base = 2 ** (10 + (descriptor >>> 3));
   return base + (base / 8) * (descriptor & 7);

@@ -330,7 +330,7 @@ export class CogsFeed implements SceneFeed {
   }
 }
 
-/** Return a copy of splats, because a layer transfers its rows to the sorter. */
+/** Return a copy of packed splats, because a layer transfers the words of its rows to the sorter. */
 function copyPacked(packed: PackedSplats): PackedSplats {
   return { ...packed, words: packed.words.slice() };
 }
@@ -340,10 +340,11 @@ function knownQuality(quality: number | undefined): number | undefined {
   return quality === undefined || quality === 0 ? undefined : quality;
 }
 
-/** A source without a stated length, so that a truncated file is read as far as it goes. */
+/** A source whose answers state no file length, so that a truncated file is read up to its end. */
 class CutSource implements ByteSource {
   constructor(private readonly source: ByteSource) {}
 
+  /** Read a range of the wrapped source; the answer states no file length. */
   async read(range: ByteRange, options?: ReadOptions): Promise<Answer> {
     return { ...(await this.source.read(range, options)), total: undefined };
   }

@@ -2,14 +2,14 @@ import { formatBytes } from "./numbers.js";
 import type { Prefix } from "./scene_feed.js";
 import type { SceneView } from "./scene_view.js";
 
-/** Pictures of a strip at most. */
+/** Maximum number of pictures in a strip. */
 const PICTURES = 6;
 /** Size of a picture, device pixels. */
 const [WIDTH, HEIGHT] = [256, 160];
 
-/** Pictures of a scene after growing parts of its file, to choose from. */
+/** Strip of pictures of a scene after growing prefixes of its file; a click on one shows that prefix. */
 export class FilmStrip {
-  /** Number of the present strip, so that a replaced one stops. */
+  /** Number of the latest call of `open` or `close`; an earlier `open` stops when it differs. */
   private run = 0;
 
   constructor(
@@ -22,7 +22,7 @@ export class FilmStrip {
     return !this.strip.hidden;
   }
 
-  /** Render and show the pictures in the present view. */
+  /** Render each prefix from the present pose and show the pictures. */
   async open(): Promise<void> {
     const run = ++this.run;
     const prefixes = this.view.prefixes(PICTURES);
@@ -50,6 +50,11 @@ export class FilmStrip {
     this.view.showPrefix(undefined);
   }
 
+  /**
+   * Return the button of a prefix, with a copy of the picture on the canvas.
+   *
+   * @param isWhole - Whether the prefix is the whole file.
+   */
   private frame(prefix: Prefix, isWhole: boolean): HTMLButtonElement {
     const button = document.createElement("button");
     const picture = document.createElement("canvas");
@@ -69,6 +74,7 @@ export class FilmStrip {
     return button;
   }
 
+  /** Mark a button as pressed and show its prefix; undefined shows the whole scene. */
   private choose(button: HTMLButtonElement | null, prefix: Prefix | undefined): void {
     for (const child of this.strip.children) child.setAttribute("aria-pressed", String(child === button));
     this.view.showPrefix(prefix);

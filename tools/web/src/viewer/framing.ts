@@ -19,22 +19,24 @@ const OBJECT_MARGIN = 1.3;
 /** Cosine of 20 degrees, the half angle of the picture's centre. */
 const COSINE_OF_MIDDLE = 0.94;
 
-/** A ball around the bulk of some splats. */
+/** A ball around an object or around the bulk of a scene. */
 export interface Bulk {
   readonly centre: Vector;
   /** Radius of the ball, scene units. */
   readonly radius: number;
 }
 
-/** Splats that are sampled; their quantiles are accurate enough and take less time than a picture. */
+/** Maximum number of sampled splats; their quantiles are accurate enough and take less time than a picture. */
 const MOST_SPLATS = 2048;
 /** Step of a packed log scale. */
 const SCALE_STEP = 21 / 254;
 
 /**
- * Return the part of some splats that a picture should show: a whole object, or the bulk of a scene.
+ * Return the ball that the first picture frames: around a whole object, or around the bulk of a scene.
  *
- * @param zero - Origin of the result in the space of the packed means.
+ * @param packed - Splats, of which an even sample is evaluated.
+ * @param zero - Origin of the ball's space, in the space of the packed means.
+ * @returns undefined if the radius is 0 or not finite.
  */
 export function bulkOf(packed: PackedSplats, zero: Vector): Bulk | undefined {
   const { means, weights, opacities } = sampleOf(packed, zero);
@@ -57,9 +59,9 @@ function ballAround(axes: readonly Sorted[], weights: Float32Array, outside: num
 }
 
 /**
- * Return the distance from a camera to the splats in the centre of its picture, around which it should turn.
+ * Return the distance from a camera to the splats in the centre of its picture, for the centre of an orbit.
  *
- * @param zero - Origin of the camera's space in the space of the packed means.
+ * @param zero - Origin of the camera's space, in the space of the packed means.
  * @param position - Position of the camera.
  * @param forward - Direction of view, of unit length.
  */
@@ -84,7 +86,7 @@ interface Sample {
   readonly opacities: Float32Array;
 }
 
-/** Sample splats evenly; opaque and small ones weigh most, because a sky has few and large ones. */
+/** Sample splats evenly. Opaque and small splats have the largest weights, because a sky consists of large ones. */
 function sampleOf({ count, words }: PackedSplats, zero: Vector): Sample {
   const step = Math.max(1, Math.ceil(count / MOST_SPLATS));
   const size = Math.ceil(count / step);
@@ -108,11 +110,12 @@ interface Sorted {
   readonly order: Uint32Array;
 }
 
+/** Return the indices that sort values in ascending order. */
 function ascending(values: Float32Array): Uint32Array {
   return Uint32Array.from(values, (_, i) => i).sort((a, b) => values[a]! - values[b]!);
 }
 
-/** Return a weighted quantile. */
+/** Return the value below which values have a share of the total weight. */
 function quantile({ values, order }: Sorted, weights: Float32Array, share: number): number {
   const total = weights.reduce((sum, weight) => sum + weight, 0);
   let below = 0;

@@ -11,6 +11,7 @@ function byte(value: number): number {
   return Math.round(Math.min(Math.max(value, 0), 1) * 255);
 }
 
+/** Return the code of a log scale, 1 to 255; 0 would stand for a scale of 0. */
 function logScale(value: number): number {
   return Math.round(Math.min(Math.max((value - LOG_MIN) * LOG_STEPS, 0), 254)) + 1;
 }
@@ -27,7 +28,15 @@ function octahedral(w: number, x: number, y: number, z: number): number {
   return byte(u / 2 + 0.5) | (byte(v / 2 + 0.5) << 8) | (byte(angle) << 16);
 }
 
-/** Pack rows of 14 columns: means, scales, quats, opacities, sh0. */
+/**
+ * Pack the rows of a PLY into the words of `PackedSplats`, without SH bands.
+ *
+ * @param columns - 14 columns: means, log scales, quaternions, logits, sh0.
+ * @param rows - Number of rows.
+ * @param rgbMin - DC colour of code 0.
+ * @param rgbMax - DC colour of code 255.
+ * @param target - Receives four words per row.
+ */
 export function packSplats(
   columns: readonly Float32Array[],
   rows: number,
@@ -55,7 +64,7 @@ export function packSplats(
 /**
  * Pack one SH band of every row.
  *
- * @param source - Rows of `stride` floats, with the band's first value at `first`.
+ * @param source - Rows of `stride` floats, of which `count` from `first` on are the band.
  * @param bits - Bits per value in two's complement; the largest code stands for `range`.
  * @param words - Words per row of `target`.
  */

@@ -238,8 +238,7 @@ class Program {
 
 /**
  * Render target of the blended splats: half floats, because colours may exceed 1, and hundreds of splats in a pixel add
- * up
- * rounding errors of 8 bits. Without half float targets it has 8 bits.
+ * up rounding errors of 8 bits. Without half float targets it has 8 bits.
  */
 class Target {
   readonly framebuffer: WebGLFramebuffer;

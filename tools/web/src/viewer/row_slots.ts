@@ -4,7 +4,7 @@ export interface RowRun {
   readonly count: number;
 }
 
-/** Allocator for rows of a layer smaller than its scene. */
+/** Allocator of the rows of a layer that holds fewer splats than its scene. */
 export class RowSlots {
   /** Free rows, ascending, in runs that do not touch. */
   private free: RowRun[];
@@ -14,9 +14,9 @@ export class RowSlots {
   }
 
   /**
-   * Allocate the first free rows, in as few runs as they form.
+   * Allocate the first free rows; adjacent rows form one run.
    *
-   * @throws RangeError where fewer are free.
+   * @throws RangeError if fewer than `count` rows are free.
    */
   allocate(count: number): RowRun[] {
     const taken: RowRun[] = [];
@@ -32,7 +32,7 @@ export class RowSlots {
     return taken;
   }
 
-  /** Free rows. */
+  /** Make allocated rows free again. */
   release(runs: readonly RowRun[]): void {
     const joined: RowRun[] = [];
     for (const run of [...this.free, ...runs].sort((a, b) => a.first - b.first)) {

@@ -4,8 +4,7 @@ import { OPACITY_STEPS, SCALE_STEPS, TEXTURE_WIDTH } from "./shaders.js";
 
 /**
  * Bytes of textures uploaded at once. Chromium passes WebGL uploads through a buffer of 16 MiB; filling it blocks until
- * the
- * graphics have read from it.
+ * the graphics have read from it.
  */
 const BYTES_AT_ONCE = 4 << 20;
 

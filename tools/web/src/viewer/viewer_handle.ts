@@ -3,9 +3,8 @@ import type { Pinhole } from "../container/pinhole.js";
 /** State of a viewer, for the page around it and for tests. */
 export interface ViewerStatistics {
   /**
-   * `complete`: the scene or, with a smaller budget, all chunks that the view is worth have arrived. `failed`: `error`
-   * is shown;
-   * a truncated scene stays on the canvas.
+   * `complete`: the scene or, with a smaller budget, all chunks chosen for the view have arrived. `failed`: `error` is
+   * shown; a truncated scene stays on the canvas.
    */
   readonly state: "empty" | "opening" | "streaming" | "complete" | "failed";
   /** Splats received and in memory. */
