@@ -138,7 +138,7 @@ export class SourceError extends Error {
    * @param message - The request and the failure.
    * @param status - HTTP status, if any.
    * @param retryable - Whether a retry may succeed.
-   * @param retryAfter - Wait that the server asked for, ms, if any.
+   * @param retryAfter - Wait that the server requested, ms, if any.
    */
   constructor(
     message: string,

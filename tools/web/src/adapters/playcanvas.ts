@@ -112,8 +112,7 @@ export interface PlayCanvasSettings {
  *
  * The number of sorting keys stays that of the engine (2.23.3, `gsplat-unified-sort-worker`): 2^b + 1, where b is log₂
  * of a quarter of the number of splats, rounded and between 10 and 20. Splats that share a key are drawn in arbitrary
- * order;
- * `leastRows` of `streamToPlayCanvas` raises the number of keys.
+ * order; `leastRows` of `streamToPlayCanvas` raises the number of keys.
  *
  * @returns Whether the engine's shaders were recognised; shaders of another version stay unchanged.
  *

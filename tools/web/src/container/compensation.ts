@@ -6,7 +6,7 @@ import type { ChunkTable } from "./tables.js";
 const f32 = Math.fround;
 const MAX_BOOK_ROWS = 256;
 
-/** One layer of compensation (SPEC 5.9): added to splats while the first `chunks` chunks alone are present. */
+/** One layer of compensation (SPEC 5.9): added to splats while only the first `chunks` chunks are present. */
 export interface CompensationLayer {
   readonly chunks: number;
   /** Addend of the log scales of each chunk, in 1/128. */
@@ -27,7 +27,7 @@ export interface CompensationLayer {
  * Read the next layer.
  *
  * @param payload - Bytes of the segment, whose CRC was checked.
- * @param chunks - Chunk table, as far as its pages were read.
+ * @param chunks - Chunk table of the index pages read so far.
  * @param totalChunks - Chunks of the whole file.
  * @param before - Previous layer; undefined for the first.
  * @returns undefined where the layer covers chunks whose index page was not read.

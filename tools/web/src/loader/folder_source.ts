@@ -3,7 +3,7 @@ import type { ByteRange } from "../container/scene_index.js";
 import { CogsplatError, SourceError } from "../errors.js";
 import { type Answer, type ByteSource, type ReadOptions, readAll, readParts } from "./byte_source.js";
 
-/** Bytes of whole objects that are kept from a server without ranges, at most. */
+/** Maximum size of the whole objects kept from a server without ranges, bytes. */
 const KEPT_BYTES = 32 * 2 ** 20;
 
 /** The manifest and the objects of a folder as one source, with the addresses of `FolderIndex`. */

@@ -109,7 +109,7 @@ export class CogsFeed implements SceneFeed {
   private async stream(source: ByteSource, signal: AbortSignal): Promise<void> {
     const options: OpenOptions = { signal, service: this.service, folders };
     const scene = await StreamedScene.open(source, options).catch((error: unknown) => {
-      // A truncated file is shown as far as it goes.
+      // A truncated file is shown up to its end.
       if (!(error instanceof CogsplatError) || error.code !== "file-truncated") throw error;
       this.damage = error;
       return StreamedScene.open(new CutSource(source), options);

@@ -8,7 +8,7 @@ export class Meter {
   bytes = 0;
   /** Time of the first byte, from `performance.now`. */
   since: number | undefined;
-  /** Bits per second at most. */
+  /** Maximum bandwidth, bit/s. */
   bitsPerSecond = Infinity;
   /** Time at which all bytes so far would have arrived at the rate, ms. */
   private due = 0;

@@ -6,7 +6,7 @@ export interface PlyRequest {
   readonly source: Blob | string;
   readonly mostRows: number;
   readonly ranges: PackRanges;
-  /** Bits per second at most. */
+  /** Maximum bandwidth, bit/s. */
   readonly bitsPerSecond: number;
 }
 

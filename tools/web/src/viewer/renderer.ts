@@ -58,7 +58,7 @@ export class SplatRenderer {
     return this.splats.isReady && this.composite.isReady;
   }
 
-  /** Make programs and buffers again after the graphics memory was lost. */
+  /** Make programs and buffers again after the WebGL context was lost. */
   restore(): void {
     [this.splats, this.composite, this.target] = this.build();
   }
@@ -119,7 +119,7 @@ export class SplatRenderer {
     return whole.every((isWhole) => isWhole);
   }
 
-  /** Free the graphics memory. */
+  /** Free the GPU memory. */
   close(): void {
     this.target.delete();
     this.gl.deleteProgram(this.splats.program);
@@ -221,7 +221,7 @@ class Program {
       throw new NoWebGlError(gl.getProgramInfoLog(program) ?? "no program");
     }
     this.isLinked = true;
-    // The first query of a uniform waits for the graphics, which are idle now.
+    // The first query of a uniform blocks until the GPU is idle, as it is now.
     this.uniform(this.known);
     return true;
   }

@@ -14,7 +14,7 @@ export interface FeedProgress {
   readonly predictedDb: number | undefined;
 }
 
-/** A beginning of the file that can be shown alone. */
+/** A beginning of the file that can be shown without the rest. */
 export interface Prefix {
   /** Number of rows. */
   readonly rows: number;
@@ -53,7 +53,7 @@ export interface SceneFeed {
   run(host: FeedHost, signal: AbortSignal): Promise<void>;
   /** Return about `count` prefixes, from the smallest to the whole file. */
   prefixes(count: number): Prefix[];
-  /** Show a prefix alone; undefined shows all rows received. */
+  /** Show only a prefix; undefined shows all rows received. */
   show(prefix: Prefix | undefined): void;
   /**
    * Draw the level for a picture size, or a chosen one, as far as it has arrived (SPEC 8.11).

@@ -23,14 +23,14 @@ export type SceneSource = string | Blob | ByteSource;
 const WORK_MILLISECONDS = 5;
 /** Time after the last change at which slow graphics draw at full resolution although more is to arrive, ms. */
 const QUIET_MILLISECONDS = 300;
-/** Interval at which the graphics are polled for the end of a picture, ms. */
+/** Interval at which the GPU is polled for the end of a picture, ms. */
 const LOOK_MILLISECONDS = 4;
 
 /** Callbacks of a scene view. */
 export interface SceneViewHost {
   /** Called when the statistics or the canvas have changed. */
   changed(): void;
-  /** Called on an error of a scene, of the second scene or of the graphics. */
+  /** Called on an error of a scene, of the second scene or of WebGL. */
   failed(error: unknown, which: "scene" | "other" | "graphics"): void;
   /** Called when lost graphics are back. */
   restored(): void;
@@ -63,7 +63,7 @@ export class SceneView {
   statistics: ViewerStatistics = EMPTY;
   /** Highest SH degree of the scene. */
   degree = 3;
-  /** Device pixels per CSS pixel at most. */
+  /** Maximum number of device pixels per CSS pixel. */
   mostPixelRatio = 2;
   /** Device pixels per CSS pixel in place of the screen's. */
   pixelRatio: number | undefined;
@@ -247,7 +247,7 @@ export class SceneView {
     this.redraw();
   }
 
-  /** Return the prefixes of the file that can be shown alone. */
+  /** Return the prefixes of the file that can be shown. */
   prefixes(count: number): Prefix[] {
     return this.main?.feed.prefixes(count) ?? [];
   }
@@ -513,7 +513,7 @@ export class SceneView {
     }
   }
 
-  /** Return whether the rest of the scene would arrive before the graphics finish a picture. */
+  /** Return whether the rest of the scene would arrive before the GPU finishes a picture. */
   private isRestImminent(): boolean {
     const { meter, pace, statistics } = this;
     if (statistics.state !== "streaming" || meter.since === undefined || this.wasSettled) return false;
@@ -524,7 +524,7 @@ export class SceneView {
   private draw(scale: number): boolean {
     const { camera, renderer, layers, pace, statistics } = this;
     const [width, height] = this.size(scale);
-    // Resizing waits for the graphics, which are idle before the first picture.
+    // Resizing blocks until the GPU is idle, as it is before the first picture.
     renderer.resize(width, height);
     if (camera === undefined || layers.length === 0)
       return statistics.state === "failed" || statistics.state === "empty";

@@ -120,14 +120,14 @@ export class SplatLayer {
     this.changed();
   }
 
-  /** Draw the first rows alone. */
+  /** Draw only the first rows. */
   limit(rows: number): void {
     this.most = Math.max(rows, 1);
     this.stale = true;
     this.changed();
   }
 
-  /** Make the textures again after the graphics memory was lost. */
+  /** Make the textures again after the WebGL context was lost. */
   restore(): void {
     this.textures.allocate(this.gl);
     this.changed();

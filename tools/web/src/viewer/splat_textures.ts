@@ -4,7 +4,7 @@ import { OPACITY_STEPS, SCALE_STEPS, TEXTURE_WIDTH } from "./shaders.js";
 
 /**
  * Bytes of textures uploaded at once. Chromium passes WebGL uploads through a buffer of 16 MiB; filling it blocks until
- * the graphics have read from it.
+ * the GPU has read from it.
  */
 const BYTES_AT_ONCE = 4 << 20;
 
@@ -24,7 +24,7 @@ class RowTexture {
     this.words = new Uint32Array(TEXTURE_WIDTH * this.height * channels);
   }
 
-  /** Make the texture, also after the graphics memory was lost. */
+  /** Make the texture, also after the WebGL context was lost. */
   allocate(gl: WebGL2RenderingContext): void {
     this.texture = gl.createTexture();
     gl.bindTexture(gl.TEXTURE_2D, this.texture);
@@ -99,7 +99,7 @@ export class SplatTextures {
     return [this.splats, this.order, this.shifts, ...this.bands, ...(this.levels ? [this.levels] : [])];
   }
 
-  /** Make the textures, also after the graphics memory was lost; written rows are uploaded again. */
+  /** Make the textures, also after the WebGL context was lost; written rows are uploaded again. */
   allocate(gl: WebGL2RenderingContext): void {
     for (const texture of this.all) {
       texture.allocate(gl);
@@ -145,7 +145,7 @@ export class SplatTextures {
     this.order.touch(0, rows);
   }
 
-  /** Upload as many changed bytes as the graphics accept without blocking; return whether none are left. */
+  /** Upload at most `BYTES_AT_ONCE` changed bytes and the order; return whether nothing is left to upload. */
   upload(gl: WebGL2RenderingContext): boolean {
     let left = BYTES_AT_ONCE;
     // An order is uploaded as a whole.
