@@ -28,7 +28,7 @@ from .formats.storage.atomic import check_output
 from .formats.storage.byte_counts import parse_byte_count
 
 if TYPE_CHECKING:
-    from .codec.encode.encoded import EncodeReport
+    from .codec.encode.encoded import EncodedScene, EncodeReport
     from .codec.encode.preview_chunks import PreviewMaker
     from .codec.fit.train_config import LevelsConfig
     from .codec.fit.tune_config import TuneConfig
@@ -164,20 +164,14 @@ def tune(
 
     Parameters
     ----------
-    scene : Splats or path
-        Scene in memory, or a file of any known format.
-    path : path
-        Output file; it appears once it is complete.
+    scene, path, force, progress
+        Scene, output file and progress, as in `encode`.
     cameras : sequence of Camera or path, optional
         Views to train in, or a file for `read_cameras`. Without them views are planned.
     target : Target, int or str
         File size or PSNR, as in `encode`; the PSNR is against renders of the source.
     config : TuneConfig, optional
         Steps of training, preset and profile.
-    force : bool
-        Replace an existing file.
-    progress : Progress
-        Called as in `encode`.
 
     Returns
     -------
@@ -202,40 +196,20 @@ def tune(
     True
     """
     from .codec.fit import tuning
-    from .codec.fit.training_views import make_training_views
-    from .codec.fit.tune_config import TuneConfig
+    from .codec.fit.tune_config import TuneConfig, TuneRequest
     from .codec.fit.tuning_views import choose_tuning_views
 
     _require_output(path, force, scene, cameras)
     config = config or TuneConfig()
-    threads = config.train.threads
     splats = _splats(scene).without_extras()
     given = None if cameras is None else _views(cameras)
     views = choose_tuning_views(
-        splats, given, test_views=given or (), threads=threads, progress=progress
+        splats, given, test_views=given or (), threads=config.train.threads, progress=progress
     )
-    metadata = FileMetadata(None if views.planned else views.cameras[0])
-    training_views = make_training_views(
-        splats,
-        views.cameras,
-        covering=views.covering,
-        held_out=views.held_out,
-        threads=threads,
-        progress=progress,
-    )
-    tuned = tuning.tune(
-        splats,
-        training_views,
-        views.cameras,
-        _target(target, scene),
-        config,
-        test_views=views.test_views,
-        covering=views.covering,
-        size_of=metadata.file_bytes,
-        progress=progress,
-    )
-    size_bytes = metadata.save(tuned.encoded, Path(path), force=force)
-    return replace(tuned.encoded.report, size_bytes=size_bytes)
+    request = TuneRequest(views, _target(target, scene), config)
+    metadata = FileMetadata(request.first_view)
+    tuned = tuning.tune(splats, request, size_of=metadata.file_bytes, progress=progress)
+    return _save(tuned.encoded, metadata, path, force)
 
 
 def layers(
@@ -243,7 +217,7 @@ def layers(
     path: _Path,
     *,
     cameras: Sequence[Camera] | _Path | None = None,
-    quality: float = 40.0,
+    quality: float | None = None,
     config: LevelsConfig | None = None,
     force: bool = False,
     progress: Progress = silent,
@@ -252,20 +226,12 @@ def layers(
 
     Parameters
     ----------
-    scene : Splats or path
-        Scene in memory, or a file of any known format.
-    path : path
-        Output file; it appears once it is complete.
-    cameras : sequence of Camera or path, optional
-        Views to train in, or a file for `read_cameras`. Without them views are planned.
-    quality : float
-        Nominal PSNR, dB.
+    scene, path, cameras, force, progress
+        Scene, output file, training views and progress, as in `tune`.
+    quality : float, optional
+        Nominal PSNR, dB; it replaces `LevelsConfig.quality_db`.
     config : LevelsConfig, optional
         Scales, sizes and training steps of the levels.
-    force : bool
-        Replace an existing file.
-    progress : Progress
-        Called as in `encode`.
 
     Returns
     -------
@@ -285,24 +251,22 @@ def layers(
     >>> len(cogsplat.decode("levels.cogs", level=0)) < len(cogsplat.decode("levels.cogs"))
     True
     """
-    from .codec.fit.level_encoding import LevelEncoding, encode_levels
-    from .codec.fit.level_training import train_levels
-    from .codec.fit.train_config import LevelsConfig
+    from .codec.fit.level_encoding import make_levels
+    from .codec.fit.train_config import LevelsConfig, LevelsRequest
     from .codec.views.planner import ViewPlanConfig, plan
 
     _require_output(path, force, scene, cameras)
     config = config or LevelsConfig()
+    if quality is not None:
+        config = replace(config, quality_db=quality)
     splats = _splats(scene).without_extras()
     if cameras is None:
         planned = plan(splats, ViewPlanConfig(threads=config.threads), progress=progress)
         views: Sequence[Camera] = planned.views + planned.covering_views
     else:
         views = _views(cameras)
-    levels = train_levels(splats, views, config, progress=progress)
-    encoding = LevelEncoding(quality_db=quality, threads=config.threads)
-    encoded = encode_levels(levels, views, encoding, progress=progress)
-    metadata = FileMetadata(None if cameras is None else views[0])
-    return replace(encoded.report, size_bytes=metadata.save(encoded, Path(path), force=force))
+    encoded = make_levels(splats, LevelsRequest(views, config), progress=progress)
+    return _save(encoded, FileMetadata(None if cameras is None else views[0]), path, force)
 
 
 def compare(
@@ -436,6 +400,11 @@ def _splats(scene: Splats | _Path, workspace: Workspace | None = None) -> Splats
 def _views(cameras: Sequence[Camera] | _Path) -> Sequence[Camera]:
     """Return cameras, read from their file where a path is given."""
     return read_cameras(cameras) if isinstance(cameras, str | os.PathLike) else cameras
+
+
+def _save(encoded: EncodedScene, metadata: FileMetadata, path: _Path, force: bool) -> EncodeReport:
+    """Write a trained scene into a file; return the report with the size of the file."""
+    return replace(encoded.report, size_bytes=metadata.save(encoded, Path(path), force=force))
 
 
 def _preview_maker(config: EncodeConfig) -> PreviewMaker | None:

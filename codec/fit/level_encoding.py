@@ -1,9 +1,9 @@
-"""Encoding of a scene with levels: chunks by level, and opacities for each later level."""
+"""Training and encoding of a scene with levels: chunks by level, opacities for later levels."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import Final
 
 import numpy as np
@@ -15,15 +15,15 @@ from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.encoded import EncodedChunk, EncodedLevel, EncodedScene
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.request import EncodeRequest
-from cogsplat.codec.finite_fields import require_finite
 from cogsplat.codec.order.objects import ATTRIBUTE
-from cogsplat.codec.order.orders import OrderConfig
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.scoring.contribution import Scores, score
 from cogsplat.codec.segments.attributes import attribute_types, unpack_attributes
 from cogsplat.codec.segments.opacities import pack_opacities
+from cogsplat.codec.splats import Splats
 
-from .level_training import LevelledSplats
+from .level_training import LevelledSplats, grow_levels, train_levels
+from .train_config import LevelsConfig, LevelsRequest
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
@@ -32,37 +32,40 @@ I64 = NDArray[np.int64]
 _ROW_ATTRIBUTE: Final = "row"
 
 
-@dataclass(frozen=True)
-class LevelEncoding:
-    """Settings of the encoding of a scene with levels.
+def make_levels(
+    splats: Splats, request: LevelsRequest, *, progress: Progress = silent
+) -> EncodedScene:
+    """Train levels of detail from a trained scene, or from points, and encode them.
 
     Parameters
     ----------
-    quality_db : float
-        Nominal quality, dB, 10 to 90.
-    opacity_step : float
-        Maximum quantiser step of opacities of later levels, in logits.
-    chunk_splats : int
-        Maximum number of splats per chunk.
-    threads : int
-        Number of threads; 0 uses all cores. The bytes do not depend on it.
+    splats : Splats
+        Trained scene with valid rows, or splats from `initial_splats.splats_from_points`; in the
+        frame of the cameras.
+    request : LevelsRequest
+        Views, ground truth and configuration.
+    progress : Progress
+        Receives the stages of `train_levels` or `grow_levels`, and of `encode_levels`.
+
+    Returns
+    -------
+    EncodedScene
+        Scene with its chunks ordered by the first level that draws them.
     """
-
-    quality_db: float = 40.0
-    opacity_step: float = 0.1
-    chunk_splats: int = 4096
-    threads: int = 0
-
-    def __post_init__(self) -> None:
-        require_finite(self)
-        if not self.opacity_step > 0:
-            raise ValueError(f"opacity step {self.opacity_step}, expected more than 0")
+    cameras, config, pictures = request.cameras, request.config, request.pictures
+    if request.max_splats is None or pictures is None:
+        levels = train_levels(splats, cameras, config, pictures=pictures, progress=progress)
+    else:
+        levels = grow_levels(
+            splats, cameras, pictures, request.max_splats, config, progress=progress
+        )
+    return encode_levels(levels, cameras, config, progress=progress)
 
 
 def encode_levels(
     levels: LevelledSplats,
     cameras: Sequence[Camera],
-    encoding: LevelEncoding | None = None,
+    config: LevelsConfig | None = None,
     *,
     progress: Progress = silent,
 ) -> EncodedScene:
@@ -75,8 +78,8 @@ def encode_levels(
     cameras : sequence of Camera
         Views at full resolution, used to score the splats; scores set the quantiser steps. A splat
         is scored in the scene of the highest level that draws it.
-    encoding : LevelEncoding, optional
-        Settings of the encoding.
+    config : LevelsConfig, optional
+        Settings of the encoding; those of levels and training are not used.
     progress : Progress
         Receives ``score`` for each level, and the stages of `pipeline.encode`.
 
@@ -85,18 +88,9 @@ def encode_levels(
     EncodedScene
         Scene with its chunks ordered by the first level that draws them.
     """
-    encoding = encoding or LevelEncoding()
+    config = config or LevelsConfig()
     splats, count = levels.splats, len(levels.splats)
-    config = EncodeConfig(
-        quality_db=encoding.quality_db,
-        order="contribution",
-        ordering=OrderConfig(by_object=True),
-        chunk_splats=encoding.chunk_splats,
-        refine=False,
-        prune=None,
-        compensate=False,
-        threads=encoding.threads,
-    )
+    encode_config = config.encode_config()
     # The object label of a splat is its pair of first and last level: no chunk mixes pairs.
     labels = levels.first_level * len(levels.scales) + levels.last_level
     extras = {
@@ -105,10 +99,12 @@ def encode_levels(
     }
     encoded = pipeline.encode(
         replace(splats, extras=extras),
-        EncodeRequest(config=config, scores=_scores(levels, cameras, config, progress)),
+        EncodeRequest(
+            config=encode_config, scores=_scores(levels, cameras, encode_config, progress)
+        ),
         progress=progress,
     )
-    return _order_by_level(encoded, levels, encoding.opacity_step)
+    return _order_by_level(encoded, levels, config.opacity_step)
 
 
 def _scores(

@@ -9,13 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.cameras import Camera
-from cogsplat.codec.encode.config import MAX_QUALITY_DB, MIN_QUALITY_DB, EncodeConfig, Target
+from cogsplat.codec.encode.config import MAX_QUALITY_DB, MIN_QUALITY_DB, EncodeConfig
 from cogsplat.codec.encode.encoded import EncodedCodebook, EncodedScene
 from cogsplat.codec.encode.finishing import Finisher, SizeOf
 from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.encode.presets import PRESETS
-from cogsplat.codec.encode.preview_chunks import PreviewMaker
 from cogsplat.codec.encode.rate_control import LOG2_BYTES_PER_DB, PSNR_PER_DB, search_psnr
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.order.prefix_inflation import effective_splats
@@ -27,10 +25,11 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import sample_evenly
 
 from .prefix_loss import PrefixLoss
+from .preview_training import PreviewConfig, TrainedPreview
 from .rate_gradients import ERROR_PER_BIT, rate_gradients
 from .round_trip import RoundTrip, round_trip
 from .trainer import Trainer
-from .tune_config import TuneConfig
+from .tune_config import TuneRequest
 
 # Factors on the learning rates at the first and the last step.
 _LEARNING_RATE_FACTORS: Final = (0.4, 0.04)
@@ -69,20 +68,10 @@ class QuantisedTraining:
         Ground truth: quality is measured against its renders.
     base : Splats
         Scene at the start of quantised training, which is scored and ordered.
-    cameras : sequence of Camera
-        Views that the scene is scored in.
-    covering : sequence of Camera
-        Views of regions that `cameras` do not show (`contribution.score`).
-    target : Target
-        PSNR, or size of the file.
-    config : TuneConfig
-        Preset, profile, loss weights and threads.
-    test_views : sequence of Camera
-        Views that PSNR is measured in; a subset of `cameras` where none are given.
+    request : TuneRequest
+        Views, target and configuration.
     size_of : callable
         Returns the file size of an encoded scene, bytes.
-    preview : PreviewMaker or None
-        Makes the preview chunks; None for a file without preview.
     progress : Progress
         Receives the stages of scoring, ordering and encoding.
     """
@@ -91,23 +80,20 @@ class QuantisedTraining:
         self,
         source: Splats,
         base: Splats,
-        cameras: Sequence[Camera],
-        covering: Sequence[Camera],
-        target: Target,
-        config: TuneConfig,
-        test_views: Sequence[Camera],
+        request: TuneRequest,
         size_of: SizeOf,
-        preview: PreviewMaker | None,
         progress: Progress,
     ) -> None:
         self.last_measurement = (len(base), 0.0, 0.0, 0)
-        self._target = target
+        self._target = request.target
+        config = request.config
         self._rate_weight = config.rate_weight
         self._prefix_weight = config.prefix_weight
         self._size_of = size_of
         self._progress = progress
         preset = PRESETS[config.preset]
         threads, profile = config.train.threads, config.profile
+        cameras, covering = request.views.cameras, request.views.covering
         views = sample_evenly(cameras, _MAX_SCORED_VIEWS)
         settings = preset.score_config(profile, threads=threads)
         scores = score(base, views, settings, covering=covering, progress=progress)
@@ -129,12 +115,16 @@ class QuantisedTraining:
             effort=preset.gain,
             progress=progress,
         )
+        preview = None
+        if config.preview is not None:
+            settings = PreviewConfig(config.preview, seed=config.train.seed, threads=threads)
+            preview = TrainedPreview(settings)
         self._finisher = Finisher(
             self._prepared,
             source,
             preset,
             references=references,
-            test_views=test_views or cameras,
+            test_views=request.views.test_views or cameras,
             preview=preview,
             size_of=size_of,
             progress=progress,

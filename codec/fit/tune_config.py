@@ -1,14 +1,26 @@
-"""Configuration of `tuning.tune`."""
+"""Configuration and request of `tuning.tune`."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.encode.config import Target
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.finite_fields import require_finite
 
 from .train_config import TrainConfig
+
+if TYPE_CHECKING:
+    from .tuning_views import TuningViews
+
+DEFAULT_TARGET: Final = Target(psnr_db=40.0)
+"""Target of tuning without a given one."""
 
 # Profiles with quantisers to train through; `near-lossless` bounds errors per value instead.
 _PROFILES: Final = ("transform", "vq")
@@ -48,6 +60,8 @@ class TuneConfig:
         ``transform`` or ``vq``. With ``vq``, codebooks train with the splats: each encode starts
         k-means from the last codebooks and assigns each splat to the nearest row (after Niedermayr
         et al. 2024, section 3.3, with trained means).
+    preview : float or None
+        Share of the file spent on preview splats, as in `EncodeConfig`.
     train : TrainConfig
         Loss, learning rates, seed and threads.
     """
@@ -63,6 +77,7 @@ class TuneConfig:
     seconds: float | None = None
     preset: str = "fast"
     profile: str = "transform"
+    preview: float | None = None
     train: TrainConfig = field(default_factory=TrainConfig)
 
     def __post_init__(self) -> None:
@@ -80,7 +95,52 @@ class TuneConfig:
             raise ValueError(f"prefix_weight {self.prefix_weight}, expected 0 or more")
         if self.seconds is not None and not self.seconds > 0:
             raise ValueError(f"{self.seconds} seconds, expected more than 0")
+        if self.preview is not None and not 0.0 < self.preview < 1.0:
+            raise ValueError(f"preview {self.preview}, expected above 0 and below 1")
         if self.preset not in PRESETS:
             raise ValueError(f"preset {self.preset!r}, expected one of {tuple(PRESETS)}")
         if self.profile not in _PROFILES:
             raise ValueError(f"profile {self.profile!r}, expected one of {_PROFILES}")
+
+
+@dataclass(frozen=True, eq=False)
+class TuneRequest:
+    """Inputs of tuning, except the scene.
+
+    Parameters
+    ----------
+    views : TuningViews
+        Views to train, score and measure in (`tuning_views.choose_tuning_views`).
+    target : Target
+        PSNR against renders of the source in the test views, or size of the file.
+    config : TuneConfig
+        Steps of each phase, preset and profile.
+    photos : sequence of (H, W, 3) float32, optional
+        Ground truth of the given cameras, 0 to 1, one photo per camera in its size. Renders of the
+        source by default.
+    background : tuple of float
+        RGB behind the splats in training and in measurements.
+    device : str
+        Device of `RenderConfig` for the ground truth and for training.
+
+    Raises
+    ------
+    ValueError
+        Photos for planned views.
+    """
+
+    views: TuningViews
+    target: Target = DEFAULT_TARGET
+    config: TuneConfig = field(default_factory=TuneConfig)
+    photos: Sequence[NDArray[np.float32]] | None = None
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        if self.photos is not None and self.views.planned:
+            raise ValueError("photos for planned views, expected the cameras of the photos")
+
+    @property
+    def first_view(self) -> Camera | None:
+        """Camera where a viewer starts: the first given one."""
+        return None if self.views.planned else self.views.cameras[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
@@ -11,11 +11,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.cameras import Camera
-from cogsplat.codec.encode.config import Target
 from cogsplat.codec.encode.encoded import EncodedScene
 from cogsplat.codec.encode.finishing import SizeOf
-from cogsplat.codec.encode.preview_chunks import PreviewMaker
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import render
@@ -29,8 +26,8 @@ from .splat_budget import corrected_count, count_for_size, next_count, next_coun
 from .splat_merging import merge_candidates, merge_pairs
 from .time_budget import TimeBudget
 from .trainer import Trainer
-from .training_views import TrainingViews, make_training_views
-from .tune_config import TuneConfig
+from .training_views import make_training_views
+from .tune_config import TuneRequest
 
 # Factors on the learning rates of rounds and of the recovery after them: first step, last step.
 _ROUND_RATES: Final = (1.0, 0.3)
@@ -103,15 +100,9 @@ class TuneResult:
 
 def tune(
     source: Splats,
-    views: TrainingViews,
-    cameras: Sequence[Camera],
-    target: Target,
-    config: TuneConfig,
+    request: TuneRequest,
     *,
-    test_views: Sequence[Camera] = (),
-    covering: Sequence[Camera] = (),
     size_of: SizeOf,
-    preview: PreviewMaker | None = None,
     resume: CheckpointArrays | None = None,
     checkpoint: Callable[[CheckpointArrays], None] | None = None,
     notify: Callable[[Milestone], None] | None = None,
@@ -130,22 +121,10 @@ def tune(
     ----------
     source : Splats
         Scene to tune; its rows must be valid (`Splats.require_valid`).
-    views : TrainingViews
-        Training views of the source (`training_views.make_training_views`).
-    cameras : sequence of Camera
-        Views that the scene is scored in, in the frame of the means.
-    target : Target
-        PSNR against renders of the source in the test views, or size of the file.
-    config : TuneConfig
-        Steps of each phase, preset and profile.
-    test_views : sequence of Camera
-        Views that PSNR is measured in; some of `cameras` by default.
-    covering : sequence of Camera
-        Views of regions that `cameras` do not show (`contribution.score`).
+    request : TuneRequest
+        Views, target and configuration.
     size_of : callable
         Returns the file size of an encoded scene, bytes.
-    preview : PreviewMaker, optional
-        Makes the preview chunks.
     resume : mapping of str to array, optional
         Last argument of `checkpoint` in a run with the same arguments. With `TuneConfig.seconds`,
         the number of steps is the one planned in that run, whatever time they take: all runs
@@ -155,8 +134,8 @@ def tune(
     notify : callable, optional
         Called with a progress report at the same times.
     progress : Progress
-        Receives ``search``, ``deletions``, ``train``, ``score``, ``train quantised``, ``preview``
-        and the stages of the encoder.
+        Receives ``training views``, ``search``, ``deletions``, ``train``, ``score``,
+        ``train quantised``, ``preview`` and the stages of the encoder.
 
     Returns
     -------
@@ -170,32 +149,13 @@ def tune(
         as small as the target.
     """
     source.require_valid()
-    measured = views
-    if test_views:
-        measured = make_training_views(
-            source,
-            test_views,
-            copies=False,
-            background=views.configs[0].background,
-            threads=config.train.threads,
-            device=views.configs[0].device,
-            progress=progress,
-        )
-    run = _TuningRun(source, views, measured, target, config, checkpoint, notify, progress)
+    config = request.config
+    run = _TuningRun(source, request, checkpoint, notify, progress)
     make_quantised = partial(
-        QuantisedTraining,
-        source,
-        cameras=cameras,
-        covering=covering,
-        target=target,
-        config=config,
-        test_views=test_views,
-        size_of=size_of,
-        preview=preview,
-        progress=progress,
+        QuantisedTraining, source, request=request, size_of=size_of, progress=progress
     )
     # A given share of splats is kept even where the untuned source is smaller.
-    compare_untuned = target.psnr_db is not None and config.keep is None
+    compare_untuned = request.target.psnr_db is not None and config.keep is None
     of_source = make_quantised(source) if compare_untuned else None
     untuned = None if of_source is None else of_source.encode_untrained(source)
     if resume is not None:
@@ -223,24 +183,34 @@ class _TuningRun:
     def __init__(
         self,
         source: Splats,
-        views: TrainingViews,
-        measured: TrainingViews,
-        target: Target,
-        config: TuneConfig,
+        request: TuneRequest,
         checkpoint: Callable[[CheckpointArrays], None] | None,
         notify: Callable[[Milestone], None] | None,
         progress: Progress,
     ) -> None:
         self.base: Splats | None = None
-        self._views = views
-        self._measured = measured
-        self._target = target
+        config, views = request.config, request.views
+        self._target = request.target
         self._config = config
         self._checkpoint = checkpoint
         self._notify = notify
         self._progress = progress
         self._source_count = len(source)
         self.time_budget = TimeBudget(config.seconds)
+        make_views = partial(
+            make_training_views,
+            source,
+            background=request.background,
+            threads=config.train.threads,
+            device=request.device,
+            progress=progress,
+        )
+        self._views = make_views(
+            views.cameras, photos=request.photos, covering=views.covering, held_out=views.held_out
+        )
+        self._measured = self._views
+        if views.test_views:
+            self._measured = make_views(views.test_views, copies=False)
         # Checkpoint arrays from before the last rounds.
         self._earlier_rounds: list[dict[str, NDArray[np.generic]]] = []
         # Recoveries made, and the number of splats that a correction prunes down to; 0 without one.
@@ -249,7 +219,7 @@ class _TuningRun:
         # Quantised training steps made, steps planned, and nominal quality, dB.
         self._quantised = (0, 0, 0.0)
         clipped = np.minimum(source.opacities, np.float32(_MAX_LOGIT))
-        self.trainer = Trainer(replace(source, opacities=clipped), views, config.train)
+        self.trainer = Trainer(replace(source, opacities=clipped), self._views, config.train)
 
     @property
     def _count(self) -> int:

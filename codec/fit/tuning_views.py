@@ -26,16 +26,17 @@ class TuningViews:
     held_out : sequence of Camera
         Views between cameras that training leaves out.
     test_views : sequence of Camera
-        Views that PSNR is measured in: held-out views where there are any.
+        Views that PSNR is measured in: held-out views where there are any. Empty for some of
+        `cameras`.
     planned : bool
         Whether the views were planned because no cameras were given.
     """
 
     cameras: Sequence[Camera]
-    covering: Sequence[Camera]
-    held_out: Sequence[Camera]
-    test_views: Sequence[Camera]
-    planned: bool
+    covering: Sequence[Camera] = ()
+    held_out: Sequence[Camera] = ()
+    test_views: Sequence[Camera] = ()
+    planned: bool = False
 
 
 def choose_tuning_views(
@@ -73,7 +74,7 @@ def choose_tuning_views(
     """
     if cameras is not None:
         held_out = held_out_views(cameras)
-        return TuningViews(cameras, (), held_out, held_out or test_views, planned=False)
+        return TuningViews(cameras, (), held_out, held_out or test_views)
     # Quality in training views would be too optimistic: planned test views are separate.
     found = plan(splats, ViewPlanConfig(threads=threads), progress=progress)
     return TuningViews(found.views, found.covering_views, (), found.test_views, planned=True)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 import numpy as np
@@ -11,14 +13,14 @@ from numpy.typing import NDArray
 
 import cogsplat
 from cogsplat.codec.errors import DataError
+from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.colmap_points import find_points, read_points
 from cogsplat.formats.cogs.metadata import FileMetadata
 from cogsplat.formats.storage.atomic import check_output
-from cogsplat.tools.evaluation.photos import read_photos
+from cogsplat.tools.evaluation.photos import read_ground_truth
 from cogsplat.tools.terminal.limits_option import current_limits, limits_option
 from cogsplat.tools.terminal.options import (
-    background_option,
     cameras_option,
     eval_every_option,
     force_option,
@@ -40,7 +42,6 @@ from cogsplat.tools.terminal.output_names import COGS, check_name, format_option
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
-from cogsplat.tools.terminal.values import Colour
 from cogsplat.tools.workflow.inputs import (
     drop_invalid_splats,
     input_files,
@@ -51,6 +52,7 @@ from cogsplat.tools.workflow.inputs import (
 
 if TYPE_CHECKING:
     from cogsplat.codec.cameras import Camera
+    from cogsplat.codec.fit.train_config import LevelsConfig
     from cogsplat.tools.evaluation.level_figures import LevelSizes, PictureFigures
 
 F32 = NDArray[np.float32]
@@ -105,32 +107,13 @@ _MOST_SPLATS: Final = 100_000
 @training_seed_option
 @eval_every_option(0, "do not train in it, measure in it.")
 @format_option(["cogs"], "Without it, a name with the extension of another format is refused.")
-@background_option
 @partial_option
 @limits_option
 @threads_option
 @force_option
 @quiet_option
 @json_option
-def layers(
-    scene: Path,
-    out: Path,
-    cameras: Path | None,
-    scales: str,
-    shares: str,
-    most: int | None,
-    steps: int | None,
-    images: Path | None,
-    quality: float,
-    seed: int,
-    eval_every: int,
-    format_name: str | None,
-    background: Colour,
-    threads: int,
-    force: bool,
-    quiet: bool,
-    as_json: bool,
-) -> None:
+def layers(**options: Any) -> None:
     """Split SCENE into levels for pictures of different sizes.
 
     The first level is trained on the smallest pictures. Each further level adds splats trained on
@@ -140,83 +123,123 @@ def layers(
     SCENE is a trained scene, or a COLMAP folder with points. In the second case, splats are trained
     from the points and --images.
     """
-    from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
-    from cogsplat.codec.fit.initial_splats import splats_from_points
-    from cogsplat.codec.fit.level_encoding import LevelEncoding, encode_levels
-    from cogsplat.codec.fit.level_training import grow_levels, train_levels
-    from cogsplat.codec.fit.train_config import LevelsConfig
-    from cogsplat.tools.evaluation.level_figures import level_sizes, picture_figures
+    _layers(LayersOptions(**options))
 
-    points = find_points(scene)
-    if points is not None and images is None:
-        raise click.UsageError(f"{scene}: points without --images, expected photos")
-    if points is None and images is not None and cameras is None:
-        raise click.UsageError("--images without --cameras, expected the cameras of the photos")
-    if points is None and most is not None:
-        raise click.UsageError("--splats with a trained scene, expected a COLMAP folder of points")
-    try:
-        config = LevelsConfig(
-            tuple(int(scale) for scale in scales.split(",")),
-            tuple(float(share.strip().removesuffix("%")) / 100 for share in shares.split(",")),
-            steps=steps if steps is not None else _STEPS if points is None else _GROWING_STEPS,
-            seed=seed,
-            threads=threads,
-        )
-    except ValueError as error:
-        raise click.UsageError(f"--scales {scales}, --shares {shares}: {error}") from error
-    check_name(out, COGS, insisted=format_name is not None)
-    check_output(out, force=force, inputs=list(input_files(scene, cameras, images)))
-    with Stages(shown=not (quiet or as_json)) as stages:
+
+@dataclass(frozen=True)
+class LayersOptions:
+    """Values of the options of ``layers``."""
+
+    scene: Path
+    out: Path
+    cameras: Path | None
+    scales: str
+    shares: str
+    most: int | None
+    steps: int | None
+    images: Path | None
+    quality: float
+    seed: int
+    eval_every: int
+    format_name: str | None
+    threads: int
+    force: bool
+    quiet: bool
+    as_json: bool
+
+    @cached_property
+    def points(self) -> Path | None:
+        """File of structure-from-motion points, if the scene is a COLMAP folder with points."""
+        return find_points(self.scene)
+
+    def require_consistent(self) -> None:
+        """Refuse contradictory options and an unwritable output."""
+        points, photos = self.points is not None, self.images is not None
+        if points and not photos:
+            raise click.UsageError(f"{self.scene}: points without --images, expected photos")
+        if photos and not points and self.cameras is None:
+            raise click.UsageError("--images without --cameras, expected the cameras of the photos")
+        if self.most is not None and not points:
+            raise click.UsageError(
+                "--splats with a trained scene, expected a COLMAP folder of points"
+            )
+        check_name(self.out, COGS, insisted=self.format_name is not None)
+        inputs = list(input_files(self.scene, self.cameras, self.images))
+        check_output(self.out, force=self.force, inputs=inputs)
+
+    def config(self) -> LevelsConfig:
+        """Return the configuration of the levels; refuse scales and shares that do not fit."""
+        from cogsplat.codec.fit.train_config import LevelsConfig
+
+        default_steps = _STEPS if self.points is None else _GROWING_STEPS
+        try:
+            return LevelsConfig(
+                tuple(int(scale) for scale in self.scales.split(",")),
+                tuple(
+                    float(share.strip().removesuffix("%")) / 100 for share in self.shares.split(",")
+                ),
+                steps=default_steps if self.steps is None else self.steps,
+                quality_db=self.quality,
+                seed=self.seed,
+                threads=self.threads,
+            )
+        except ValueError as error:
+            raise click.UsageError(
+                f"--scales {self.scales}, --shares {self.shares}: {error}"
+            ) from error
+
+    def read_splats(self) -> cogsplat.Splats:
+        """Read the trained scene, or splats made from the points."""
+        from cogsplat.codec.fit.initial_splats import splats_from_points
+
+        if self.points is not None:
+            found = read_points(self.points, limits=current_limits())
+            read = splats_from_points(found.positions, found.colours)
+        else:
+            read = read_any(self.scene, threads=self.threads).splats
+        splats = drop_invalid_splats(read, self.scene).without_extras()
+        if not len(splats):
+            raise DataError("empty-scene", f"{self.scene}: 0 splats, expected some to train")
+        return splats
+
+
+def _layers(options: LayersOptions) -> None:
+    """Run the command."""
+    from cogsplat.codec.fit.level_encoding import make_levels
+    from cogsplat.codec.fit.train_config import LevelsRequest
+
+    options.require_consistent()
+    config = options.config()
+    images, threads = options.images, options.threads
+    with Stages(shown=not (options.quiet or options.as_json)) as stages:
         with stages.stage("read"):
-            if points is not None:
-                found_points = read_points(points, limits=current_limits())
-                read = splats_from_points(found_points.positions, found_points.colours)
-                cameras = cameras or points.parent
-            else:
-                read = read_any(scene, threads=threads).splats
-            splats = drop_invalid_splats(read, scene).without_extras()
-            if not len(splats):
-                raise DataError("empty-scene", f"{scene}: 0 splats, expected some to train")
-        if cameras is not None:
-            views, tests = hold_out(load_cameras(cameras), eval_every)
+            splats = options.read_splats()
+        path = options.cameras or (options.points and options.points.parent)
+        if path is not None:
+            views, tests = hold_out(load_cameras(path), options.eval_every)
             if not views:
-                raise click.UsageError(f"--eval-every {eval_every} holds out all cameras")
+                raise click.UsageError(f"--eval-every {options.eval_every} holds out all cameras")
         else:
             views, tests = plan_cameras(splats, threads=threads, progress=stages), []
         _require_pixels(views, max(config.scales))
         judged = tests or views
-        photos = None
-        if images is not None:
-            photos = _photos(images, splats, views, background, threads)
-        if points is None:
-            trained = train_levels(splats, views, config, pictures=photos, progress=stages)
+        photos = None if images is None else read_ground_truth(images, views)
+        most = None if options.points is None else options.most or _MOST_SPLATS
+        request = LevelsRequest(views, config, photos, most)
+        if images is None or options.points is None:
             full = _render_all(splats, judged, threads)
         else:
-            assert photos is not None
-            trained = grow_levels(
-                splats, views, photos, most or _MOST_SPLATS, config, progress=stages
-            )
-            assert images is not None
-            full = _photos(images, splats, tests, background, threads) if tests else photos
-        encoding = LevelEncoding(quality_db=quality, threads=threads)
-        encoded = encode_levels(trained, views, encoding, progress=stages)
+            full = read_ground_truth(images, judged)
+        encoded = make_levels(splats, request, progress=stages)
         with stages.stage("write"):
-            metadata = FileMetadata(None if cameras is None else views[0])
-            size = metadata.save(encoded, out, force=force)
-        found: list[tuple[LevelSizes, PictureFigures]] = []
-        with cogsplat.open(out) as file:
-            for sizes in level_sizes(file):
-                scale = int(sizes.scale)
-                targets = [downscale_picture(picture, scale) for picture in full]
-                small = [downscale_camera(camera, scale) for camera in judged]
-                drawn = file.decode(level=sizes.level, threads=threads)
-                found.append((sizes, picture_figures(drawn, small, targets, threads)))
-                stages("measure", sizes.level + 1, len(file.root.levels))
-    if as_json:
+            metadata = FileMetadata(None if path is None else views[0])
+            size = metadata.save(encoded, options.out, force=options.force)
+        found = _measure(options.out, judged, full, threads, stages)
+    if options.as_json:
         print_json(
             {
-                "output": display_name(out),
-                "source": display_name(scene),
+                "output": display_name(options.out),
+                "source": display_name(options.scene),
                 "bytes": size,
                 "splats": encoded.splats,
                 "source_splats": len(splats),
@@ -225,8 +248,26 @@ def layers(
                 "seconds": stages.rounded_seconds(),
             }
         )
-    elif not quiet:
-        _print_summary(out, size, found, len(judged), held_out=bool(tests))
+    elif not options.quiet:
+        _print_summary(options.out, size, found, len(judged), held_out=bool(tests))
+
+
+def _measure(
+    out: Path, cameras: list[Camera], full: list[F32], threads: int, stages: Stages
+) -> list[tuple[LevelSizes, PictureFigures]]:
+    """Measure the sizes of each level, and its pictures against ground truth of full size."""
+    from cogsplat.tools.evaluation.level_figures import level_sizes, picture_figures
+
+    found: list[tuple[LevelSizes, PictureFigures]] = []
+    with cogsplat.open(out) as file:
+        for sizes in level_sizes(file):
+            scale = int(sizes.scale)
+            targets = [downscale_picture(picture, scale) for picture in full]
+            small = [downscale_camera(camera, scale) for camera in cameras]
+            drawn = file.decode(level=sizes.level, threads=threads)
+            found.append((sizes, picture_figures(drawn, small, targets, threads)))
+            stages("measure", sizes.level + 1, len(file.root.levels))
+    return found
 
 
 def _require_pixels(cameras: list[Camera], scale: int) -> None:
@@ -237,14 +278,6 @@ def _require_pixels(cameras: list[Camera], scale: int) -> None:
                 f"--scales {scale}: camera {camera.name!r} has {camera.width}x{camera.height} "
                 f"pixels, expected at least {scale * _LEAST_PIXELS} a side"
             )
-
-
-def _photos(
-    folder: Path, splats: cogsplat.Splats, cameras: list[Camera], background: Colour, threads: int
-) -> list[F32]:
-    """Return the photos of cameras, components 0 to 1."""
-    taken = read_photos(folder, splats, cameras, background, threads=threads)
-    return [pixels.astype(np.float32) / np.float32(255) for pixels in taken.pictures]
 
 
 def _render_all(splats: cogsplat.Splats, cameras: list[Camera], threads: int) -> list[F32]:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
-import numpy as np
 
 import cogsplat
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.encode.config import Target
 from cogsplat.codec.errors import DataError
+from cogsplat.codec.progress import Progress
 from cogsplat.formats.cogs.metadata import FileMetadata
 from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
-from cogsplat.tools.evaluation.photos import read_photos
+from cogsplat.tools.evaluation.photos import read_ground_truth
 from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.option_groups import GroupedCommand
 from cogsplat.tools.terminal.options import (
@@ -45,6 +49,7 @@ from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
 from cogsplat.tools.terminal.values import Colour, FiniteNumber, byte_count
 from cogsplat.tools.workflow.inputs import (
+    LoadedScene,
     drop_invalid_splats,
     input_files,
     load_cameras,
@@ -55,15 +60,16 @@ from cogsplat.tools.workflow.inputs import (
 from cogsplat.tools.workflow.tune_checkpoint import fingerprint, read_checkpoint, write_checkpoint
 
 if TYPE_CHECKING:
-    from cogsplat.codec.encode.config import Target
     from cogsplat.codec.encode.encoded import EncodedScene
-    from cogsplat.codec.fit.tuning import CheckpointArrays, Milestone
+    from cogsplat.codec.fit.tune_config import TuneRequest
+    from cogsplat.codec.fit.tuning import Milestone
 
-_DEFAULT_DB: Final = 40.0
 # A week; far larger numbers overflow in seconds.
 _MAX_MINUTES: Final = 10_080
 # `TuneConfig.prefix_weight` with a preview, whose purpose is the quality of the first bytes.
 _PREFIX_WEIGHT: Final = 0.5
+# Share of --minutes that training has at least, however long reading takes.
+_LEAST_TIME: Final = 0.1
 
 _GROUPS: Final = {
     "Most used": (
@@ -168,152 +174,158 @@ _GROUPS: Final = {
 @force_option
 @quiet_option
 @json_option
-def tune(
-    scene: Path,
-    out: Path,
-    cameras: Path | None,
-    target_psnr: float | None,
-    target_size: ByteCount | None,
-    minutes: float | None,
-    images: Path | None,
-    keep: float | None,
-    profile: str,
-    preset: str,
-    preview: float | None,
-    seed: int,
-    eval_every: int,
-    ply: Path | None,
-    checkpoint: Path | None,
-    resume: bool,
-    format_name: str | None,
-    background: Colour,
-    device: str,
-    threads: int,
-    force: bool,
-    quiet: bool,
-    as_json: bool,
-) -> None:
+def tune(**options: Any) -> None:
     """Train fewer splats to match the pictures of SCENE.
 
     Each round removes the splats that change the pictures least and trains the others to
     compensate. Then the remaining splats train through the encoder's quantisers. The reduction in
     size depends on the scene and its cameras.
     """
-    from cogsplat.codec.fit.preview_training import PreviewConfig, TrainedPreview
-    from cogsplat.codec.fit.train_config import TrainConfig
-    from cogsplat.codec.fit.training_views import make_training_views
-    from cogsplat.codec.fit.tune_config import TuneConfig
-    from cogsplat.codec.fit.tuning import tune as tuned_scene
-    from cogsplat.codec.fit.tuning_views import choose_tuning_views
+    _tune(TuneOptions(**options))
 
-    if target_psnr is not None and target_size is not None:
-        raise click.UsageError("--target-psnr and --target-size: expected one of them")
-    if images is not None and cameras is None:
-        raise click.UsageError("--images without --cameras, expected the cameras of the photos")
-    if resume and checkpoint is None:
-        raise click.UsageError("--resume without --checkpoint, expected the file to resume from")
-    check_name(out, COGS, insisted=format_name is not None)
-    inputs = list(input_files(scene, cameras, images))
-    check_output(out, force=force, inputs=inputs)
-    for other in (ply, checkpoint):
-        if other is not None:
-            check_distinct(out, other)
-            check_output(other, force=force or other == checkpoint, inputs=inputs)
-    shown = not (quiet or as_json)
+
+@dataclass(frozen=True)
+class TuneOptions:
+    """Values of the options of ``tune``."""
+
+    scene: Path
+    out: Path
+    cameras: Path | None
+    target_psnr: float | None
+    target_size: ByteCount | None
+    minutes: float | None
+    images: Path | None
+    keep: float | None
+    profile: str
+    preset: str
+    preview: float | None
+    seed: int
+    eval_every: int
+    ply: Path | None
+    checkpoint: Path | None
+    resume: bool
+    format_name: str | None
+    background: Colour
+    device: str
+    threads: int
+    force: bool
+    quiet: bool
+    as_json: bool
+
+    def require_consistent(self) -> None:
+        """Refuse contradictory options and unwritable outputs."""
+        if self.target_psnr is not None and self.target_size is not None:
+            raise click.UsageError("--target-psnr and --target-size: expected one of them")
+        if self.images is not None and self.cameras is None:
+            raise click.UsageError("--images without --cameras, expected the cameras of the photos")
+        if self.resume and self.checkpoint is None:
+            raise click.UsageError(
+                "--resume without --checkpoint, expected the file to resume from"
+            )
+        check_name(self.out, COGS, insisted=self.format_name is not None)
+        inputs = list(input_files(self.scene, self.cameras, self.images))
+        check_output(self.out, force=self.force, inputs=inputs)
+        for other in (self.ply, self.checkpoint):
+            if other is not None:
+                check_distinct(self.out, other)
+                force = self.force or other == self.checkpoint
+                check_output(other, force=force, inputs=inputs)
+
+    def request(
+        self,
+        splats: cogsplat.Splats,
+        given: Sequence[Camera] | None,
+        file_bytes: int,
+        progress: Progress,
+    ) -> TuneRequest:
+        """Return the request: views, target, configuration and photos.
+
+        Parameters
+        ----------
+        splats : Splats
+            Scene to tune.
+        given : sequence of Camera or None
+            Cameras to train in; None plans views.
+        file_bytes : int
+            Size of the scene's file, for a target size in per cent.
+        progress : Progress
+            Receives the stage of planning.
+        """
+        from cogsplat.codec.fit.train_config import TrainConfig
+        from cogsplat.codec.fit.tune_config import DEFAULT_TARGET, TuneConfig, TuneRequest
+        from cogsplat.codec.fit.tuning_views import choose_tuning_views
+
+        target = DEFAULT_TARGET
+        if self.target_psnr is not None:
+            target = Target(psnr_db=self.target_psnr)
+        elif self.target_size is not None:
+            size_bytes = self.target_size.uncapped(file_bytes)
+            if size_bytes < 1:
+                raise click.UsageError("--target-size of 0 bytes, expected at least 1")
+            target = Target(size_bytes=size_bytes)
+        tests = target_cameras(load_cameras(self.cameras), self.eval_every) if self.cameras else ()
+        views = choose_tuning_views(
+            splats, given, test_views=tests, threads=self.threads, progress=progress
+        )
+        photos = None
+        if self.images is not None:
+            photos = read_ground_truth(self.images, views.cameras)
+        # The worst photos may have errors of their own, so they get no extra weight.
+        worst_views = 0.0 if photos else 1.0
+        config = TuneConfig(
+            keep=self.keep,
+            seconds=None if self.minutes is None else 60 * self.minutes,
+            preset=self.preset,
+            profile=self.profile,
+            preview=self.preview,
+            prefix_weight=0.0 if self.preview is None else _PREFIX_WEIGHT,
+            train=TrainConfig(worst_views=worst_views, seed=self.seed, threads=self.threads),
+        )
+        return TuneRequest(views, target, config, photos, self.background, self.device)
+
+
+def _tune(options: TuneOptions) -> None:
+    """Run the command."""
+    from cogsplat.codec.fit import tuning
+
+    options.require_consistent()
+    shown = not (options.quiet or options.as_json)
     begin = time.monotonic()
     with Stages(shown=shown) as stages:
         with stages.stage("read"):
-            views = scoring_cameras(cameras, eval_every)
-            given = read_any(scene, threads=threads)
-            splats = drop_invalid_splats(given.splats, scene).without_extras()
+            cameras = scoring_cameras(options.cameras, options.eval_every)
+            given = read_any(options.scene, threads=options.threads)
+            splats = drop_invalid_splats(given.splats, options.scene).without_extras()
             if not len(splats):
-                raise DataError("empty-scene", f"{scene}: 0 splats, expected some to train")
-        chosen = choose_tuning_views(
-            splats,
-            views,
-            test_views=target_cameras(load_cameras(cameras), eval_every) if cameras else (),
-            threads=threads,
-            progress=stages,
-        )
-        photos = None
-        if images is not None:
-            taken = read_photos(images, splats, chosen.cameras, background, threads=threads)
-            photos = [pixels.astype(np.float32) / np.float32(255) for pixels in taken.pictures]
-        training_views = make_training_views(
-            splats,
-            chosen.cameras,
-            photos=photos,
-            covering=chosen.covering,
-            held_out=chosen.held_out,
-            background=background,
-            threads=threads,
-            device=device,
-            progress=stages,
-        )
-        target = _target(target_psnr, target_size, given.file_bytes)
-        config = TuneConfig(
-            keep=keep,
-            seconds=None if minutes is None else 60 * minutes,
-            preset=preset,
-            profile=profile,
-            prefix_weight=0.0 if preview is None else _PREFIX_WEIGHT,
-            # The worst photos may have errors of their own, so they get no extra weight.
-            train=TrainConfig(worst_views=0.0 if photos else 1.0, seed=seed, threads=threads),
-        )
-        metadata = FileMetadata(None if chosen.planned else chosen.cameras[0])
-        first = None
-        if preview is not None:
-            first = TrainedPreview(PreviewConfig(share=preview, seed=seed, threads=threads))
-        run = fingerprint(
-            splats, f"{target} {config} {preview} {[view.name for view in chosen.cameras]}"
-        )
-        if minutes is not None:
+                raise DataError("empty-scene", f"{options.scene}: 0 splats, expected some to train")
+        request = options.request(splats, cameras, given.file_bytes, stages)
+        names = [view.name for view in request.views.cameras]
+        run = fingerprint(splats, f"{request.target} {request.config} {names}")
+        if (seconds := request.config.seconds) is not None:
             # The time spent until here counts as well.
-            left = 60 * minutes - (time.monotonic() - begin)
-            config = replace(config, seconds=max(left, 0.1 * 60 * minutes))
-        state = None
-        if checkpoint is not None and resume and checkpoint.exists():
-            state = read_checkpoint(checkpoint, run)
-
-        def save_state(state: CheckpointArrays) -> None:
-            if checkpoint is not None:
-                write_checkpoint(checkpoint, run, state)
-
-        made = tuned_scene(
+            left = max(seconds - (time.monotonic() - begin), _LEAST_TIME * seconds)
+            request = replace(request, config=replace(request.config, seconds=left))
+        state, save_state = None, None
+        if options.checkpoint is not None:
+            if options.resume and options.checkpoint.exists():
+                state = read_checkpoint(options.checkpoint, run)
+            save_state = partial(write_checkpoint, options.checkpoint, run)
+        metadata = FileMetadata(request.first_view)
+        made = tuning.tune(
             splats,
-            training_views,
-            chosen.cameras,
-            target,
-            config,
-            test_views=chosen.test_views,
-            covering=chosen.covering,
+            request,
             size_of=metadata.file_bytes,
-            preview=first,
             resume=state,
-            checkpoint=None if checkpoint is None else save_state,
+            checkpoint=save_state,
             notify=_print_milestone if shown else None,
             progress=stages,
         )
         with stages.stage("write"):
-            size = metadata.save(made.encoded, out, force=force)
-            if ply is not None:
-                cogsplat.write(made.splats, ply, force=force, format_name="ply")
-    _print_summary(
-        made.encoded, scene, out, size, given.file_bytes, given.file_splats, chosen.planned, stages,
-        quiet=quiet, as_json=as_json,
-    )  # fmt: skip
-
-
-def _target(psnr_db: float | None, size: ByteCount | None, file_bytes: int) -> Target:
-    """Return the target: a size, or a PSNR, 40 dB by default."""
-    from cogsplat.codec.encode.config import Target
-
-    if size is None:
-        return Target(psnr_db=_DEFAULT_DB if psnr_db is None else psnr_db)
-    wanted = size.uncapped(file_bytes)
-    if wanted < 1:
-        raise click.UsageError("--target-size of 0 bytes, expected at least 1")
-    return Target(size_bytes=wanted)
+            size = metadata.save(made.encoded, options.out, force=options.force)
+            if options.ply is not None:
+                cogsplat.write(made.splats, options.ply, force=options.force, format_name="ply")
+    whose = "planned" if request.views.planned else "given"
+    _print_summary(options, given, made.encoded, size, whose, stages)
 
 
 def _print_milestone(milestone: Milestone) -> None:
@@ -327,33 +339,28 @@ def _print_milestone(milestone: Milestone) -> None:
 
 
 def _print_summary(
+    options: TuneOptions,
+    given: LoadedScene,
     made: EncodedScene,
-    scene: Path,
-    out: Path,
     size: int,
-    source_bytes: int,
-    source_splats: int,
-    planned: bool,
+    whose: str,
     stages: Stages,
-    *,
-    quiet: bool,
-    as_json: bool,
 ) -> None:
-    """Print the summary of the new file, or its JSON object."""
+    """Print the summary of the new file, or its JSON object; `whose` is the views' origin."""
     values = made.report.test_psnr_db
     mean = sum(values) / len(values)
-    whose = "planned" if planned else "given"
-    if as_json:
+    ratio = given.file_bytes / size
+    if options.as_json:
         print_json(
             {
-                "output": display_name(out),
-                "source": display_name(scene),
+                "output": display_name(options.out),
+                "source": display_name(options.scene),
                 "bytes": size,
                 "splats": made.splats,
                 "bytes_per_splat": round(size / max(made.splats, 1), 3),
-                "source_bytes": source_bytes,
-                "source_splats": source_splats,
-                "ratio": round(source_bytes / size, 3),
+                "source_bytes": given.file_bytes,
+                "source_splats": given.file_splats,
+                "ratio": round(ratio, 3),
                 "predicted_psnr_db": round(mean, 3),
                 "predicted_worst_psnr_db": round(min(values), 3),
                 "test_views": {"from": whose, "count": len(values)},
@@ -361,12 +368,15 @@ def _print_summary(
                 "cpu_seconds": stages.rounded_cpu_seconds(),
             }
         )
-    elif not quiet:
+    elif not options.quiet:
         print_line(
-            f"{out}: {size_text(size)}, {source_bytes / size:.1f} times smaller than {scene}"
+            f"{options.out}: {size_text(size)}, {ratio:.1f} times smaller than {options.scene}"
         )
         print_facts(
-            ("splats", f"{made.splats:,} of {source_splats:,}, {size / made.splats:.2f} B each"),
+            (
+                "splats",
+                f"{made.splats:,} of {given.file_splats:,}, {size / made.splats:.2f} B each",
+            ),
             (
                 "measured",
                 f"{mean:.2f} dB, the mean of {len(values)} views {whose}; the worst "

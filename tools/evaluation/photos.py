@@ -87,14 +87,32 @@ def read_photos(
     FormatError
         ``photo-name``: a camera's name is a path outside `folder`.
     """
+    pictures = _read_pictures(folder, cameras)
+    source_db = _mean_psnr_db(splats, cameras, pictures, background, threads)
+    return Photos(cameras, pictures, source_db)
+
+
+def read_ground_truth(folder: Path, cameras: Sequence[Camera]) -> list[NDArray[np.float32]]:
+    """Read one photo per camera as the ground truth of training, (H, W, 3), 0 to 1.
+
+    Raises
+    ------
+    CogsplatError
+        As in `read_photos`.
+    """
+    pictures = _read_pictures(folder, cameras)
+    return [pixels.astype(np.float32) / np.float32(255) for pixels in pictures]
+
+
+def _read_pictures(folder: Path, cameras: Sequence[Camera]) -> list[NDArray[np.uint8]]:
+    """Return the photo of each camera, (H, W, 3)."""
     pictures: list[NDArray[np.uint8]] = []
     for index, camera in enumerate(cameras):
         path = sibling(folder, camera.name, f"camera {index}", "photo-name")
         size = camera.width, camera.height
         pixels = read_picture(path, size, code="photo", formats=_FORMATS, convert="RGB")
         pictures.append(pixels.astype(np.uint8, copy=False))
-    source_db = _mean_psnr_db(splats, cameras, pictures, background, threads)
-    return Photos(cameras, pictures, source_db)
+    return pictures
 
 
 def _mean_psnr_db(

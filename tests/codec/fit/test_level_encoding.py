@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from cogsplat.codec.fit.level_encoding import LevelEncoding, encode_levels
+from cogsplat.codec.fit.level_encoding import encode_levels
 from cogsplat.codec.fit.level_training import LevelledSplats
+from cogsplat.codec.fit.train_config import LevelsConfig
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.segments.opacities import decode_opacities
@@ -30,7 +31,7 @@ def levels():
 
 @pytest.fixture(scope="module")
 def encoded(levels):
-    return encode_levels(levels, CAMERAS, LevelEncoding(quality_db=45.0, threads=1))
+    return encode_levels(levels, CAMERAS, LevelsConfig(quality_db=45.0, threads=1))
 
 
 def test_chunks_are_ordered_by_level_and_end_with_a_level(levels, encoded):
@@ -71,7 +72,7 @@ def test_every_level_decodes_to_nearly_the_given_splats(levels, encoded):
 
 
 def test_bytes_do_not_depend_on_threads(levels, encoded):
-    other = encode_levels(levels, CAMERAS, LevelEncoding(quality_db=45.0, threads=2))
+    other = encode_levels(levels, CAMERAS, LevelsConfig(quality_db=45.0, threads=2))
     for found, expected in zip(other.chunks, encoded.chunks, strict=True):
         assert found.payloads == expected.payloads
         assert (found.opacities, found.until) == (expected.opacities, expected.until)
@@ -82,10 +83,10 @@ def test_levels_without_chunks_are_left_out(levels):
     merged = LevelledSplats(
         levels.splats, levels.scales, first, levels.last_level, levels.opacities
     )
-    made = encode_levels(merged, CAMERAS, LevelEncoding(threads=1))
+    made = encode_levels(merged, CAMERAS, LevelsConfig(threads=1))
     assert [level.scale for level in made.levels] == [4.0, 1.0]
 
 
 def test_an_invalid_opacity_step_is_refused():
     with pytest.raises(ValueError, match="opacity step"):
-        LevelEncoding(opacity_step=0.0)
+        LevelsConfig(opacity_step=0.0)

@@ -12,9 +12,9 @@ from cogsplat.codec.errors import DataError
 from cogsplat.codec.fit.differentiable_rendering import Gradients
 from cogsplat.codec.fit.quantised_training import QuantisedTraining
 from cogsplat.codec.fit.train_config import TrainConfig
-from cogsplat.codec.fit.training_views import make_training_views
-from cogsplat.codec.fit.tune_config import TuneConfig
+from cogsplat.codec.fit.tune_config import TuneConfig, TuneRequest
 from cogsplat.codec.fit.tuning import tune
+from cogsplat.codec.fit.tuning_views import TuningViews
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.progress import silent
 from cogsplat.codec.render.rasteriser import render
@@ -41,18 +41,18 @@ def size_of_all(encoded):
 
 @pytest.fixture(scope="module")
 def scene():
-    splats, cameras = synth(700, seed=1), synth_cameras(6, 64, 48)
-    return splats, cameras, make_training_views(splats, cameras)
+    return synth(700, seed=1), synth_cameras(6, 64, 48)
 
 
 def run_tune(scene, target, config=SHORT, size_of=size_of, **arguments):
-    splats, cameras, views = scene
-    return tune(splats, views, cameras, target, config, size_of=size_of, **arguments)
+    splats, cameras = scene
+    request = TuneRequest(TuningViews(cameras), target, config)
+    return tune(splats, request, size_of=size_of, **arguments)
 
 
 @pytest.mark.slow
 def test_a_target_psnr_is_met_in_fewer_bytes(scene):
-    splats, cameras, _ = scene
+    splats, cameras = scene
     milestones = []
     made = run_tune(scene, Target(psnr_db=31.0), notify=milestones.append)
     assert np.mean(made.encoded.report.test_psnr_db) == pytest.approx(31.0, abs=0.5)
@@ -68,7 +68,7 @@ def test_a_target_psnr_is_met_in_fewer_bytes(scene):
 
 @pytest.mark.parametrize("profile", ["transform", "vq"])
 def test_a_target_psnr_never_takes_more_bytes_than_without_tuning(scene, profile):
-    splats, cameras, _ = scene
+    splats, cameras = scene
     # This learning rate ruins the scene: no quantiser is fine enough for the target.
     train = TrainConfig(rates={"means": 20.0})
     config = TuneConfig(
@@ -92,11 +92,10 @@ def test_a_target_psnr_never_takes_more_bytes_than_without_tuning(scene, profile
 
 
 def test_a_psnr_out_of_reach_has_no_untrained_encode(scene):
-    splats, cameras, _ = scene
-    target, config = Target(psnr_db=90.0), replace(SHORT, profile="vq")
-    training = QuantisedTraining(
-        splats, splats, cameras, (), target, config, (), size_of, None, silent
-    )
+    splats, cameras = scene
+    config = replace(SHORT, profile="vq")
+    request = TuneRequest(TuningViews(cameras), Target(psnr_db=90.0), config)
+    training = QuantisedTraining(splats, splats, request, size_of, silent)
     assert training.encode_untrained(splats) is None
 
 
@@ -129,7 +128,7 @@ def test_the_result_does_not_depend_on_threads_or_on_resuming(scene):
 
 @pytest.mark.slow
 def test_codebooks_train_with_the_splats(scene):
-    splats, cameras, _ = scene
+    splats, cameras = scene
     # Little training before the quantisers: the gain comes from quantised training.
     config = replace(SHORT, profile="vq", keep=0.7, recovery_steps=30, quantised_steps=100)
     states = []

@@ -17,8 +17,9 @@ from cogsplat.codec.encode import pipeline
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.fit.downscaling import downscale_camera
-from cogsplat.codec.fit.level_encoding import LevelEncoding, encode_levels
+from cogsplat.codec.fit.level_encoding import encode_levels
 from cogsplat.codec.fit.level_training import LevelledSplats
+from cogsplat.codec.fit.train_config import LevelsConfig
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.formats.cogs import scene_writer as cogs
@@ -52,7 +53,7 @@ def levels(tmp_path_factory: pytest.TempPathFactory) -> Path:
     opacities[1:, :added] -= np.float32(1.5)
     opacities[2, : 2 * added] += np.linspace(-2, 2, 2 * added, dtype=np.float32)
     scene = LevelledSplats(splats, (4, 2, 1), first, last, opacities)
-    encoded = encode_levels(scene, synth_cameras(6, 160, 120), LevelEncoding(chunk_splats=500))
+    encoded = encode_levels(scene, synth_cameras(6, 160, 120), LevelsConfig(chunk_splats=500))
     path = tmp_path_factory.mktemp("levels") / "scene.cogs"
     cogs.save(encoded, path, writer="test", first_view=FULL)
     return path

@@ -22,16 +22,16 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.config import Target
 from cogsplat.codec.encode.encoded import EncodedScene
 from cogsplat.codec.fit.splat_budget import count_for_size
-from cogsplat.codec.fit.training_views import make_training_views
-from cogsplat.codec.fit.tune_config import TuneConfig
+from cogsplat.codec.fit.tune_config import TuneConfig, TuneRequest
 from cogsplat.codec.fit.tuning import tune
+from cogsplat.codec.fit.tuning_views import TuningViews
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out, roam, sample_evenly
 from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.formats.storage.byte_counts import parse_bytes
-from cogsplat.tools.evaluation.photos import read_photos
+from cogsplat.tools.evaluation.photos import read_ground_truth
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 from cogsplat.tools.terminal.output import print_line, print_table
 from cogsplat.tools.terminal.values import FiniteNumber
@@ -174,18 +174,14 @@ def measure(
         ground_truth = None
         if variant.photos and photos is not None:
             ground_truth = [photos[0][number] for number in numbers]
-        threads = variant.config.train.threads
-        training_views = make_training_views(
-            splats, views, photos=ground_truth, background=background, threads=threads
-        )
-        made = tune(
-            splats,
-            training_views,
-            views,
+        request = TuneRequest(
+            TuningViews(views),
             Target(size_bytes=size_bytes),
             variant.config,
-            size_of=size_of,
-        ).encoded
+            photos=ground_truth,
+            background=background,
+        )
+        made = tune(splats, request, size_of=size_of).encoded
         held = figures(made.decoded, tests, shown["tests"])
         row: Row = (
             variant.name,
@@ -247,14 +243,7 @@ def main() -> None:
     background = red, green, blue
     photos = None
     if given.images is not None:
-        of_train, of_tests = (
-            [
-                pixels.astype(np.float32) / np.float32(255)
-                for pixels in read_photos(given.images, splats, views, background).pictures
-            ]
-            for views in (train, tests)
-        )
-        photos = of_train, of_tests
+        photos = read_ground_truth(given.images, train), read_ground_truth(given.images, tests)
     size = parse_bytes(given.size)
     rows = measure(
         splats, train, tests, size, config, photos=photos, background=background, only=given.only
