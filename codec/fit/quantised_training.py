@@ -117,8 +117,9 @@ class QuantisedTraining:
         )
         preview = None
         if config.preview is not None:
-            settings = PreviewConfig(config.preview, seed=config.train.seed, threads=threads)
-            preview = TrainedPreview(settings)
+            preview = TrainedPreview(
+                PreviewConfig(config.preview, seed=config.train.seed, threads=threads)
+            )
         self._finisher = Finisher(
             self._prepared,
             source,

@@ -17,7 +17,6 @@ from cogsplat.codec.encode.needed_kernels import needed_kernels
 from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
 from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.order.chunk_plan import DEFAULT_CHUNK_SPLATS
-from cogsplat.codec.order.orders import OrderConfig
 from cogsplat.codec.partition.nested_cells import DEFAULT_CELL_SPLATS
 from cogsplat.codec.progress import Progress
 from cogsplat.codec.rate.pruning import PruneConfig
@@ -370,7 +369,7 @@ class EncodeOptions:
                 profile=self.profile,
                 quality_db=self.quality,
                 order=self.choice.base,
-                ordering=OrderConfig(by_object=self.choice.by_object),
+                ordering=self.choice.ordering,
                 chunk_splats=self.chunk_splats
                 or (DEFAULT_CELL_SPLATS if self.cells else DEFAULT_CHUNK_SPLATS),
                 cells=self.cells,

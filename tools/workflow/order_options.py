@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import click
 
@@ -30,6 +30,43 @@ from .inputs import load_cameras
 
 _DEFAULTS: Final = OrderConfig()
 
+# Type, value and help of the options that set a field of `OrderConfig`.
+_SETTINGS: Final[dict[str, tuple[click.ParamType[Any], str, str]]] = {
+    "first_view_share": (
+        FiniteNumber(0, 1),
+        "SHARE",
+        "Share of the splats that the first view moves forward.",
+    ),
+    "first_view_mix": (
+        FiniteNumber(0, 1),
+        "SHARE",
+        "Share of every prefix for the first view until its splats are used up; with 1, other "
+        "views come after.",
+    ),
+    "frustum_share": (
+        FiniteNumber(0, 1),
+        "SHARE",
+        "Serve the first view by its frustum instead: share of every prefix that lies in the "
+        "frustum until its splats are used up.",
+    ),
+    "frustum_margin": (
+        FiniteNumber(0, 100),
+        "SHARE",
+        "Margin of the frustum at each side, as a share of the image size.",
+    ),
+    "octree_depth": (
+        click.IntRange(0, MAX_DEPTH),
+        "N",
+        "Depth of the octree of octree-round-robin and octree-quota.",
+    ),
+    "octree_capacity": (
+        click.IntRange(min=1),
+        "N",
+        "Splats in a leaf of octree-adaptive at most.",
+    ),
+    "seed": (click.IntRange(min=0), "N", "Seed of the order random."),
+}
+
 Budgets = tuple[tuple[int | None, float], ...]
 
 
@@ -41,39 +78,28 @@ class OrderChoice:
     ----------
     names : tuple of str
         Orders, each alone or followed by a rule for a first view. Only ``evaluate`` has several.
+    ordering : OrderConfig
+        Order configuration without a first view.
     first_view : int or None
         Index of the camera whose picture is served first.
-    first_view_share, first_view_mix, frustum_margin : float
-        Parameters of `OrderConfig`.
-    frustum_share : float or None
-        Parameter of `OrderConfig`; None to serve the first view by contributions.
-    octree_depth, octree_capacity, seed : int
-        Parameters of `OrderConfig`.
-    by_object : bool
-        Whether chunks hold splats of one object each.
-    budgets : Budgets
-        Share of an object's splats that is sent first, by label; None for every object.
     masks : Path or None
         Folder of masks from which object labels are voted.
     """
 
     names: tuple[str, ...]
+    ordering: OrderConfig
     first_view: int | None
-    first_view_share: float
-    first_view_mix: float
-    frustum_share: float | None
-    frustum_margin: float
-    octree_depth: int
-    octree_capacity: int
-    seed: int
-    by_object: bool
-    budgets: Budgets
     masks: Path | None
 
     @property
     def name(self) -> str:
         """Name of the first order with its rule, such as ``contribution+frustum``."""
         return self.names[0]
+
+    @property
+    def by_object(self) -> bool:
+        """Whether chunks hold splats of one object each."""
+        return self.ordering.by_object
 
     @property
     def base(self) -> str:
@@ -93,25 +119,13 @@ class OrderChoice:
         click.UsageError
             `first_view` is out of range.
         """
-        view = None
-        if self.first_view is not None:
-            if self.first_view >= len(cameras):
-                raise click.UsageError(
-                    f"--first-view {self.first_view}, expected 0 to {len(cameras) - 1}"
-                )
-            view = cameras[self.first_view]
-        return OrderConfig(
-            octree_depth=self.octree_depth,
-            first_view=view,
-            first_view_share=self.first_view_share,
-            first_view_mix=self.first_view_mix,
-            frustum_share=self.frustum_share,
-            frustum_margin=self.frustum_margin,
-            octree_capacity=self.octree_capacity,
-            seed=self.seed,
-            by_object=self.by_object,
-            object_budgets=self.budgets,
-        )
+        if self.first_view is None:
+            return self.ordering
+        if self.first_view >= len(cameras):
+            raise click.UsageError(
+                f"--first-view {self.first_view}, expected 0 to {len(cameras) - 1}"
+            )
+        return replace(self.ordering, first_view=cameras[self.first_view])
 
     def with_labels(
         self, splats: Splats, cameras: Path | None, *, threads: int = 0, progress: Progress = silent
@@ -137,7 +151,7 @@ class OrderChoice:
         """
         if self.masks is None:
             if self.by_object:
-                objects.require_objects(splats, self.budgets)
+                objects.require_objects(splats, self.ordering.object_budgets)
             return splats
         if cameras is None:
             raise click.UsageError("--masks without --cameras, expected those the masks belong to")
@@ -147,7 +161,7 @@ class OrderChoice:
         views, pictures = read_masks(self.masks, load_cameras(cameras))
         labels = labels_from_masks(splats, views, pictures, threads=threads, progress=progress)
         labelled = objects.with_labels(splats, labels)
-        objects.require_objects(labelled, self.budgets)
+        objects.require_objects(labelled, self.ordering.object_budgets)
         return labelled
 
 
@@ -261,6 +275,33 @@ def _resolve_orders(
     return names
 
 
+def _setting_option(
+    name: str, kind: click.ParamType[Any], metavar: str, text: str
+) -> Callable[[Callable[..., object]], Callable[..., object]]:
+    """Return the option of an `OrderConfig` field, with the field's default.
+
+    Parameters
+    ----------
+    name : str
+        Field.
+    kind : click.ParamType
+        Type of the option.
+    metavar : str
+        Value in the help.
+    text : str
+        Help.
+    """
+    default = getattr(_DEFAULTS, name)
+    return click.option(
+        f"--{name.replace('_', '-')}",
+        type=kind,
+        default=default,
+        show_default=default is not None,
+        metavar=metavar,
+        help=text,
+    )
+
+
 def _with_parameters(
     command: Callable[..., object], naming: Callable[[Callable[..., object]], Callable[..., object]]
 ) -> Callable[..., object]:
@@ -271,33 +312,19 @@ def _with_parameters(
         *,
         order: str | tuple[str, ...],
         first_view: int | None,
-        first_view_share: float,
-        first_view_mix: float,
-        frustum_share: float | None,
-        frustum_margin: float,
-        octree_depth: int,
-        octree_capacity: int,
-        seed: int,
         objects: bool,
         object_budgets: Budgets | None,
         masks: Path | None,
-        **others: object,
+        **others: Any,
     ) -> object:
-        choice = OrderChoice(
-            names=_resolve_orders(order, first_view, frustum_share),
-            first_view=first_view,
-            first_view_share=first_view_share,
-            first_view_mix=first_view_mix,
-            frustum_share=frustum_share,
-            frustum_margin=frustum_margin,
-            octree_depth=octree_depth,
-            octree_capacity=octree_capacity,
-            seed=seed,
+        settings = {name: others.pop(name) for name in _SETTINGS}
+        ordering = OrderConfig(
             by_object=objects or masks is not None or object_budgets is not None,
-            budgets=object_budgets or (),
-            masks=masks,
+            object_budgets=object_budgets or (),
+            **settings,
         )
-        return command(choice=choice, **others)
+        names = _resolve_orders(order, first_view, ordering.frustum_share)
+        return command(choice=OrderChoice(names, ordering, first_view, masks), **others)
 
     options: list[Callable[[Callable[..., object]], Callable[..., object]]] = [
         naming,
@@ -308,62 +335,7 @@ def _with_parameters(
             help="Index of the camera to serve first, from 0: its splats move forward. Without "
             "--cameras, an index of the planned views.",
         ),
-        click.option(
-            "--first-view-share",
-            type=FiniteNumber(0, 1),
-            default=_DEFAULTS.first_view_share,
-            show_default=True,
-            metavar="SHARE",
-            help="Share of the splats that the first view moves forward.",
-        ),
-        click.option(
-            "--first-view-mix",
-            type=FiniteNumber(0, 1),
-            default=_DEFAULTS.first_view_mix,
-            show_default=True,
-            metavar="SHARE",
-            help="Share of every prefix for the first view until its splats are used up; with 1, "
-            "other views come after.",
-        ),
-        click.option(
-            "--frustum-share",
-            type=FiniteNumber(0, 1),
-            metavar="SHARE",
-            help="Serve the first view by its frustum instead: share of every prefix that lies "
-            "in the frustum until its splats are used up.",
-        ),
-        click.option(
-            "--frustum-margin",
-            type=FiniteNumber(0, 100),
-            default=_DEFAULTS.frustum_margin,
-            show_default=True,
-            metavar="SHARE",
-            help="Margin of the frustum at each side, as a share of the image size.",
-        ),
-        click.option(
-            "--octree-depth",
-            type=click.IntRange(0, MAX_DEPTH),
-            default=_DEFAULTS.octree_depth,
-            show_default=True,
-            metavar="N",
-            help="Depth of the octree of octree-round-robin and octree-quota.",
-        ),
-        click.option(
-            "--octree-capacity",
-            type=click.IntRange(min=1),
-            default=_DEFAULTS.octree_capacity,
-            show_default=True,
-            metavar="N",
-            help="Splats in a leaf of octree-adaptive at most.",
-        ),
-        click.option(
-            "--seed",
-            type=click.IntRange(min=0),
-            default=_DEFAULTS.seed,
-            show_default=True,
-            metavar="N",
-            help="Seed of the order random.",
-        ),
+        *(_setting_option(name, *setting) for name, setting in _SETTINGS.items()),
         click.option(
             "--objects",
             is_flag=True,

@@ -85,8 +85,3 @@ def test_levels_without_chunks_are_left_out(levels):
     )
     made = encode_levels(merged, CAMERAS, LevelsConfig(threads=1))
     assert [level.scale for level in made.levels] == [4.0, 1.0]
-
-
-def test_an_invalid_opacity_step_is_refused():
-    with pytest.raises(ValueError, match="opacity step"):
-        LevelsConfig(opacity_step=0.0)

@@ -11,7 +11,7 @@ from cogsplat.codec.fit.level_training import (
     train_jointly,
     train_levels,
 )
-from cogsplat.codec.fit.train_config import LevelsConfig
+from cogsplat.codec.fit.train_config import LevelsConfig, LevelsRequest
 from cogsplat.codec.metrics import psnr, ssim
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
@@ -131,11 +131,20 @@ def test_the_result_does_not_depend_on_threads(scene, levels):
         {"steps": -1},
         {"loss": "none"},
         {"seed": -1},
+        {"quality_db": 1.0},
+        {"chunk_splats": 0},
+        {"opacity_step": 0.0},
     ],
 )
 def test_invalid_configurations_are_refused(wrong):
     with pytest.raises(ValueError, match="expected"):
         LevelsConfig(**wrong)
+
+
+@pytest.mark.parametrize("wrong", [{"max_splats": 0, "pictures": ()}, {"max_splats": 10}])
+def test_points_need_pictures_and_splats(wrong):
+    with pytest.raises(ValueError, match="expected"):
+        LevelsRequest((), **wrong)
 
 
 def test_cameras_and_pictures_must_match(scene):

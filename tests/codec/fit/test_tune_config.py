@@ -3,7 +3,8 @@ import sys
 
 import pytest
 
-from cogsplat.codec.fit.tune_config import TuneConfig
+from cogsplat.codec.fit.tune_config import TuneConfig, TuneRequest
+from cogsplat.codec.fit.tuning_views import TuningViews
 
 
 @pytest.mark.parametrize(
@@ -15,12 +16,18 @@ from cogsplat.codec.fit.tune_config import TuneConfig
         ({"rate_weight": -1.0}, "rate_weight -1.0"),
         ({"seconds": 0.0}, "0.0 seconds"),
         ({"preset": "slow"}, "preset 'slow'"),
+        ({"preview": 1.0}, "preview 1.0"),
         ({"profile": "near-lossless"}, "profile 'near-lossless'"),
     ],
 )
 def test_invalid_settings_are_refused(settings, said):
     with pytest.raises(ValueError, match=said):
         TuneConfig(**settings)
+
+
+def test_photos_of_planned_views_are_refused():
+    with pytest.raises(ValueError, match="photos for planned views"):
+        TuneRequest(TuningViews((), planned=True), photos=())
 
 
 def test_configurations_import_without_numba():
