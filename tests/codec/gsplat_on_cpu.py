@@ -9,8 +9,8 @@ import pytest
 
 def on_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have `cuda_views` work on the processor."""
-    torch = pytest.importorskip("torch")
-    gsplat = pytest.importorskip("gsplat")
+    torch = pytest.importorskip("torch", reason="needs torch")
+    gsplat = pytest.importorskip("gsplat", reason="needs gsplat")
     from gsplat.cuda import _torch_impl as reference
 
     from cogsplat.codec.render import cuda_views

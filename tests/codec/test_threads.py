@@ -129,7 +129,7 @@ def test_nothing_runs_on_once_the_caller_has_left():
     assert len(done) == finished < 10
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="fork is of POSIX")
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="only POSIX has fork")
 def test_a_forked_process_starts_threads_of_its_own():
     code = (
         "import os, sys, warnings\n"
@@ -146,7 +146,7 @@ def test_a_forked_process_starts_threads_of_its_own():
 
 
 def blas_threads():
-    info = pytest.importorskip("threadpoolctl").threadpool_info()
+    info = pytest.importorskip("threadpoolctl", reason="needs threadpoolctl").threadpool_info()
     return [library["num_threads"] for library in info if library["user_api"] == "blas"]
 
 

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-torch = pytest.importorskip("torch")
+torch = pytest.importorskip("torch", reason="needs torch")
 
 ALPHA_MAX = float(np.float32(0.99))
 STOP = float(np.float32(1e-4))

@@ -7,8 +7,9 @@ from cogsplat.codec.errors import DataError
 from cogsplat.codec.fit.differentiable_rendering import Gradients, render_forward
 from cogsplat.codec.render.rasteriser import RenderConfig
 
-torch = pytest.importorskip("torch")
-render = pytest.importorskip("cogsplat.codec.fit.autograd").render
+torch = pytest.importorskip("torch", reason="needs torch")
+
+from cogsplat.codec.fit.autograd import render  # noqa: E402
 
 
 def tensors(splats):

@@ -7,7 +7,7 @@ import pytest
 from cogsplat.codec.fit.differentiable_rendering import Gradients
 from cogsplat.codec.fit.splat_adam import SplatAdam
 
-torch = pytest.importorskip("torch")
+torch = pytest.importorskip("torch", reason="needs torch")
 
 
 def random_gradients(splats, seed):

@@ -22,8 +22,8 @@ def test_without_the_packages_the_extra_is_named(monkeypatch, missing):
 
 @pytest.mark.parametrize("there", [False, True])
 def test_without_a_device_or_its_compiler_nothing_is_drawn_elsewhere(monkeypatch, capsys, there):
-    torch = pytest.importorskip("torch")
-    pytest.importorskip("gsplat")
+    torch = pytest.importorskip("torch", reason="needs torch")
+    pytest.importorskip("gsplat", reason="needs gsplat")
     backend = ModuleType("gsplat.cuda._backend")
     backend._C = None
     monkeypatch.setitem(sys.modules, "gsplat.cuda._backend", backend)

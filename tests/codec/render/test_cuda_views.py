@@ -190,7 +190,7 @@ def test_a_view_of_nothing():
 
 
 def test_a_device_without_memory_is_refused(monkeypatch):
-    torch = pytest.importorskip("torch")
+    torch = pytest.importorskip("torch", reason="needs torch")
     import gsplat
 
     def full(*args):

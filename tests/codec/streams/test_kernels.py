@@ -33,8 +33,9 @@ from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import BytesSource
 from cogsplat.tools.lab.synthetic.terrace import synth
 
-kernels_chunk = pytest.importorskip("cogsplat.codec.streams.kernels_chunk")
-kernels_planes = pytest.importorskip("cogsplat.codec.streams.kernels_planes")
+pytest.importorskip("numba", reason="needs numba")
+
+from cogsplat.codec.streams import kernels_chunk, kernels_planes
 
 VECTORS = Path(__file__).resolve().parents[2] / "vectors"
 MANIFEST = json.loads((VECTORS / "manifest.json").read_text(encoding="utf-8"))

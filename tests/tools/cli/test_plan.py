@@ -12,7 +12,7 @@ from cogsplat.codec.splats import empty
 from cogsplat.codec.views.planner import ViewPlanConfig, plan_views
 from cogsplat.tools.pictures.contact_sheet import THUMBNAIL, contact_sheet
 
-Image = pytest.importorskip("PIL.Image", reason="Pillow comes with the extra `encode`")
+Image = pytest.importorskip("PIL.Image", reason="needs Pillow")
 
 
 def test_planned_views_are_cameras_that_other_commands_take(

@@ -24,7 +24,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
-pytest.importorskip("distributed")
+pytest.importorskip("distributed", reason="needs distributed")
 
 from cogsplat.tools.cluster import dask_executor
 from cogsplat.tools.cluster.dask_executor import DaskExecutor, connected

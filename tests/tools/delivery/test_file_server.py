@@ -48,7 +48,7 @@ def test_a_bad_link_gives_the_same_scene(scene):
 
 
 def test_http2_with_a_certificate(scene, tmp_path, monkeypatch):
-    pytest.importorskip("cryptography")
+    pytest.importorskip("cryptography", reason="needs cryptography")
     certificate = made_certificate(tmp_path)
     context = ssl.create_default_context(cafile=certificate.certificate)
     clients = []

@@ -5,7 +5,7 @@ import pytest
 
 from cogsplat.tools.pictures.filmstrip import filmstrip
 
-Image = pytest.importorskip("PIL.Image", reason="Pillow comes with the extra `encode`")
+Image = pytest.importorskip("PIL.Image", reason="needs Pillow")
 
 
 def panels(count: int, height: int = 60, width: int = 80) -> list[np.ndarray]:
