@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -265,9 +266,8 @@ def evaluate(
         for name in ("eval.csv", "eval.json", *picture_names(by)):
             inputs = input_files(scene, cameras, images, lpips_weights)
             check_output(out / name, force=force, inputs=inputs)
-    points: list[PrefixPoint] = []
+    results = _Results()
     of_objects: list[ObjectPoint] = []
-    strips: dict[str, list[Strip]] = {SPLATS: [], BYTES: []}
     with Stages(shown=not (quiet or as_json)) as stages:
 
         def work(
@@ -315,17 +315,7 @@ def evaluate(
         measured = curves(choice.names, given.config, octree_depths)
         ordered: dict[str, NDArray[np.int64]] = {}
         if wanted or codecs:
-            stages("orders", 0, len(measured))
-            for curve in measured:
-                rows = order_rows(curve.order, unordered, curve.config)
-                if SPLATS in by:
-                    points += by_splats(
-                        given.evaluator, curve.label, given.splats, rows, wanted, progress=stages
-                    )
-                    strip = Strip.of_order(curve.label, given.splats, rows, STRIP_SHARES)
-                    strips[SPLATS].append(strip)
-                ordered[curve.label] = rows
-                stages("orders", len(ordered), len(measured))
+            ordered = _measure_orders(given, measured, unordered, wanted, results, stages)
         if wanted_objects is not None:
             of_objects = object_curves(
                 given.splats,
@@ -348,50 +338,133 @@ def evaluate(
                 for number, (name, path, encoded) in enumerate(made, start=1):
                     if encoded is not None:
                         _encode(given, encoded, path, quality, target_psnr, threads, stages)
-                    size = path.stat().st_size if not files else _size_of(path)
-                    chosen = None if lengths is None else [one.of(size) for one in lengths]
-                    found = by_bytes(
-                        given.evaluator,
+                    _measure_file(
+                        given,
                         name,
                         path,
-                        chosen,
+                        lengths,
+                        results,
                         compensate=compensate,
                         threads=threads,
-                        progress=stages,
-                    )
-                    points += found
-                    strips[BYTES].append(
-                        Strip.of_file(name, path, found, compensate=compensate, threads=threads)
+                        stages=stages,
                     )
                     stages("files", number, len(made))
-        with tempfile.TemporaryDirectory(prefix="cogsplat-eval-") as folder:
-            pairs = [(codec, label) for codec in codecs or () for label in ordered]
-            for number, (codec, label) in enumerate(pairs):
-                stages("codecs", number, len(pairs))
-                points += by_codec(
-                    given.evaluator,
-                    label,
-                    given.splats,
-                    ordered[label],
-                    codec,
-                    wanted or SHARES,
-                    path=Path(folder) / codec,
-                    progress=stages,
-                )
-            if pairs:
-                stages("codecs", len(pairs), len(pairs))
-        pages = result_files(given, points, by, of_objects)
+        if codecs:
+            _measure_codecs(given, codecs, ordered, wanted or SHARES, results, stages)
+        pages = result_files(given, results.points, by, of_objects)
         if out is not None:
-            _write(out, pages, given, strips, force=force, stages=stages)
+            _write(out, pages, given, results.strips, force=force, stages=stages)
     if as_json:
-        print_json({**report(given, points, by, of_objects), "seconds": stages.rounded_seconds()})
+        print_json(
+            {**report(given, results.points, by, of_objects), "seconds": stages.rounded_seconds()}
+        )
         return
-    print_results(given, points, by, of_objects)
+    print_results(given, results.points, by, of_objects)
     if not quiet:
         print_line("")
-        drawn = [page for kind in by if strips[kind] for page in (STRIPS[kind], DIFFERENCES[kind])]
+        drawn = [
+            page
+            for kind in by
+            if results.strips[kind]
+            for page in (STRIPS[kind], DIFFERENCES[kind])
+        ]
         written = f"{', '.join([*pages, *drawn])} in {out}"
         print_facts(("written", written if out is not None else ""), ("time", stages.summary()))
+
+
+@dataclass
+class _Results:
+    """Figures and pictures of prefixes, in the order of measuring.
+
+    Parameters
+    ----------
+    points : list of PrefixPoint
+        Figures of every prefix.
+    strips : dict of str to list of Strip
+        Film strips, by `SPLATS` and `BYTES`.
+    """
+
+    points: list[PrefixPoint] = field(default_factory=list)
+    strips: dict[str, list[Strip]] = field(default_factory=lambda: {SPLATS: [], BYTES: []})
+
+
+def _measure_orders(
+    given: EvaluationInput,
+    measured: Sequence[Curve],
+    unordered: OrderInputs,
+    shares: Sequence[float],
+    results: _Results,
+    stages: Stages,
+) -> dict[str, NDArray[np.int64]]:
+    """Order the splats for each curve, and measure prefixes; return the rows by label."""
+    ordered: dict[str, NDArray[np.int64]] = {}
+    stages("orders", 0, len(measured))
+    for curve in measured:
+        rows = order_rows(curve.order, unordered, curve.config)
+        if shares:
+            results.points += by_splats(
+                given.evaluator, curve.label, given.splats, rows, shares, progress=stages
+            )
+            results.strips[SPLATS].append(
+                Strip.of_order(curve.label, given.splats, rows, STRIP_SHARES)
+            )
+        ordered[curve.label] = rows
+        stages("orders", len(ordered), len(measured))
+    return ordered
+
+
+def _measure_file(
+    given: EvaluationInput,
+    name: str,
+    path: Path,
+    lengths: Sequence[ByteCount] | None,
+    results: _Results,
+    *,
+    compensate: bool,
+    threads: int,
+    stages: Stages,
+) -> None:
+    """Measure prefixes of a COGS file."""
+    size = _size_of(path)
+    found = by_bytes(
+        given.evaluator,
+        name,
+        path,
+        None if lengths is None else [one.of(size) for one in lengths],
+        compensate=compensate,
+        threads=threads,
+        progress=stages,
+    )
+    results.points += found
+    results.strips[BYTES].append(
+        Strip.of_file(name, path, found, compensate=compensate, threads=threads)
+    )
+
+
+def _measure_codecs(
+    given: EvaluationInput,
+    codecs: Sequence[str],
+    ordered: Mapping[str, NDArray[np.int64]],
+    shares: Sequence[float],
+    results: _Results,
+    stages: Stages,
+) -> None:
+    """Measure prefixes of every order, written in every format of `codecs`."""
+    pairs = [(codec, label) for codec in codecs for label in ordered]
+    with tempfile.TemporaryDirectory(prefix="cogsplat-eval-") as folder:
+        for number, (codec, label) in enumerate(pairs):
+            stages("codecs", number, len(pairs))
+            results.points += by_codec(
+                given.evaluator,
+                label,
+                given.splats,
+                ordered[label],
+                codec,
+                shares,
+                path=Path(folder) / codec,
+                progress=stages,
+            )
+    stages("codecs", len(pairs), len(pairs))
 
 
 def _size_of(path: Path) -> int:

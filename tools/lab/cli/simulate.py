@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -308,12 +309,7 @@ def simulate(
     if strip_path is not None:
         pages = picture_strips(film.pictures, film.kept_moments(measured), title)
         write_png(pages, strip_path, force=force)
-    behind = (
-        {name: moments_behind(measured[name], measured["file"], goal) for name in chosen}
-        if "file" in chosen
-        else {}
-    )
-    means = {name: float(np.mean([m.psnr_db for m in seen])) for name, seen in measured.items()}
+    results = _Results(simulation, measured, at_rest, waited, goal)
     if as_json:
         print_json(
             {
@@ -328,30 +324,7 @@ def simulate(
                 "compensated": compensate,
                 "goal_db": goal,
                 "compared_with": display_name(path if source is None else source),
-                "policies": [
-                    {
-                        "policy": name,
-                        "psnr_db": means[name],
-                        "goal_bytes": bytes_until(measured[name], goal),
-                        "behind_file": behind.get(name),
-                        "waited_bytes": waited.get(name),
-                        "moments": [
-                            {
-                                "time_s": m.seconds,
-                                "bytes": m.bytes,
-                                "psnr_db": m.psnr_db,
-                                "ssim": m.ssim,
-                                "wasted_bytes": m.wasted_bytes,
-                            }
-                            for m in measured[name]
-                        ],
-                        "at_rest": [
-                            {"share": share, "psnr_db": quality}
-                            for share, quality in zip(SHARES, at_rest[name], strict=True)
-                        ],
-                    }
-                    for name in chosen
-                ],
+                "policies": [_policy_report(results, name) for name in chosen],
                 "seconds": stages.rounded_seconds(),
             }
         )
@@ -365,21 +338,12 @@ def simulate(
         + (f"share fetched to hold {goal:g} dB at each moment; " if wait else "")
         + "PSNR in test views at rest after shares of the bytes"
     )
-    rows = [
-        (
-            name,
-            f"{means[name]:.2f}",
-            f"{np.mean([m.ssim for m in measured[name]]):.3f}",
-            _share(bytes_until(measured[name], goal), simulation),
-            _share(measured[name][-1].wasted_bytes, simulation),
-            *([_share(waited[name][-1], simulation)] if wait else []),
-            *(f"{quality:.2f}" for quality in at_rest[name]),
-        )
-        for name in chosen
-    ]
-    shares = (f"{share:.0%}" for share in SHARES)
     waiting = ("waited",) if wait else ()
-    print_table(("policy", "trace", "SSIM", f"{goal:g} dB", "waste", *waiting, *shares), rows)
+    shares = (f"{share:.0%}" for share in SHARES)
+    print_table(
+        ("policy", "trace", "SSIM", f"{goal:g} dB", "waste", *waiting, *shares),
+        [_policy_row(results, name) for name in chosen],
+    )
     print_facts(
         ("file", f"{simulation.chunks} chunks"),
         ("known", f"contributions of each chunk to {simulation.known_views} views"),
@@ -404,6 +368,79 @@ def _bits_for(
     if bandwidth is None:
         return 8.0 * total / (trace.seconds or 1.0)
     return bandwidth if as_large_as is None else bandwidth * total / as_large_as
+
+
+@dataclass(frozen=True, eq=False)
+class _Results:
+    """Results of all simulated clients, by policy.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        Simulation of the file.
+    along : dict of str to list of Moment
+        Moments along the trace.
+    at_rest : dict of str to list of float
+        PSNR in the test views after `SHARES` of the bytes, dB.
+    waited : dict of str to list of int
+        Bytes fetched to hold the goal at each moment; empty without ``--wait``.
+    goal_db : float
+        PSNR of ``--goal``, dB.
+    """
+
+    simulation: Simulation
+    along: dict[str, list[Moment]]
+    at_rest: dict[str, list[float]]
+    waited: dict[str, list[int]]
+    goal_db: float
+
+    def mean_db(self, policy: str) -> float:
+        """Return the mean PSNR of a policy along the trace, dB."""
+        return float(np.mean([moment.psnr_db for moment in self.along[policy]]))
+
+
+def _policy_report(results: _Results, policy: str) -> dict[str, object]:
+    """Return the results of a policy for JSON output."""
+    along = results.along[policy]
+    in_file_order = results.along.get("file")
+    return {
+        "policy": policy,
+        "psnr_db": results.mean_db(policy),
+        "goal_bytes": bytes_until(along, results.goal_db),
+        "behind_file": (
+            None if in_file_order is None else moments_behind(along, in_file_order, results.goal_db)
+        ),
+        "waited_bytes": results.waited.get(policy),
+        "moments": [
+            {
+                "time_s": moment.seconds,
+                "bytes": moment.bytes,
+                "psnr_db": moment.psnr_db,
+                "ssim": moment.ssim,
+                "wasted_bytes": moment.wasted_bytes,
+            }
+            for moment in along
+        ],
+        "at_rest": [
+            {"share": share, "psnr_db": quality}
+            for share, quality in zip(SHARES, results.at_rest[policy], strict=True)
+        ],
+    }
+
+
+def _policy_row(results: _Results, policy: str) -> tuple[str, ...]:
+    """Return the results of a policy as a row of the table."""
+    along, simulation = results.along[policy], results.simulation
+    waited = results.waited.get(policy)
+    return (
+        policy,
+        f"{results.mean_db(policy):.2f}",
+        f"{np.mean([moment.ssim for moment in along]):.3f}",
+        _share(bytes_until(along, results.goal_db), simulation),
+        _share(along[-1].wasted_bytes, simulation),
+        *(() if waited is None else (_share(waited[-1], simulation),)),
+        *(f"{quality:.2f}" for quality in results.at_rest[policy]),
+    )
 
 
 def _share(size: int | None, simulation: Simulation) -> str:
