@@ -47,13 +47,6 @@ def test_every_file_comes_back_byte_for_byte(path: Path, tmp_path: Path) -> None
     assert (tmp_path / "back.cogs").read_bytes() == path.read_bytes()
 
 
-@pytest.fixture
-def scene(tmp_path: Path) -> Path:
-    path = tmp_path / "scene.cogs"
-    path.write_bytes(file_of("vq"))
-    return path
-
-
 def test_versions_share_objects(tmp_path: Path) -> None:
     by_name = {path.stem: path for path in VALID}
     folder = tmp_path / "both"

@@ -12,13 +12,6 @@ from cogsplat.codec.errors import Cancelled, FormatError, StorageError
 DATA = file_of("vq")
 
 
-@pytest.fixture
-def scene(tmp_path: Path) -> Path:
-    path = tmp_path / "scene.cogs"
-    path.write_bytes(DATA)
-    return path
-
-
 def test_a_folder_becomes_the_file_it_was(scene: Path, tmp_path: Path) -> None:
     told: list[tuple[str, int, int]] = []
     folder = str(tmp_path / "new" / "scene")

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
+from random_splats import random_splats
 
 from cogsplat.codec.errors import Cancelled
-from cogsplat.codec.splats import Splats, empty
+from cogsplat.codec.splats import empty
 from cogsplat.tools.evaluation.scene_statistics import BINS, describe, fill_ratio, statistics
 
 floats = st.floats(width=32, allow_nan=True, allow_infinity=True)
@@ -53,20 +54,9 @@ def test_large_inputs_are_summed_in_parts() -> None:
     assert found.histogram.sum() == len(values)
 
 
-def scene(n: int, degree: int = 3) -> Splats:
-    rng = np.random.default_rng(3)
-    return replace(
-        empty(degree, n),
-        means=rng.normal(size=(n, 3)).astype(np.float32),
-        scales=rng.normal(-3, 1, size=(n, 3)).astype(np.float32),
-        opacities=rng.normal(size=n).astype(np.float32),
-        shN=rng.normal(size=(n, (degree + 1) ** 2 - 1, 3)).astype(np.float32),
-    )
-
-
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_scene_has_a_row_for_each_component_and_band(degree: int) -> None:
-    splats = scene(40, degree)
+    splats = random_splats(40, (degree + 1) ** 2 - 1)
     found = statistics(splats)
     bands = [f"shN.{band}" for band in range(1, degree + 1)]
     derived = ["opacities_unit", "scales_linear.max", "elongation"]
@@ -81,7 +71,7 @@ def test_scene_has_a_row_for_each_component_and_band(degree: int) -> None:
 
 
 def test_rows_that_cannot_be_drawn_are_counted() -> None:
-    splats = scene(10)
+    splats = random_splats(10)
     splats.means[2] = np.nan
     splats.scales[3, 1] = np.inf
     splats.quats[4] = 0
@@ -129,4 +119,4 @@ def test_progress_may_cancel() -> None:
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        statistics(scene(5), stop)
+        statistics(random_splats(5), stop)

@@ -1,11 +1,10 @@
 """Comparison of policies on a small house."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.fit.downscaling import downscale_camera
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.tools.lab.scheduling.chunk_ratios import ratios_from_boxes
 from cogsplat.tools.lab.streaming.client import Link, units_of
@@ -19,20 +18,12 @@ from cogsplat.tools.lab.streaming.comparison import (
 )
 from cogsplat.tools.lab.streaming.traces import recorded_trace
 from cogsplat.tools.lab.streaming.visit_client import simulate_visit
-from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, rooms_walk
+from cogsplat.tools.lab.synthetic.rooms import rooms_walk
 
 
 def small(cameras: list[Camera]) -> list[Camera]:
     """Return the cameras with pictures of an eighth of the size."""
-    return [
-        replace(c, width=60, height=45, fx=c.fx / 8, fy=c.fy / 8, cx=c.cx / 8, cy=c.cy / 8)
-        for c in cameras
-    ]
-
-
-@pytest.fixture
-def simulation(house_file: CogsFile) -> Simulation:
-    return Simulation(house_file, small(rooms_cameras(4, views=4)), threads=1)
+    return [downscale_camera(camera, 8) for camera in cameras]
 
 
 def test_view_dependent_policies_beat_the_order_of_the_file(simulation: Simulation) -> None:

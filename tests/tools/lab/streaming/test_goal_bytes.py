@@ -1,31 +1,20 @@
 """Bytes needed to hold a PSNR along a trace."""
 
-from dataclasses import replace
-
 import numpy as np
-import pytest
 
+from cogsplat.codec.fit.downscaling import downscale_camera
 from cogsplat.codec.metrics import psnr
-from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.tools.lab.streaming.comparison import Simulation
 from cogsplat.tools.lab.streaming.goal_bytes import bytes_to_hold_goal
 from cogsplat.tools.lab.streaming.traces import Trace, recorded_trace
-from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, rooms_walk
+from cogsplat.tools.lab.synthetic.rooms import rooms_walk
 
 GOAL_DB = 35.0
 
 
-@pytest.fixture
-def simulation(house_file: CogsFile) -> Simulation:
-    return Simulation(house_file, rooms_cameras(4, views=4), threads=1)
-
-
 def walk() -> Trace:
     """Return the first poses of a walk, with pictures of an eighth of the size."""
-    cameras = [
-        replace(c, width=60, height=45, fx=c.fx / 8, fy=c.fy / 8, cx=c.cx / 8, cy=c.cy / 8)
-        for c in rooms_walk(4)[:12:3]
-    ]
+    cameras = [downscale_camera(c, 8) for c in rooms_walk(4)[:12:3]]
     return recorded_trace(cameras, 0.5)
 
 
