@@ -289,7 +289,7 @@ def compare(
     threads : int
         Number of threads, 0 for all cores.
     progress : Progress
-        Called with the stages ``held-out``, the given views, and ``roam``, the others.
+        Called with the stages ``test``, the given views, and ``roam``, the others.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""PSNR and SSIM between renders of two scenes, in held-out and roaming views."""
+"""PSNR and SSIM between renders of two scenes, in test views and roaming views."""
 
 from __future__ import annotations
 
@@ -45,32 +45,32 @@ class Comparison:
 
     Parameters
     ----------
-    held_out : tuple of ViewQuality
+    test : tuple of ViewQuality
         Quality in the given cameras.
     roaming : tuple of ViewQuality
         Quality in views off the capture path, derived from the cameras (`view_sets.roam`).
     """
 
-    held_out: tuple[ViewQuality, ...]
+    test: tuple[ViewQuality, ...]
     roaming: tuple[ViewQuality, ...]
 
     def __repr__(self) -> str:
         worst = f"lowest {self.worst.psnr_db:.2f} dB in {self.worst.view!r}"
-        held_out = f"{mean_psnr_db(self.held_out):.2f} dB, SSIM {mean_ssim(self.held_out):.4f}"
-        return f"Comparison({held_out}, {worst}; roaming {mean_psnr_db(self.roaming):.2f} dB)"
+        test = f"{mean_psnr_db(self.test):.2f} dB, SSIM {mean_ssim(self.test):.4f}"
+        return f"Comparison({test}, {worst}; roaming {mean_psnr_db(self.roaming):.2f} dB)"
 
     def _repr_html_(self) -> str:
-        """Return an HTML table of the held-out views for notebooks."""
+        """Return an HTML table of the test views for notebooks."""
         rows = "".join(
             f"<tr><td>{escape(one.view)}</td><td>{one.psnr_db:.2f}</td><td>{one.ssim:.4f}</td></tr>"
-            for one in self.held_out
+            for one in self.test
         )
         return f"<table><tr><th>view</th><th>PSNR, dB</th><th>SSIM</th></tr>{rows}</table>"
 
     @property
     def worst(self) -> ViewQuality:
-        """The held-out view with the lowest PSNR."""
-        return min(self.held_out, key=lambda quality: quality.psnr_db)
+        """The test view with the lowest PSNR."""
+        return min(self.test, key=lambda quality: quality.psnr_db)
 
 
 def mean_psnr_db(qualities: Sequence[ViewQuality]) -> float:
@@ -179,14 +179,14 @@ def compare(
     threads: int = 0,
     progress: Progress = silent,
 ) -> Comparison:
-    """Measure PSNR and SSIM between two scenes in held-out cameras and in roaming views.
+    """Measure PSNR and SSIM between two scenes in test views and in roaming views.
 
     Parameters
     ----------
     reference, other, cameras, background, ssim_border, threads
         See `view_qualities`.
     progress : Progress
-        Called with the stages ``held-out`` and ``roam``.
+        Called with the stages ``test`` and ``roam``.
 
     Returns
     -------
@@ -198,8 +198,8 @@ def compare(
     DataError
         See `view_qualities`.
     """
-    sets = {"held-out": list(cameras), "roam": roam(reference, cameras)}
-    held_out, roaming = (
+    sets = {"test": list(cameras), "roam": roam(reference, cameras)}
+    test, roaming = (
         view_qualities(
             reference,
             other,
@@ -212,4 +212,4 @@ def compare(
         )
         for stage, views in sets.items()
     )
-    return Comparison(held_out, roaming)
+    return Comparison(test, roaming)

@@ -145,15 +145,15 @@ def compare(
                 progress=stages,
             )
         if difference is not None:
-            worst = views[min(range(len(views)), key=lambda k: found.held_out[k].psnr_db)]
+            worst = views[min(range(len(views)), key=lambda k: found.test[k].psnr_db)]
             with stages.stage("difference"):
                 _draw_difference(
                     first.splats, second.splats, worst, background, difference, force, threads
                 )
     rows = {
-        "held-out": (
-            view_quality.mean_psnr_db(found.held_out),
-            view_quality.mean_ssim(found.held_out),
+        "test": (
+            view_quality.mean_psnr_db(found.test),
+            view_quality.mean_ssim(found.test),
         ),
         "worst": (found.worst.psnr_db, found.worst.ssim),
         "roam": (view_quality.mean_psnr_db(found.roaming), view_quality.mean_ssim(found.roaming)),
@@ -167,11 +167,11 @@ def compare(
                 "test_views": {"from": what, "count": len(views)},
                 "background": list(background),
                 "ssim_border": ssim_border,
-                "held_out": {**figures["held-out"], "views": len(found.held_out)},
+                "test": {**figures["test"], "views": len(found.test)},
                 "worst": {**figures["worst"], "view": found.worst.view},
                 "roam": {**figures["roam"], "views": len(found.roaming)},
                 "per_view": {
-                    "held_out": [asdict(quality) for quality in found.held_out],
+                    "test": [asdict(quality) for quality in found.test],
                     "roam": [asdict(quality) for quality in found.roaming],
                 },
                 **({} if own is None else {"by_object": [asdict(quality) for quality in own]}),
@@ -184,10 +184,11 @@ def compare(
     print_facts(
         ("splats", f"{len(second.splats):,} against {len(first.splats):,}"),
         ("by", f"{what}, {_colour_name(background)} background"),
+        ("note", _scored_note(eval_every) if cameras is not None else ""),
     )
     print_line("")
     notes = [
-        count_text(len(found.held_out), "view"),
+        count_text(len(found.test), "view"),
         found.worst.view,
         count_text(len(found.roaming), "view"),
     ]
@@ -199,6 +200,16 @@ def compare(
         print_line("")
         drawn = "" if difference is None else f"{difference}: A, B, difference x4 in the worst view"
         print_facts(("drawn", drawn), ("time", stages.summary()))
+
+
+def _scored_note(every: int) -> str:
+    """Return which of the given cameras are test views, and whether B's encoder scored them."""
+    if not every:
+        return "all cameras; a file does not record which of them its encoder scored"
+    return (
+        f"one camera in {every}, held out only if B was encoded with --eval-every {every}: a file "
+        "does not record it"
+    )
 
 
 def _scene_report(path: Path, scene: LoadedScene) -> dict[str, object]:

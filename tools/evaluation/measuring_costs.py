@@ -30,7 +30,7 @@ def comparison_costs(splats: int, cameras: Sequence[Camera]) -> list[StageCost]:
         Test views, at least one.
     """
     once = versions_cost(splats, cameras, 1, renders=2) / (1 + _ROAMING_VIEWS)
-    return [StageCost("held-out", once), StageCost("roam", _ROAMING_VIEWS * once)]
+    return [StageCost("test", once), StageCost("roam", _ROAMING_VIEWS * once)]
 
 
 def versions_cost(

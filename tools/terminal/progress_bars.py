@@ -28,6 +28,12 @@ from cogsplat.codec.progress import OverallProgress, StageCost, TimedProgress
 # Least time between two lines of one stage in a log, s.
 _LINE_EVERY: Final = 2.0
 
+# What a stage that looks hung tells about itself when it begins.
+_NOTES: Final = {
+    "compile": "compile: kernels are compiled once on this machine, which takes about a minute, "
+    "longer beside other work",
+}
+
 # Description of the task that stands for the whole work.
 _WHOLE: Final = ""
 
@@ -64,6 +70,7 @@ class Stages(TimedProgress):
         self._tasks: dict[str, TaskID] = {}
         self._whole: OverallProgress | None = None
         self._written: dict[str, float] = {}
+        self._last_line = ""
 
     def __enter__(self) -> Stages:
         self.restart()
@@ -97,7 +104,10 @@ class Stages(TimedProgress):
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Report that `done` of `total` steps of a stage are finished."""
+        begins = stage not in self.seconds
         super().__call__(stage, done, total)
+        if begins and self._shown and stage in _NOTES:
+            self._write_note(_NOTES[stage])
         if self._whole:
             self._whole(stage, done, total)
         if self._bars and self._whole:
@@ -122,7 +132,17 @@ class Stages(TimedProgress):
         if done == 0 or due:
             self._written[stage] = now
             share = f", {self._whole.share:.0%} of all" if self._whole else ""
-            click.echo(f"{stage} {done}/{total}{share}", err=True)
+            line = f"{stage} {done}/{total}{share}"
+            if line != self._last_line:
+                click.echo(line, err=True)
+            self._last_line = line
+
+    def _write_note(self, note: str) -> None:
+        """Print a note above the bars, or as a line."""
+        if self._bars:
+            self._bars.console.print(note, highlight=False)
+        else:
+            click.echo(note, err=True)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

@@ -36,9 +36,9 @@ def test_each_view_is_compared_as_rendered(scene: Splats) -> None:
 def test_roam_views_are_made_from_the_reference(scene: Splats) -> None:
     other = scene.take(slice(0, 700))
     found = view_quality.compare(scene, other, CAMERAS)
-    assert found.held_out == view_quality.view_qualities(scene, other, CAMERAS)
+    assert found.test == view_quality.view_qualities(scene, other, CAMERAS)
     assert found.roaming == view_quality.view_qualities(scene, other, roam(scene, CAMERAS))
-    assert found.worst == min(found.held_out, key=lambda quality: quality.psnr_db)
+    assert found.worst == min(found.test, key=lambda quality: quality.psnr_db)
 
 
 def test_figures_do_not_depend_on_threads(scene: Splats) -> None:

@@ -18,10 +18,10 @@ def test_costs_add_up_by_views_and_versions() -> None:
     assert versions_cost(1000, cameras * 2, 1) == pytest.approx(2 * once)
     assert versions_cost(9000, cameras, 1) > once
     assert versions_cost(1000, synth_cameras(4, 640, 480), 1) > 10 * once
-    held_out, roam = comparison_costs(1000, cameras)
-    assert (held_out.stage, roam.stage) == ("held-out", "roam")
-    assert roam.cost == pytest.approx(2 * held_out.cost)
+    test, roam = comparison_costs(1000, cameras)
+    assert (test.stage, roam.stage) == ("test", "roam")
+    assert roam.cost == pytest.approx(2 * test.cost)
     # Two renders of each view in place of one.
-    assert once < held_out.cost + roam.cost < 2 * once
+    assert once < test.cost + roam.cost < 2 * once
     assert 0.0 < references_cost(1000, cameras) < once
     assert objects_cost(1000, cameras, 2) > objects_cost(1000, cameras, 1) > 0.0

@@ -111,7 +111,7 @@ def test_measures_agree_with_compare(small: SmallScene) -> None:
     splats = [q.splats for q in found]
     assert splats == sorted(splats)
     whole = view_quality.compare(source, cogsplat.decode(small.cogs), cameras)
-    assert found[-1].held_out_db == view_quality.mean_psnr_db(whole.held_out)
+    assert found[-1].held_out_db == view_quality.mean_psnr_db(whole.test)
     assert found[-1].worst_db == whole.worst.psnr_db
     assert found[-1].roam_ssim == view_quality.mean_ssim(whole.roaming)
     assert found[-1].photos_db is None
@@ -160,7 +160,7 @@ def test_a_target_psnr_is_met_in_the_views_of_compare(
     assert result.code == 0, result
     assert result.json["predicted_psnr_db"] == pytest.approx(34, abs=0.1)
     every = ["--cameras", small.cameras, "--eval-every", 0, "--json"]
-    seen = run("compare", small.ply, out, *every).json["held_out"]
+    seen = run("compare", small.ply, out, *every).json["test"]
     assert seen["psnr_db"] == pytest.approx(34, abs=0.1)  # type: ignore[index]
 
 

@@ -35,6 +35,25 @@ def test_lines_are_few_and_single_steps_have_none(
     assert len(lines) == 1 + 12
 
 
+def test_no_line_is_repeated(clock: list[float], capsys: pytest.CaptureFixture[str]) -> None:
+    with Stages() as stages:
+        for _ in range(3):
+            stages("score", 0, 5)
+        for _ in range(3):
+            clock[0] += 10.0
+            stages("score", 2, 5)
+    assert capsys.readouterr().err.splitlines() == ["score 0/5", "score 2/5"]
+
+
+def test_compiling_says_once_that_it_happens_once(capsys: pytest.CaptureFixture[str]) -> None:
+    with Stages() as stages:
+        stages("compile", 0, 9)
+        stages("compile", 9, 9)
+    note, *steps = capsys.readouterr().err.splitlines()
+    assert "once on this machine" in note
+    assert steps == ["compile 0/9"]
+
+
 def test_nothing_is_written_when_not_shown(
     clock: list[float], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -303,7 +303,7 @@ def run(
     formats : sequence of str
         Formats in `FOREIGN`.
     progress : Progress
-        Called with ``files``, and for each file with the stages of encoding, ``held-out``, ``roam``
+        Called with ``files``, and for each file with the stages of encoding, ``test``, ``roam``
         and ``prefixes``.
 
     Returns
@@ -478,8 +478,8 @@ def _measure(
         quality_db=method.quality_db,
         file_bytes=size,
         bytes_per_splat=size / len(given.splats),
-        held_out_db=view_quality.mean_psnr_db(found.held_out),
-        held_out_ssim=view_quality.mean_ssim(found.held_out),
+        held_out_db=view_quality.mean_psnr_db(found.test),
+        held_out_ssim=view_quality.mean_ssim(found.test),
         worst_db=found.worst.psnr_db,
         worst_ssim=found.worst.ssim,
         roam_db=view_quality.mean_psnr_db(found.roaming),

@@ -28,7 +28,8 @@ from cogsplat.tools.workflow.compile_ahead import CompileAhead
 
 from .synth import MOST_SPLATS
 
-# Enough for every object to be whole; the demonstration takes half a minute on two cores.
+# Enough for every object to be whole. On two cores the demonstration took 50 s at a first run,
+# which compiles kernels, and up to 135 s beside other work.
 _DEMO_SPLATS: Final = 60_000
 
 
@@ -123,7 +124,7 @@ def demo(out: Path, splats: int, threads: int, force: bool, quiet: bool, as_json
         )
         for prefix in made.prefixes
     ]
-    print_table(("bytes", "", "splats", "held-out dB", "worst dB", "roam dB"), rows, left=0)
+    print_table(("prefix", "bytes", "splats", "held-out dB", "worst dB", "roam dB"), rows, left=0)
     print_line("")
     print_facts(
         ("scene", display_name(files.scene)),

@@ -102,7 +102,7 @@ def test_figures_are_those_of_files_made_apart(
         found = view_quality.compare(source, cogsplat.read(tmp_path / name), held)
         assert row["bytes"] == (tmp_path / name).stat().st_size
         assert row["bytes_per_splat"] == pytest.approx(row["bytes"] / SPLATS)
-        assert row["held_out_db"] == view_quality.mean_psnr_db(found.held_out)
+        assert row["held_out_db"] == view_quality.mean_psnr_db(found.test)
         assert row["worst_db"] == found.worst.psnr_db
         assert row["roam_ssim"] == view_quality.mean_ssim(found.roaming)
     assert told["methods"][2]["held_out_db"] == 100

@@ -151,21 +151,21 @@ def test_fitted_cameras_cut_nothing_and_distort_nothing(size: tuple[int, int]) -
 def test_scene_compared_with_itself_is_identical(run: Run, small: SmallScene) -> None:
     told = run("compare", small.ply, small.ply, "--cameras", small.cameras, "--json")
     assert (told.code, told.err) == (0, "")
-    for name in ("held_out", "worst", "roam"):
+    for name in ("test", "worst", "roam"):
         figures = told.json[name]
         assert isinstance(figures, dict)
         assert figures["psnr_db"] == 100.0
         assert figures["ssim"] == pytest.approx(1.0)
 
 
-def test_compare_tells_held_out_worst_and_roam(run: Run, small: SmallScene) -> None:
+def test_compare_prints_test_views_worst_and_roam(run: Run, small: SmallScene) -> None:
     arguments = ["compare", small.ply, small.cogs, "--cameras", small.cameras, "--eval-every", 4]
     report = run(*arguments, "--json").json
-    per_view, held, roam = report["per_view"], report["held_out"], report["roam"]
+    per_view, held, roam = report["per_view"], report["test"], report["roam"]
     assert isinstance(per_view, dict)
     assert isinstance(held, dict)
     assert isinstance(roam, dict)
-    views = per_view["held_out"]
+    views = per_view["test"]
     assert [view["view"] for view in views] == ["view_00", "view_04", "view_08"]
     assert (held["views"], roam["views"]) == (3, 6)
     assert held["psnr_db"] == pytest.approx(sum(view["psnr_db"] for view in views) / 3)
@@ -175,20 +175,21 @@ def test_compare_tells_held_out_worst_and_roam(run: Run, small: SmallScene) -> N
     assert told.err == ""
     assert f"{held['psnr_db']:.2f}" in told.out
     assert worst["view"] in told.out
+    assert "one camera in 4, held out only if B was encoded with --eval-every 4" in told.out
 
 
 def test_compare_takes_parts_and_backgrounds(run: Run, small: SmallScene) -> None:
     arguments = ["compare", small.ply, small.cogs, "--cameras", small.cameras, "--json"]
 
-    def held_out_db(*more: str) -> float:
+    def test_db(*more: str) -> float:
         told = run(*arguments, *more)
         assert told.code == 0, told
-        figures = json.loads(told.out)["held_out"]
+        figures = json.loads(told.out)["test"]
         return float(figures["psnr_db"])
 
-    whole, part = held_out_db(), held_out_db("--splats", "300")
+    whole, part = test_db(), test_db("--splats", "300")
     assert part < whole - 1.0
-    assert held_out_db("--splats", "300", "--background", "white") != part
+    assert test_db("--splats", "300", "--background", "white") != part
 
 
 def test_compare_measures_in_cameras_beside_the_scene(
@@ -201,7 +202,7 @@ def test_compare_measures_in_cameras_beside_the_scene(
     write_cameras_json(synth_cameras(3, 64, 48), tmp_path / "eval_cameras.json")
     told = run("compare", scene, small.cogs, "--json").json
     assert "eval_cameras.json" in str(told["test_views"])
-    held = told["held_out"]
+    held = told["test"]
     assert isinstance(held, dict)
     assert held["views"] == 3, "all of them"
 
