@@ -6,18 +6,18 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
-from urllib.parse import urlsplit, urlunsplit
+from urllib.parse import urlunsplit
 
 from cogsplat.codec.errors import FormatError, StorageError
 from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.formats.network.open_url import open_url
-from cogsplat.formats.network.urls import is_url
+from cogsplat.formats.network.urls import is_url, redacted, split_url
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import FileSource, Readable, Source, as_source
 
 from .folder_map import MANIFEST_NAME, is_manifest
 from .folder_source import FolderSource, names_folder
-from .layout import FIRST_READ, PREAMBLE_BYTES
+from .layout import FIRST_READ, PREAMBLE_BYTES, unpack_preamble
 from .network_folder import NetworkFolder
 from .reader import CogsFile, open_cogs
 
@@ -75,7 +75,12 @@ def _open_network_source(
 ) -> Source:
     """Return a source for a URL: of a file, or of a folder if a manifest is found there."""
     address = manifest_address(url)
-    source = open_url(address, network, bypass_caches=bypass_caches)
+    source = open_url(
+        address,
+        network,
+        bypass_caches=bypass_caches,
+        length_of=lambda head: _length_of_file(head, redacted(address)),
+    )
     try:
         head = source.read(0, min(PREAMBLE_BYTES, source.size))
         if not is_manifest(head):
@@ -92,6 +97,17 @@ def _open_network_source(
     return NetworkFolder(address, head, network, bypass_caches=bypass_caches, manifest_bytes=size)
 
 
+def _length_of_file(head: bytes, where: str) -> int | None:
+    """Return the length of a file from its preamble, bytes; None for a manifest.
+
+    Raises
+    ------
+    FormatError, UnsupportedError
+        ``not-cogs`` and the other codes of SPEC 3.1.
+    """
+    return None if is_manifest(head) else unpack_preamble(head, where).file_length
+
+
 def manifest_address(url: str) -> str:
     """Return the URL of the manifest for a folder's URL, which ends in a slash; else the URL.
 
@@ -100,7 +116,7 @@ def manifest_address(url: str) -> str:
     >>> manifest_address("https://example.org/scene/?v=2")
     'https://example.org/scene/manifest.cogsm?v=2'
     """
-    parts = urlsplit(url)
+    parts = split_url(url)
     if not parts.path.endswith("/"):
         return url
     return urlunsplit(parts._replace(path=parts.path + MANIFEST_NAME))

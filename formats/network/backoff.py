@@ -1,16 +1,20 @@
-"""Transient failures of requests, and exponential backoff before a retry."""
+"""Transient failures of requests, progress, and exponential backoff before a retry."""
 
 from __future__ import annotations
 
 import random
 import re
-from datetime import UTC, datetime
+import time
+from datetime import UTC
 from email.utils import parsedate_to_datetime
 from typing import Final
 
 from cogsplat.codec.errors import StorageError
 
-from .network_options import NetworkOptions
+from .network_options import KIB, NetworkOptions
+
+PROGRESS_BYTES: Final = 16 * KIB
+"""New bytes of a request that count as progress. Fewer would let a server last for days."""
 
 TRANSIENT_STATUSES: Final = frozenset({408, 425, 429, 500, 502, 503, 504})
 """HTTP statuses after which a retry may succeed (RFC 9110, RFC 6585)."""
@@ -40,11 +44,13 @@ class TransientError(Exception):
     def as_storage_error(self, attempts: int) -> StorageError:
         """Return the error to raise after the last of `attempts` attempts."""
         times = "1 attempt" if attempts == 1 else f"{attempts} attempts"
-        return StorageError(self.code, f"{self.message}; {times} without a new byte")
+        return StorageError(self.code, f"{self.message}; {times} without progress")
 
 
 class Backoff:
     """Counter of failed attempts of one request, which gives the pause before the next attempt.
+
+    Progress, 16 KiB of new bytes, sets the count of failed attempts to 0.
 
     Parameters
     ----------
@@ -55,11 +61,17 @@ class Backoff:
     def __init__(self, options: NetworkOptions) -> None:
         self._options = options
         self._failed = 0
+        self._new_bytes = 0
         self._random = options.random or random.random
 
-    def reset(self) -> None:
-        """Set the count of failed attempts to 0, because new bytes arrived."""
+    def add_bytes(self, count: int) -> bool:
+        """Count new bytes of the request; return whether they complete progress."""
+        self._new_bytes += count
+        if self._new_bytes < PROGRESS_BYTES:
+            return False
+        self._new_bytes = 0
         self._failed = 0
+        return True
 
     def pause_after(self, error: TransientError) -> float:
         """Count a failed attempt and return the pause before the next one, seconds.
@@ -104,17 +116,18 @@ def retry_after_seconds(retry_after: str | None, date: str | None) -> float:
     text = (retry_after or "").strip()
     if _SECONDS.fullmatch(text):
         return float(text)
-    until = _date(text)
+    until = _timestamp(text)
     if until is None:
         return 0.0
-    now = _date(date or "") or datetime.now(UTC)
-    return max(0.0, (until - now).total_seconds())
+    now = _timestamp(date or "") or time.time()
+    return max(0.0, until - now)
 
 
-def _date(text: str) -> datetime | None:
-    """Parse an HTTP date; return None where it is malformed."""
+def _timestamp(text: str) -> float | None:
+    """Return the POSIX timestamp of an HTTP date, seconds; None where it is malformed."""
     try:
         found = parsedate_to_datetime(text)
-    except ValueError:
+        return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
+    except Exception:
+        # Absurd dates and zones raise exceptions of many types in the standard library.
         return None
-    return found if found.tzinfo else found.replace(tzinfo=UTC)

@@ -13,6 +13,7 @@ from .open_url import open_url
 from .range_fetcher import BEGINNING_BYTES
 
 _PART_BYTES: Final = MIB
+_PARTS_PREFETCHED: Final = 256
 
 
 def download(
@@ -59,11 +60,17 @@ def download(
     """
     with open_url(url, options) as source, atomic_write(path, force=force) as file:
         # The first part is the range of the source's first request, already in flight.
-        starts = [0, *range(BEGINNING_BYTES, source.size, _PART_BYTES)]
-        ends = [*starts[1:], source.size]
-        ranges = [(start, end - start) for start, end in zip(starts, ends, strict=True)]
-        with source.prefetch(ranges):
-            for done, (offset, length) in enumerate(ranges, start=1):
-                file.write(source.read(offset, length))
-                progress("fetch", done, len(ranges))
+        first = min(BEGINNING_BYTES, source.size)
+        count = 1 + -(-(source.size - first) // _PART_BYTES)
+        # By groups, because a server may state any length.
+        for group in range(0, count, _PARTS_PREFETCHED):
+            ranges = []
+            for part in range(group, min(count, group + _PARTS_PREFETCHED)):
+                start = first + (part - 1) * _PART_BYTES if part else 0
+                end = min(source.size, first + part * _PART_BYTES)
+                ranges.append((start, end - start))
+            with source.prefetch(ranges):
+                for done, (offset, length) in enumerate(ranges, start=group + 1):
+                    file.write(source.read(offset, length))
+                    progress("fetch", done, count)
         return source.size

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import ssl
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
 from functools import cache
+from http.cookiejar import CookieJar, DefaultCookiePolicy
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
-from cogsplat.codec.errors import MissingExtraError, StorageError
+from cogsplat.codec.errors import CogsplatError, MissingExtraError, StorageError
 
 from .backoff import TransientError
 from .network_options import NetworkOptions
-from .range_responses import RangeResponse, check_response_head
-from .urls import redacted
+from .range_responses import RangeResponse, check_response_head, late, timely
+from .urls import HTTP_SCHEMES, bad_url, redacted, split_url
 
 if TYPE_CHECKING:
     import httpx
@@ -24,6 +26,9 @@ _MAX_REDIRECTS: Final = 5
 
 # Bodies with a Content-Encoding have no byte ranges.
 _PLAIN: Final = {"Accept-Encoding": "identity"}
+# Extension of httpx's response that holds the header Location.
+_LOCATION: Final = "cogsplat-location"
+
 _BYPASS_CACHES: Final = {"Cache-Control": "no-cache", "Pragma": "no-cache"}
 
 
@@ -43,128 +48,114 @@ class HttpTransport:
     ------
     MissingExtraError
         ``needs-http``: httpx is not installed.
+    StorageError
+        ``bad-url``: the URL is malformed.
     """
 
     def __init__(
         self, url: str, options: NetworkOptions, client: httpx.AsyncClient | None = None
     ) -> None:
         self._httpx = _httpx()
+        self._name = redacted(url)
         # Address without redirects, and the address that redirects led to.
-        self._given = url
-        self._target = url
+        self._given = self._target = _parsed(url)
         self._options = options
         self._own = client is None
-        self._client = client or self._new_client()
-        self._name = redacted(url)
+        self._client = client or new_client(options)
 
     def sibling(self, name: str) -> HttpTransport:
         """Return a transport for the file `name`, relative to this file, with the same client.
 
         The address keeps its query, which may hold a signature for every file of the folder.
         """
-        given = self._httpx.URL(self._given)
-        url = given.join(name).copy_with(query=given.query or None)
+        url = self._given.join(name).copy_with(query=self._given.query or None)
         return HttpTransport(str(url), self._options, self._client)
-
-    def _new_client(self) -> httpx.AsyncClient:
-        """Return an HTTP/2 client with the timeouts and connections of the options."""
-        library, options = self._httpx, self._options
-        timeout = library.Timeout(options.idle_seconds, connect=options.connect_seconds, pool=None)
-        limits = library.Limits(max_connections=options.in_flight + 2)
-        made: httpx.AsyncClient = library.AsyncClient(
-            http2=True, timeout=timeout, limits=limits, verify=_certificates()
-        )
-        return made
 
     @asynccontextmanager
     async def get(
         self, first: int, end: int, *, bypass_caches: bool = False
     ) -> AsyncIterator[RangeResponse]:
         """Request a range; see `Transport.get`."""
-        library = self._httpx
+        options = self._options
+        longest = options.connect_seconds + options.idle_seconds
         try:
-            response = await self._send(first, end, bypass_caches)
-            try:
-                headers = {key.lower(): value for key, value in response.headers.items()}
-                head = check_response_head(response.status_code, headers, first, end, self._name)
-                yield RangeResponse(head, response.aiter_raw())
-            finally:
+            # Headers may arrive slowly, and informational responses without end.
+            async with asyncio.timeout(longest):
+                response = await self._send(first, end, bypass_caches)
+        except TimeoutError as error:
+            raise TransientError(
+                "network-timeout",
+                f"{self._name}: incomplete headers after {longest:g} s, expected a response",
+            ) from error
+        try:
+            headers = {key.lower(): value for key, value in response.headers.items()}
+            head = check_response_head(response.status_code, headers, first, end, self._name)
+            yield RangeResponse(
+                head, timely(self._parts(response), options.idle_seconds, self._name)
+            )
+        finally:
+            with self._library_errors():
                 await response.aclose()
-        except library.TimeoutException as error:
-            seconds = self._options.idle_seconds
-            if isinstance(error, library.ConnectTimeout):
-                seconds = self._options.connect_seconds
-            raise TransientError(
-                "network-timeout", f"{self._name}: no byte for {seconds:g} s, expected a response"
-            ) from error
-        except library.ConnectError as error:
-            message = f"{self._name}: cannot be reached: {error}, expected a server; check the host"
-            if "CERTIFICATE_VERIFY_FAILED" in message:
-                raise StorageError("host-unreachable", message) from error
-            raise TransientError("host-unreachable", message) from error
-        except library.TransportError as error:
-            fault = str(error) or type(error).__name__
-            raise TransientError(
-                "connection-broken",
-                f"{self._name}: the connection broke: {fault}, expected a whole response",
-            ) from error
+
+    async def _parts(self, response: httpx.Response) -> AsyncIterator[bytes]:
+        """Yield the parts of a body as they arrive."""
+        parts = response.aiter_raw()
+        while True:
+            with self._library_errors():
+                part = await anext(parts, None)
+            if part is None:
+                return
+            yield part
 
     async def _send(self, first: int, end: int, bypass_caches: bool) -> httpx.Response:
         """Request a range; repeat the request once if a signed or redirected URL has expired."""
         response = await self._follow(first, end, bypass_caches)
         expired = response.status_code in (401, 403)
         if expired and self._options.sign is not None:
-            await response.aclose()
-            self._given = self._target = self._options.sign()
+            await self._close_response(response)
+            self._given = self._target = _parsed(self._options.sign())
             return await self._follow(first, end, bypass_caches)
         if response.status_code in (401, 403, 404, 410) and self._target != self._given:
             # The target of a redirect may be a signed URL that has expired.
-            await response.aclose()
+            await self._close_response(response)
             self._target = self._given
             return await self._follow(first, end, bypass_caches)
         return response
 
     async def _follow(self, first: int, end: int, bypass_caches: bool) -> httpx.Response:
         """Send a request and follow redirects; later requests go straight to the last target."""
-        library = self._httpx
-        origin = _origin(library.URL(self._given))
-        url = library.URL(self._target)
+        origin = _origin(self._given)
+        url = self._target
         for _ in range(_MAX_REDIRECTS + 1):
             own = self._options.headers if _origin(url) == origin else {}
             wanted = {"Range": f"bytes={first}-{end - 1}"}
             headers = {**own, **_PLAIN, **(_BYPASS_CACHES if bypass_caches else {}), **wanted}
-            request = self._client.build_request("GET", url, headers=headers)
-            try:
+            with self._library_errors():
+                request = self._client.build_request("GET", url, headers=headers)
                 response = await self._client.send(request, stream=True)
-            except (library.InvalidURL, library.RemoteProtocolError) as error:
-                # httpx parses the Location header even though it does not follow redirects here.
-                named = isinstance(error, library.InvalidURL) or "location header" in str(error)
-                if not named:
-                    raise
-                raise StorageError(
-                    "redirect-refused",
-                    f"{self._name}: redirected to a malformed URL: {error}, expected a URL",
-                ) from error
-            if response.status_code not in _REDIRECTS or "location" not in response.headers:
-                self._target = str(url)
+            location = response.extensions.get(_LOCATION)
+            if response.status_code not in _REDIRECTS or location is None:
+                self._target = url
                 return response
-            await response.aclose()
-            url = self._redirect_target(url, response.headers["location"])
+            await self._close_response(response)
+            url = self._redirect_target(url, location)
         raise StorageError(
             "redirect-loop", f"{self._name}: more than {_MAX_REDIRECTS} redirects, expected a file"
         )
 
-    def _redirect_target(self, url: Any, location: str) -> Any:
+    def _redirect_target(self, url: httpx.URL, location: str) -> httpx.URL:
         """Return the target of a redirect; refuse a step from https to http."""
         try:
-            target = url.join(location)
-        except self._httpx.InvalidURL as error:
+            target = _parsed(str(url.join(location)))
+        except Exception as error:
+            # httpx and the codec of host names raise exceptions of many types.
             raise StorageError(
                 "redirect-refused",
-                f"{self._name}: redirected to {location!r}: {error}, expected a URL",
+                f"{self._name}: redirected to {redacted(location)!r}: {_fault_of(error)}, expected "
+                "a well-formed URL",
             ) from error
         safe = target.scheme == "https" or (target.scheme == "http" and url.scheme == "http")
-        if not safe or not target.host:
+        if not safe:
             raise StorageError(
                 "redirect-refused",
                 f"{self._name}: redirected from {url.scheme} to {redacted(str(target))}, "
@@ -172,13 +163,108 @@ class HttpTransport:
             )
         return target
 
+    async def _close_response(self, response: httpx.Response) -> None:
+        """Close a response whose body is not read."""
+        with self._library_errors():
+            await response.aclose()
+
+    @contextmanager
+    def _library_errors(self) -> Iterator[None]:
+        """Turn every exception of httpx and the libraries below it into an error of ours."""
+        import httpcore
+
+        library, options = self._httpx, self._options
+        try:
+            yield
+        except (CogsplatError, TransientError):
+            raise
+        except (library.ConnectTimeout, httpcore.ConnectTimeout) as error:
+            raise late(self._name, options.connect_seconds) from error
+        except (library.TimeoutException, httpcore.TimeoutException) as error:
+            raise late(self._name, options.idle_seconds) from error
+        except (library.ConnectError, httpcore.ConnectError) as error:
+            message = f"{self._name}: cannot be reached: {error}, expected a server; check the host"
+            if "CERTIFICATE_VERIFY_FAILED" in message:
+                raise StorageError("host-unreachable", message) from error
+            raise TransientError("host-unreachable", message) from error
+        except UnicodeError as error:
+            # The resolver cannot encode host names with empty or long labels.
+            raise StorageError(
+                "host-unreachable",
+                f"{self._name}: its host name is malformed: {error}, expected a host name",
+            ) from error
+        except Exception as error:
+            # HTTP/2, TLS and sockets raise exceptions of many types.
+            raise TransientError(
+                "connection-broken",
+                f"{self._name}: the connection broke: {_fault_of(error)}, expected a whole "
+                "response",
+            ) from error
+
     async def close(self) -> None:
         """Close the connections, unless another transport owns the client."""
         if self._own:
-            await self._client.aclose()
+            with self._library_errors():
+                await self._client.aclose()
 
 
-def _origin(url: Any) -> tuple[str, str, int | None]:
+def new_client(
+    options: NetworkOptions, transport: httpx.AsyncBaseTransport | None = None
+) -> httpx.AsyncClient:
+    """Return an HTTP/2 client that keeps no cookies and follows no redirects.
+
+    Parameters
+    ----------
+    options : NetworkOptions
+        Timeouts, number of connections, and whether private addresses are allowed.
+    transport : httpx.AsyncBaseTransport, optional
+        Transport to use in place of the network.
+    """
+    library = _httpx()
+    connections = options.in_flight + 2
+    if transport is None and not options.allow_private:
+        from .public_transport import PublicTransport
+
+        transport = PublicTransport(_certificates(), connections)
+    made: httpx.AsyncClient = library.AsyncClient(
+        http2=True,
+        timeout=library.Timeout(options.idle_seconds, connect=options.connect_seconds, pool=None),
+        limits=library.Limits(max_connections=connections),
+        verify=_certificates(),
+        # A server could make every request longer and fill the memory.
+        cookies=CookieJar(DefaultCookiePolicy(allowed_domains=[])),
+        event_hooks={"response": [_set_location_aside]},
+        transport=transport,
+    )
+    return made
+
+
+async def _set_location_aside(response: httpx.Response) -> None:
+    """Move the header Location, which httpx parses even where it follows no redirects."""
+    if "location" in response.headers:
+        response.extensions[_LOCATION] = response.headers.pop("location")
+
+
+def _parsed(url: str) -> httpx.URL:
+    """Parse a URL; raise ``bad-url`` for a malformed one."""
+    split_url(url)
+    try:
+        found: httpx.URL = _httpx().URL(url)
+        # The host name is decoded here; a malformed one raises an error.
+        if found.scheme in HTTP_SCHEMES and found.host:
+            return found
+    except Exception as error:
+        # httpx and the codec of host names raise exceptions of many types.
+        raise bad_url(url, _fault_of(error)) from error
+    raise bad_url(url, "another scheme than http and https")
+
+
+def _fault_of(error: Exception) -> str:
+    """Return the first line of an exception's message, or the name of its type."""
+    return str(error).partition("\n")[0] or type(error).__name__
+
+
+def _origin(url: httpx.URL) -> tuple[str, str, int | None]:
     """Return scheme, host and port of a URL."""
     return url.scheme, url.host, url.port
 

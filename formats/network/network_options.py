@@ -25,7 +25,7 @@ class NetworkOptions:
         Function that returns a newly signed URL. Called once per response with status 401 or 403;
         the request is then repeated with the new URL.
     retries : int
-        Maximum number of retries of a request without a new byte in between.
+        Maximum number of retries of a request without progress in between: 16 KiB of new bytes.
     pause_seconds : float
         Pause before the first retry, seconds; it doubles with each further one. Half of each pause
         is random, so that many clients do not retry at once.
@@ -36,7 +36,7 @@ class NetworkOptions:
     connect_seconds : float
         Timeout of a connection, seconds.
     idle_seconds : float
-        Timeout without a new byte, seconds.
+        Timeout without progress, seconds: without 16 KiB of new bytes or the end of a response.
     in_flight : int
         Maximum number of concurrent requests (SPEC 8.8).
     gap_bytes : int
@@ -45,6 +45,14 @@ class NetworkOptions:
         Maximum size of a request that joins several ranges, bytes (SPEC 8.8).
     window_bytes : int
         Maximum size of prefetched ranges that are not read yet, bytes of memory.
+    unstated_bytes : int
+        Maximum length of a file whose server does not state it, bytes. A COGS file states its
+        length itself.
+    allow_private : bool
+        Whether to connect to private addresses: loopback, link-local, private networks, metadata
+        services of clouds. Set it to False in servers that open the URLs of their users. Every
+        address is then checked after it is resolved, redirects included; proxies of the
+        environment are not used, and object stores are refused.
     options_of_store : mapping of str to str
         Configuration of obstore for ``s3://``, ``gs://`` and ``az://``, such as ``endpoint`` and
         ``region``. Missing keys come from the environment.
@@ -75,6 +83,8 @@ class NetworkOptions:
     gap_bytes: int = 64 * KIB
     request_bytes: int = 4 * MIB
     window_bytes: int = 32 * MIB
+    unstated_bytes: int = 1 << 30
+    allow_private: bool = True
     options_of_store: Mapping[str, str] = field(default_factory=dict)
     cache: str | os.PathLike[str] | None = None
     cache_bytes: int = 1 << 30

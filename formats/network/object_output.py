@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Final
-from urllib.parse import urlsplit
 
 from cogsplat.codec.errors import StorageError
 from cogsplat.formats.storage.atomic import TargetExistsError
 
 from .network_options import NetworkOptions
-from .object_transport import first_line, object_store
-from .urls import redacted
+from .object_transport import object_store
+from .store_errors import store_errors
+from .urls import redacted, split_url
 
 # no-transform: scenes are compressed already. no-cache: clients revalidate their copy.
 _HEADERS: Final = {
@@ -36,7 +37,8 @@ class ObjectOutput:
     MissingExtraError
         ``needs-cloud``: obstore is not installed.
     StorageError
-        ``store-options``: obstore refuses the store's configuration.
+        ``store-options``: obstore refuses the store's configuration; ``bad-url``: the URL is
+        malformed.
 
     Examples
     --------
@@ -52,7 +54,7 @@ class ObjectOutput:
     def __init__(self, url: str, options: NetworkOptions | None = None) -> None:
         options = options or NetworkOptions()
         self._store: Any = object_store(url, options, retries=options.retries)
-        self._key = urlsplit(url).path.lstrip("/")
+        self._key = split_url(url).path.lstrip("/")
         self.name = redacted(url)
 
     def size(self) -> int | None:
@@ -66,11 +68,12 @@ class ObjectOutput:
         import obstore
 
         try:
-            return int(obstore.head(self._store, self._key)["size"])
-        except FileNotFoundError:
-            return None
-        except (obstore.exceptions.BaseError, OSError) as error:
-            raise self._failed(error) from error
+            with self._store_errors():
+                return int(obstore.head(self._store, self._key)["size"])
+        except StorageError as error:
+            if error.code == "not-found":
+                return None
+            raise
 
     def require_absent(self) -> None:
         """Raise an error if the object exists.
@@ -108,23 +111,15 @@ class ObjectOutput:
             # Checked first, because stores support no precondition for multipart uploads.
             self.require_absent()
         try:
-            obstore.put(self._store, self._key, path, attributes=dict(_HEADERS))
-        except (obstore.exceptions.BaseError, OSError) as error:
-            raise self._failed(error) from error
+            with self._store_errors():
+                obstore.put(self._store, self._key, path, attributes=dict(_HEADERS))
+        except StorageError as error:
+            if error.code == "not-found":
+                raise StorageError(
+                    "store-failed", f"{self.name}: the store has no such bucket, expected it"
+                ) from error
+            raise
 
-    def _failed(self, error: Exception) -> StorageError:
-        """Return the error for an exception of obstore."""
-        import obstore
-
-        refused = (
-            PermissionError,
-            obstore.exceptions.PermissionDeniedError,
-            obstore.exceptions.UnauthenticatedError,
-        )
-        if isinstance(error, refused):
-            return StorageError(
-                "permission",
-                f"{self.name}: the store refuses access: {first_line(error)}; check the "
-                "credentials",
-            )
-        return StorageError("store-failed", f"{self.name}: {first_line(error)}")
+    def _store_errors(self) -> AbstractContextManager[None]:
+        """Turn exceptions of obstore into errors."""
+        return store_errors(self.name, lambda message: StorageError("store-failed", message))

@@ -5,17 +5,16 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
-from types import ModuleType
+from contextlib import AbstractContextManager, asynccontextmanager
 from typing import Any, Final
-from urllib.parse import urlsplit
 
-from cogsplat.codec.errors import MissingExtraError, StorageError
+from cogsplat.codec.errors import StorageError
 
 from .backoff import TransientError
 from .network_options import NetworkOptions
-from .range_responses import RangeResponse, ResponseHead
-from .urls import redacted
+from .range_responses import RangeResponse, ResponseHead, late, timely
+from .store_errors import first_line, obstore_module, store_errors
+from .urls import redacted, split_url
 
 # Minimum size of the parts in which obstore passes a body on.
 _PART_BYTES: Final = 16384
@@ -41,12 +40,13 @@ class ObjectTransport:
     MissingExtraError
         ``needs-cloud``: obstore is not installed.
     StorageError
-        ``store-options``: obstore refuses the store's configuration.
+        ``store-options``: obstore refuses the store's configuration; ``bad-url``: the URL is
+        malformed; ``private-address``: `NetworkOptions.allow_private` is False.
     """
 
     def __init__(self, url: str, options: NetworkOptions, store: Any = None) -> None:
-        self._obstore = _obstore()
-        self._key = urlsplit(url).path.lstrip("/")
+        self._obstore = obstore_module()
+        self._key = split_url(url).path.lstrip("/")
         self._url = url
         self._name = redacted(url)
         self._options = options
@@ -63,60 +63,43 @@ class ObjectTransport:
         self, first: int, end: int, *, bypass_caches: bool = False
     ) -> AsyncIterator[RangeResponse]:
         """Request a range; see `Transport.get`. Stores have no caches to bypass."""
-        exceptions = self._obstore.exceptions
+        idle = self._options.idle_seconds
+        options = {"range": (first, end)}
         try:
-            pending = self._obstore.get_async(
-                self._store, self._key, options={"range": (first, end)}
-            )
-            found = await asyncio.wait_for(pending, self._options.idle_seconds)
-            start, stop = found.range
-            size = int(found.meta["size"])
-            if start != first or not first < stop <= end:
-                raise StorageError(
-                    "answer-range",
-                    f"{self._name}: a response of bytes {start} to {stop - 1}, expected {first} "
-                    f"to {end - 1} or their beginning",
-                )
-            etag = found.meta["e_tag"]
-            strong = etag if etag is not None and etag.startswith('"') else None
-            head = ResponseHead(start, stop, size, strong, is_whole=False)
-            yield RangeResponse(head, self._parts(found.stream(min_chunk_size=_PART_BYTES)))
+            with self._store_errors():
+                pending = self._obstore.get_async(self._store, self._key, options=options)
+                found = await asyncio.wait_for(pending, idle)
         except TimeoutError as error:
-            raise TransientError(
-                "network-timeout",
-                f"{self._name}: no byte for {self._options.idle_seconds:g} s, expected a response",
-            ) from error
-        except FileNotFoundError as error:
+            raise late(self._name, idle) from error
+        start, stop = found.range
+        size = int(found.meta["size"])
+        if start != first or not first < stop <= end:
             raise StorageError(
-                "not-found",
-                f"{self._name}: the store has no such object, expected it; check the URL",
-            ) from error
-        except (exceptions.PermissionDeniedError, exceptions.UnauthenticatedError) as error:
-            raise StorageError(
-                "permission",
-                f"{self._name}: the store refuses access: {first_line(error)}; check the "
-                "credentials",
-            ) from error
-        except exceptions.PreconditionError as error:
-            raise StorageError(
-                "source-changed",
-                f"{self._name}: the object changed while it was read: {first_line(error)}; open "
-                "it again",
-            ) from error
-        except exceptions.BaseError as error:
-            raise TransientError(
-                "connection-broken", f"{self._name}: {first_line(error)}"
-            ) from error
+                "answer-range",
+                f"{self._name}: a response of bytes {start} to {stop - 1}, expected {first} "
+                f"to {end - 1} or their beginning",
+            )
+        etag = found.meta["e_tag"]
+        strong = etag if etag is not None and etag.startswith('"') else None
+        head = ResponseHead(start, stop, size, strong, is_whole=False)
+        yield RangeResponse(head, timely(self._parts(found), idle, self._name))
 
-    async def _parts(self, stream: Any) -> AsyncIterator[bytes]:
-        """Yield the parts of a body; each must arrive within `idle_seconds`."""
-        parts = aiter(stream)
+    async def _parts(self, found: Any) -> AsyncIterator[bytes]:
+        """Yield the parts of a body as they arrive."""
+        with self._store_errors():
+            parts = aiter(found.stream(min_chunk_size=_PART_BYTES))
         while True:
-            try:
-                part = await asyncio.wait_for(anext(parts), self._options.idle_seconds)
-            except StopAsyncIteration:
+            with self._store_errors():
+                part = await anext(parts, None)
+            if part is None:
                 return
             yield bytes(part)
+
+    def _store_errors(self) -> AbstractContextManager[None]:
+        """Turn exceptions of obstore into errors; failures may pass."""
+        return store_errors(
+            self._name, lambda message: TransientError("connection-broken", message)
+        )
 
     async def close(self) -> None:
         """Do nothing: obstore closes the connections when the store is freed."""
@@ -140,10 +123,17 @@ def object_store(url: str, options: NetworkOptions, *, retries: int) -> Any:
     MissingExtraError
         ``needs-cloud``: obstore is not installed.
     StorageError
-        ``store-options``: obstore refuses the store's configuration.
+        ``store-options``: obstore refuses the store's configuration; ``bad-url``: the URL is
+        malformed; ``private-address``: `NetworkOptions.allow_private` is False.
     """
-    obstore = _obstore()
-    parts = urlsplit(url)
+    obstore = obstore_module()
+    parts = split_url(url)
+    if not options.allow_private:
+        raise StorageError(
+            "private-address",
+            f"{redacted(url)}: object stores are read with the credentials of this machine, "
+            "expected http or https where private addresses are not allowed",
+        )
     client = {"connect_timeout": f"{options.connect_seconds:g}s"}
     named = [options.options_of_store.get("endpoint"), *map(os.environ.get, _ENDPOINTS)]
     if next(filter(None, named), "").startswith("http://"):
@@ -156,28 +146,9 @@ def object_store(url: str, options: NetworkOptions, *, retries: int) -> Any:
             client_options=client,
             retry_config={"max_retries": retries},
         )
-    except (obstore.exceptions.BaseError, ValueError) as error:
+    except Exception as error:
+        # obstore raises exceptions of many types for options that it does not know.
         raise StorageError(
             "store-options",
             f"{redacted(url)}: {first_line(error)}, expected options that obstore knows",
         ) from error
-
-
-def first_line(error: Exception) -> str:
-    """Return the first line of an error's message; obstore adds internal details below it."""
-    return str(error).strip().partition("\n")[0]
-
-
-def _obstore() -> ModuleType:
-    """Return the module obstore, or raise ``needs-cloud``."""
-    try:
-        import obstore
-        import obstore.exceptions
-        import obstore.store
-    except ImportError as error:
-        raise MissingExtraError(
-            "needs-cloud",
-            "obstore is not installed, expected it for object stores "
-            "(pip install 'cogsplat[cloud]')",
-        ) from error
-    return obstore

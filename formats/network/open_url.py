@@ -5,13 +5,18 @@ from __future__ import annotations
 from .http_transport import HttpTransport
 from .network_options import NetworkOptions
 from .object_transport import ObjectTransport
+from .range_fetcher import LengthOf
 from .range_responses import SiblingTransport
 from .range_source import RangeSource
 from .urls import HTTP_SCHEMES, redacted, scheme_of
 
 
 def open_url(
-    url: str, options: NetworkOptions | None = None, *, bypass_caches: bool = False
+    url: str,
+    options: NetworkOptions | None = None,
+    *,
+    bypass_caches: bool = False,
+    length_of: LengthOf | None = None,
 ) -> RangeSource:
     """Open a file on a network and request its first 64 KiB.
 
@@ -24,6 +29,8 @@ def open_url(
         Timeouts, retries and request sizes.
     bypass_caches : bool
         Whether to bypass HTTP caches.
+    length_of : callable, optional
+        Length of the file from its first 64 bytes; see `RangeFetcher`.
 
     Returns
     -------
@@ -33,7 +40,7 @@ def open_url(
     Raises
     ------
     StorageError
-        The errors of `RangeSource`.
+        The errors of `RangeSource`; ``bad-url``: the URL is malformed.
     MissingExtraError
         ``needs-http``, ``needs-cloud``: the packages of the extra are not installed.
     ValueError
@@ -48,7 +55,11 @@ def open_url(
     """
     options = options or NetworkOptions()
     return RangeSource(
-        transport_of(url, options), redacted(url), options, bypass_caches=bypass_caches
+        transport_of(url, options),
+        redacted(url),
+        options,
+        bypass_caches=bypass_caches,
+        length_of=length_of,
     )
 
 

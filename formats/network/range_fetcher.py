@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import AbstractAsyncContextManager
 from typing import Final
 
@@ -21,6 +21,9 @@ from .whole_body import WholeBody
 BEGINNING_BYTES: Final = 64 * KIB
 """Size of the first request (SPEC 8.8), whose bytes are kept."""
 
+HEAD_BYTES: Final = 64
+"""First bytes of a file, from which its length is read where the server does not state it."""
+
 # Requests start small, so that the first chunks arrive soon; each finished one doubles the limit.
 _INITIAL_REQUEST_BYTES: Final = 256 * KIB
 
@@ -33,6 +36,10 @@ _SOON_BYTES: Final = 1 << 20
 
 # Read-ahead of a download from a server without range requests, bytes.
 _WHOLE_AHEAD_BYTES: Final = 4 << 20
+
+
+LengthOf = Callable[[bytes], int | None]
+"""Function that gives the length of a file from its first 64 bytes."""
 
 
 class RangeFetcher:
@@ -50,6 +57,10 @@ class RangeFetcher:
         Whether every request bypasses HTTP caches.
     beginning_bytes : int
         Size of the first request, bytes.
+    length_of : callable, optional
+        Function that returns the length of a file from its first 64 bytes, None where they do not
+        give it, or raises an error for a file that is not wanted. Called where the server sends the
+        whole file without stating its length.
 
     Attributes
     ----------
@@ -75,6 +86,7 @@ class RangeFetcher:
         *,
         bypass_caches: bool,
         beginning_bytes: int = BEGINNING_BYTES,
+        length_of: LengthOf | None = None,
     ) -> None:
         self.arrival = threading.Condition()
         self.beginning = PendingRange(0, beginning_bytes)
@@ -85,6 +97,7 @@ class RangeFetcher:
         self._name = name
         self._options = options
         self._bypass_caches = bypass_caches
+        self._length_of = length_of
         self._queue = RangeQueue(options.gap_bytes, options.request_bytes)
         self._queue.add([self.beginning], urgent=True)
         self._request_limit = _INITIAL_REQUEST_BYTES
@@ -211,7 +224,8 @@ class RangeFetcher:
                     await self._fetch_rest(request, backoff)
                 except TransientError as error:
                     self._failures += 1
-                    await asyncio.sleep(backoff.pause_after(error))
+                    if request.missing:
+                        await asyncio.sleep(backoff.pause_after(error))
             with self.arrival:
                 self._request_limit = min(2 * self._request_limit, self._options.request_bytes)
         except Exception as error:
@@ -236,18 +250,19 @@ class RangeFetcher:
         Raises
         ------
         TransientError
-            The response failed or ended early.
+            The response failed or ended early, or brought no progress.
         StorageError
             The request failed for good.
         """
         bypass_caches = self._bypass_caches or request.bypasses_caches
+        has_progressed = False
         async with self._get(
             request.position, request.end, bypass_caches=bypass_caches
         ) as response:
             head = response.head
             await self._require_unchanged(head)
             if head.is_whole:
-                await self._receive_whole(response, request)
+                await self._receive_whole(response, request, backoff)
                 return
             with self.arrival:
                 self._set_size(head)
@@ -263,12 +278,12 @@ class RangeFetcher:
                     self.arrival.notify_all()
                     # The next request begins while this one still runs.
                     self._has_work.set()
-                if used:
-                    backoff.reset()
+                has_progressed |= backoff.add_bytes(len(used))
                 if len(used) < len(part):
                     # The body is longer than the requested range: the rest is ignored.
                     return
-        if request.missing and request.position < head.end:
+        # Responses that are right but short would otherwise take a request for every byte.
+        if request.missing and (request.position < head.end or not has_progressed):
             raise TransientError(
                 "connection-broken",
                 f"{self._name}: the response ended at byte {request.position}, expected "
@@ -334,7 +349,9 @@ class RangeFetcher:
                     break
         return again.bytes_at(0, kept.end) == kept.bytes_at(0, kept.end)
 
-    async def _receive_whole(self, response: RangeResponse, request: Request) -> None:
+    async def _receive_whole(
+        self, response: RangeResponse, request: Request, backoff: Backoff
+    ) -> None:
         """Download the whole file from its first byte, at most 4 MiB ahead of the readers."""
         with self.arrival:
             body = self._switch_to_whole(response.head, request)
@@ -342,26 +359,43 @@ class RangeFetcher:
         async for part in response.parts:
             self._received += len(part)
             with self.arrival:
-                body.receive(at, part)
+                backoff.add_bytes(body.receive(at, part, self.size))
                 at += len(part)
+                self._set_size_of_body(body, request)
                 request.position = min(body.received, request.end)
                 self.arrival.notify_all()
+            if self.size is not None and body.received >= self.size:
+                break
             while self.size is not None and body.received > body.wanted + _WHOLE_AHEAD_BYTES:
                 self._has_work.clear()
                 await self._has_work.wait()
                 with self.arrival:
                     self._begin_requests()
         with self.arrival:
-            total = response.head.total
-            if total is not None and body.received < total:
+            if self.size is not None and body.received < self.size:
                 raise TransientError(
                     "connection-broken",
-                    f"{self._name}: the response ended at byte {body.received}, expected {total}",
+                    f"{self._name}: the response ended at byte {body.received}, expected "
+                    f"{self.size}",
                 )
             self.size = body.received
             request.end = request.position = body.received
             body.is_complete = True
             self.arrival.notify_all()
+
+    def _set_size_of_body(self, body: WholeBody, request: Request) -> None:
+        """Set the length of the file from its first bytes, where the server does not state it."""
+        if self.size is None and self._length_of is not None and body.received >= HEAD_BYTES:
+            # Refuses a file of another format; a body without end is received no further.
+            self.size = self._length_of(body.bytes_at(0, HEAD_BYTES))
+            request.end = self.size or request.end
+        limit = self._options.unstated_bytes
+        if self.size is None and body.received > limit:
+            raise StorageError(
+                "answer-length",
+                f"{self._name}: more than {limit} bytes in a response without a length, expected "
+                "Content-Length; NetworkOptions.unstated_bytes raises the limit",
+            )
 
     def _switch_to_whole(self, head: ResponseHead, request: Request) -> WholeBody:
         """Cancel all requests but one, which downloads the whole file."""
@@ -376,8 +410,8 @@ class RangeFetcher:
         self.whole.wanted = max(self.whole.wanted, request.end)
         if head.total is not None:
             self.size = head.total
-            # The body is longer than the requested range.
-            request.end = head.total
+        # The body is longer than the requested range.
+        request.end = self._options.unstated_bytes + 1 if self.size is None else self.size
         self.arrival.notify_all()
         return self.whole
 

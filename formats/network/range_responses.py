@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 from collections.abc import AsyncIterator, Mapping
 from contextlib import AbstractAsyncContextManager
@@ -10,7 +11,7 @@ from typing import Final, Protocol
 
 from cogsplat.codec.errors import StorageError
 
-from .backoff import TRANSIENT_STATUSES, TransientError, retry_after_seconds
+from .backoff import PROGRESS_BYTES, TRANSIENT_STATUSES, TransientError, retry_after_seconds
 
 _CONTENT_RANGE: Final = re.compile(r"bytes (\d{1,19})-(\d{1,19})/(\d{1,19}|\*)", re.ASCII)
 _UNSATISFIED: Final = re.compile(r"bytes \*/(\d{1,19})", re.ASCII)
@@ -89,6 +90,53 @@ class SiblingTransport(Transport, Protocol):
 
     def sibling(self, name: str) -> Transport:
         """Return a transport for the file `name`, relative to this file, on shared connections."""
+
+
+async def timely(
+    parts: AsyncIterator[bytes], idle_seconds: float, where: str
+) -> AsyncIterator[bytes]:
+    """Yield the parts of a body, as long as every 16 KiB of them arrive in time.
+
+    Parameters
+    ----------
+    parts : async iterator of bytes
+        Body of a response.
+    idle_seconds : float
+        Time for each 16 KiB, and for the end of the body, seconds. Time in which the consumer does
+        not ask for a part is not counted.
+    where : str
+        Name of the file in messages.
+
+    Raises
+    ------
+    TransientError
+        ``network-timeout``.
+    """
+    loop = asyncio.get_running_loop()
+    count, waited = 0, 0.0
+    while True:
+        start = loop.time()
+        try:
+            async with asyncio.timeout(idle_seconds - waited):
+                part = await anext(parts, None)
+        except TimeoutError as error:
+            raise late(where, idle_seconds, count) from error
+        if part is None:
+            return
+        waited += loop.time() - start
+        count += len(part)
+        if count >= PROGRESS_BYTES:
+            count, waited = 0, 0.0
+        yield part
+
+
+def late(where: str, seconds: float, count: int = 0) -> TransientError:
+    """Return the error for a peer that sent `count` bytes in `seconds`, less than progress."""
+    found = f"{count} bytes in" if count else "no byte for"
+    return TransientError(
+        "network-timeout",
+        f"{where}: {found} {seconds:g} s, expected {PROGRESS_BYTES} or the whole response",
+    )
 
 
 def check_response_head(

@@ -15,7 +15,7 @@ from cogsplat.codec.errors import Cancelled, CogsplatWarning
 from cogsplat.formats.storage.source import Cancel, require_within
 
 from .network_options import KIB, NetworkOptions
-from .range_fetcher import BEGINNING_BYTES, RangeFetcher
+from .range_fetcher import BEGINNING_BYTES, LengthOf, RangeFetcher
 from .range_queue import PendingRange
 from .range_responses import Transport
 from .segment_cache import SegmentCache
@@ -69,13 +69,15 @@ class RangeSource:
         Whether to bypass HTTP caches, because a cached response was damaged.
     beginning_bytes : int
         Size of the first request, bytes.
+    length_of : callable, optional
+        Length of the file from its first 64 bytes; see `RangeFetcher`.
 
     Raises
     ------
     StorageError
         ``host-unreachable``, ``network-timeout``, ``connection-broken``, ``http-status``,
-        ``not-found``, ``permission``, ``answer-range``, ``answer-encoding``, ``redirect-loop``,
-        ``redirect-refused``.
+        ``not-found``, ``permission``, ``answer-range``, ``answer-encoding``, ``answer-length``,
+        ``redirect-loop``, ``redirect-refused``, ``private-address``.
 
     Examples
     --------
@@ -94,6 +96,7 @@ class RangeSource:
         *,
         bypass_caches: bool = False,
         beginning_bytes: int = BEGINNING_BYTES,
+        length_of: LengthOf | None = None,
     ) -> None:
         self.name = name
         self._fetcher = RangeFetcher(
@@ -102,6 +105,7 @@ class RangeSource:
             options or NetworkOptions(),
             bypass_caches=bypass_caches,
             beginning_bytes=beginning_bytes,
+            length_of=length_of,
         )
         self._arrival = self._fetcher.arrival
         self._prefetched: dict[tuple[int, int], PendingRange] = {}

@@ -5,6 +5,8 @@ from __future__ import annotations
 import tempfile
 from typing import Final
 
+from cogsplat.formats.storage.atomic import storage_errors
+
 # Bytes kept in memory; a longer body goes to a temporary file.
 _IN_MEMORY: Final = 16 << 20
 
@@ -33,17 +35,40 @@ class WholeBody:
         self.is_complete = False
         self._file = tempfile.SpooledTemporaryFile(_IN_MEMORY)  # noqa: SIM115 - see `close`
 
-    def receive(self, at: int, part: bytes) -> None:
-        """Append the new bytes of a part that begins at byte `at` of the file."""
-        new = part[max(0, self.received - at) :]
-        self._file.seek(self.received)
-        self._file.write(new)
+    def receive(self, at: int, part: bytes, size: int | None) -> int:
+        """Append the new bytes of a part of the file.
+
+        Parameters
+        ----------
+        at : int
+            Offset of the part in the file, bytes.
+        part : bytes
+            Received bytes.
+        size : int or None
+            Length of the file, bytes, if known; bytes beyond it are dropped.
+
+        Returns
+        -------
+        int
+            Number of new bytes.
+
+        Raises
+        ------
+        StorageError
+            ``disk-full``, ``permission``, ``io``: the temporary file cannot be written.
+        """
+        new = part[max(0, self.received - at) : None if size is None else max(0, size - at)]
+        with storage_errors(tempfile.gettempdir()):
+            self._file.seek(self.received)
+            self._file.write(new)
         self.received += len(new)
+        return len(new)
 
     def bytes_at(self, first: int, end: int) -> bytes:
         """Return received bytes from `first` up to `end`."""
-        self._file.seek(first)
-        return self._file.read(end - first)
+        with storage_errors(tempfile.gettempdir()):
+            self._file.seek(first)
+            return self._file.read(end - first)
 
     def close(self) -> None:
         """Free the memory and delete the temporary file."""

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING
-from urllib.parse import urlsplit
 
-from cogsplat.codec.errors import MissingExtraError, StorageError
+from cogsplat.codec.errors import StorageError
+from cogsplat.formats.network.store_errors import first_line, obstore_module, store_errors
 from cogsplat.formats.network.urls import STORE_SCHEMES, scheme_of
 
 if TYPE_CHECKING:
@@ -62,19 +62,13 @@ class Bucket:
         config: Mapping[str, str] | None = None,
         store: ObjectStore | None = None,
     ) -> None:
-        try:
-            from obstore.store import from_url
-        except ImportError as error:
-            raise MissingExtraError(
-                "needs-cloud",
-                "buckets are read and written with obstore (pip install 'cogsplat[cloud]')",
-            ) from error
+        from_url = obstore_module().store.from_url
         self.name = url.rstrip("/")
         settings = dict(config or {})
         if store is None and scheme_of(url) not in STORE_SCHEMES:
             schemes = ", ".join(f"{scheme}://" for scheme in STORE_SCHEMES)
             raise StorageError("bucket-address", f"{url}: is no bucket, expected one of {schemes}")
-        plain = urlsplit(settings.get("endpoint", "")).scheme == "http"
+        plain = settings.get("endpoint", "").startswith("http://")
         # The type of `config` depends on the scheme, so its check is disabled.
         open_store: Callable[..., ObjectStore] = from_url
         try:
@@ -83,7 +77,7 @@ class Bucket:
             )
         except Exception as error:
             # obstore raises exceptions of many types for a bad address.
-            raise StorageError("bucket-address", f"{url}: {_first_line(error)}") from error
+            raise StorageError("bucket-address", f"{url}: {first_line(error)}") from error
 
     def objects(self, folder: str = "") -> Iterator[StoredObject]:
         """Yield all objects below a folder, recursively.
@@ -134,26 +128,7 @@ class Bucket:
         with self._errors(""):
             obstore.delete(self._store, list(names))
 
-    @contextmanager
-    def _errors(self, name: str) -> Iterator[None]:
-        """Turn obstore's exceptions into `StorageError`, as a context manager."""
-        from obstore import exceptions
-
+    def _errors(self, name: str) -> AbstractContextManager[None]:
+        """Turn exceptions of obstore into errors that name an object."""
         where = f"{self.name}/{name}".rstrip("/")
-        try:
-            yield
-        except FileNotFoundError as error:
-            raise StorageError("not-found", f"{where}: {_first_line(error)}") from error
-        except (
-            PermissionError,
-            exceptions.PermissionDeniedError,
-            exceptions.UnauthenticatedError,
-        ) as error:
-            raise StorageError("permission", f"{where}: {_first_line(error)}") from error
-        except (exceptions.BaseError, OSError) as error:
-            raise StorageError("bucket-failed", f"{where}: {_first_line(error)}") from error
-
-
-def _first_line(error: Exception) -> str:
-    """Return the first line of an error's message, at most 300 characters."""
-    return str(error).partition("\n")[0][:300]
+        return store_errors(where, lambda message: StorageError("bucket-failed", message))

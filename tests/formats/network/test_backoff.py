@@ -19,6 +19,13 @@ NOON = "Sun, 22 Nov 2026 12:00:00 GMT"
         ("-3", None, 0.0),
         ("soon", None, 0.0),
         ("9" * 30, None, 0.0),
+        ("Sun, 22 Nov 2026 12:00:30 +9999", NOON, 0.0),
+        ("Sun, 22 Nov 2026 12:00:30 -99999999999", NOON, 0.0),
+        ("Fri, 31 Dec 9999 23:59:59 GMT", NOON, 251606951999.0),
+        ("Fri, 31 Dec 9999 23:59:59 -2359", "Fri, 31 Dec 9999 23:59:59 -2359", 0.0),
+        ("Mon, 01 Jan 0001 00:00:00 +2359", NOON, 0.0),
+        ("3", "Mon, 01 Jan 0001 00:00:00 +2359", 3.0),
+        ("Sun, 99 Foo 99999999999999999999 1:1:1 GMT", NOON, 0.0),
     ],
 )
 def test_a_server_asks_for_seconds_or_for_a_date_of_its_clock(header, date, wait):
@@ -39,15 +46,18 @@ def test_a_wait_that_is_asked_for_comes_on_top():
     assert backoff.pause_after(TransientError("http-status", "a", wait_seconds=5)) == 5.25
 
 
-def test_attempts_end_and_begin_anew_with_a_new_byte():
+def test_attempts_end_and_begin_anew_with_progress():
     backoff = Backoff(NetworkOptions(retries=2))
     fault = TransientError("connection-broken", "a: broke")
     for _ in range(5):
         backoff.pause_after(fault)
-        backoff.reset()
+        assert not backoff.add_bytes(16383)
+        assert backoff.add_bytes(1)
+    # A byte with each attempt is no progress.
+    backoff.add_bytes(1)
     backoff.pause_after(fault)
     backoff.pause_after(fault)
-    with pytest.raises(StorageError, match="a: broke; 3 attempts without a new byte") as caught:
+    with pytest.raises(StorageError, match="a: broke; 3 attempts without progress") as caught:
         backoff.pause_after(fault)
     assert caught.value.code == "connection-broken"
 

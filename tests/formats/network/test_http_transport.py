@@ -12,7 +12,7 @@ from h2.events import RequestReceived
 from cogsplat.codec.errors import MissingExtraError, StorageError
 from cogsplat.formats.network import http_transport
 from cogsplat.formats.network.backoff import TransientError
-from cogsplat.formats.network.http_transport import HttpTransport
+from cogsplat.formats.network.http_transport import HttpTransport, new_client
 from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.formats.network.range_source import RangeSource
 
@@ -33,8 +33,8 @@ def fetched(transport, first=0, end=100):
 
 
 def mocked(handler, url="https://a.org/c.cogs", **options):
-    client = httpx.AsyncClient(transport=httpx.MockTransport(handler))
-    return HttpTransport(url, NetworkOptions(**options), client)
+    network = NetworkOptions(**options)
+    return HttpTransport(url, network, new_client(network, httpx.MockTransport(handler)))
 
 
 def test_one_range_without_compression():
@@ -187,8 +187,8 @@ def test_http2_shares_a_connection_and_survives_its_end(monkeypatch):
     server = Http2Server()
     with listening(server.serve) as port:
         # Without TLS nothing is negotiated: HTTP/2 from the first byte.
-        new_client = partial(httpx.AsyncClient, http1=False, http2=True)
-        monkeypatch.setattr(HttpTransport, "_new_client", lambda self: new_client())
+        only_http2 = partial(httpx.AsyncClient, http1=False, http2=True)
+        monkeypatch.setattr(http_transport, "new_client", lambda options: only_http2())
         url = f"http://127.0.0.1:{port}/c.cogs"
         network = NetworkOptions(pause_seconds=0.01)
         transport = HttpTransport(url, network)
