@@ -15,6 +15,15 @@ from cogsplat.formats.storage.torch_file import CODE, TorchTensor, open_torch
 # Keys of the dictionary that holds the tensors: gsplat's trainer, nerfstudio.
 _NESTED = ("splats", "pipeline")
 
+# Last parts of the names of a scene's tensors: gsplat's, then nerfstudio's.
+_ARRAY_NAMES = frozenset(
+    ("means", "scales", "quats", "opacities", "sh0", "shN", "features_dc", "features_rest")
+)
+
+# Keys that a message lists, and characters of each.
+_MAX_KEYS = 12
+_MAX_KEY = 40
+
 
 def is_torch_checkpoint(head: bytes) -> bool:
     """Return whether a file that begins with `head` is a ZIP file of ``torch.save``.
@@ -70,14 +79,17 @@ def _tensors(state: Mapping[object, object]) -> dict[str, TorchTensor]:
             str(name): tensor for name, tensor in level.items() if isinstance(tensor, TorchTensor)
         }
         if any(name == "means" or name.endswith(".means") for name in found):
-            gsplat_names = ("means", "scales", "quats", "opacities", "sh0", "shN")
-            nerfstudio_names = ("features_dc", "features_rest")
-            return {
+            arrays = {
                 name: tensor
                 for name, tensor in found.items()
-                if name.rpartition(".")[2] in (*gsplat_names, *nerfstudio_names)
+                if name.rpartition(".")[2] in _ARRAY_NAMES
             }
-    raise DataError(CODE, f"keys {sorted(map(str, state))[:12]}, expected the tensors of splats")
+            # Tensors may share a storage: 4000 of them in a small file would fill the memory.
+            if len({name.rpartition(".")[2] for name in arrays}) < len(arrays):
+                raise DataError(CODE, f"{len(arrays)} tensors of a scene, expected each name once")
+            return arrays
+    keys = [str(key)[:_MAX_KEY] for key in list(state)[:_MAX_KEYS]]
+    raise DataError(CODE, f"keys {sorted(keys)}, expected the tensors of splats")
 
 
 def _require_limits(tensors: Mapping[str, TorchTensor], path: StrPath, limits: Limits) -> None:

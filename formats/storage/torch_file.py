@@ -6,17 +6,15 @@ is refused, so that no code in it can run. Tensor values are read on access.
 
 from __future__ import annotations
 
-import collections
 import io
 import math
 import pickle
-import pickletools
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,9 +63,16 @@ _DAMAGE: Final = (
     OverflowError,
 )
 
-# Opcodes that store an object under a number. CPython's unpickler allocates an array up to that
-# number: eight bytes of pickle could take gigabytes.
-_STORES: Final = frozenset({"PUT", "BINPUT", "LONG_BINPUT"})
+# Opcodes of sets, whose items are hashed and which take 216 bytes each, of bytearrays, which are
+# allocated before their bytes are read, and of objects beyond dictionaries and tensors.
+_REFUSED: Final = (
+    *(pickle.EMPTY_SET, pickle.ADDITEMS, pickle.FROZENSET, pickle.BYTEARRAY8, pickle.NEXT_BUFFER),
+    *(pickle.NEWOBJ, pickle.NEWOBJ_EX, pickle.INST, pickle.OBJ, pickle.PERSID),
+)
+
+# Dimensions of a tensor, and length of an axis. Products of longer shapes would take seconds.
+_MAX_DIMENSIONS: Final = 8
+_MAX_LENGTH: Final = 1 << 48
 
 
 @dataclass(frozen=True)
@@ -165,12 +170,6 @@ def _unpickle(archive: zipfile.ZipFile) -> object:
         raise zipfile.BadZipFile("no pickle in the ZIP file")
     folder = name[: -len("data.pkl")]
     data = _read_stored(archive, name, _MAX_PICKLE_BYTES)
-    for opcode, number, position in pickletools.genops(data):
-        if opcode.name in _STORES and isinstance(number, int) and number > len(data):
-            raise pickle.UnpicklingError(
-                f"an object numbered {number} at byte {position} of {len(data)}, expected numbers "
-                "from 0 on"
-            )
     stream = io.BytesIO(data)
     return _TensorUnpickler(
         stream, lambda key: _read_stored(archive, f"{folder}data/{key}", _MAX_BYTES)
@@ -220,7 +219,11 @@ def read_state_dict(path: StrPath) -> dict[str, F32]:
         if not isinstance(state, dict):
             raise _refusal(path, f"a {type(state).__name__}")
         # State dicts also hold the version numbers of their modules.
-        return {str(k): v.array() for k, v in state.items() if isinstance(v, TorchTensor)}
+        tensors = {str(k): v for k, v in state.items() if isinstance(v, TorchTensor)}
+        # Tensors may share a storage, so their sizes are not bounded by the file's.
+        if sum(4 * math.prod(tensor.shape) for tensor in tensors.values()) > _MAX_BYTES:
+            raise _refusal(path, f"tensors of more than {_MAX_BYTES} bytes")
+        return {name: tensor.array() for name, tensor in tensors.items()}
 
 
 def _read_npy(archive: zipfile.ZipFile, name: str) -> F32:
@@ -249,17 +252,26 @@ class _Storage:
     count: int
 
 
-class _TensorUnpickler(pickle.Unpickler):
-    """Unpickler for dictionaries of tensors, which refuses every foreign class and function."""
+class _TensorUnpickler(pickle._Unpickler):
+    """Unpickler for dictionaries of tensors, which refuses every foreign class and function.
 
-    def __init__(self, stream: object, read: Callable[[str], bytes]) -> None:
-        super().__init__(stream)  # type: ignore[arg-type]
+    The pure-Python unpickler, because only there can keys be checked before they are hashed: the
+    hash and the text of nested tuples that share their items take exponential time.
+    """
+
+    stack: list[Any]
+    append: Callable[[object], None]
+    pop_mark: Callable[[], list[Any]]
+    dispatch: ClassVar[dict[int, Callable[[Any], None]]] = {**pickle._Unpickler.dispatch}
+
+    def __init__(self, stream: io.BytesIO, read: Callable[[str], bytes]) -> None:
+        super().__init__(stream)
         self._read = read
 
     def find_class(self, module: str, name: str) -> object:
         """Return the constructor for an allowed class, or refuse the class."""
         if (module, name) == ("collections", "OrderedDict"):
-            return collections.OrderedDict
+            return _dictionary
         if (module, name) == ("torch._utils", "_rebuild_tensor_v2"):
             return _tensor
         if (module, name) == ("torch._utils", "_rebuild_parameter"):
@@ -270,29 +282,94 @@ class _TensorUnpickler(pickle.Unpickler):
 
     def persistent_load(self, key: object) -> _Storage:
         """Return the storage that a persistent id of the pickle refers to."""
-        if not isinstance(key, tuple) or len(key) != 5 or key[0] != "storage":
-            raise pickle.UnpicklingError(f"{str(key)[:80]}, expected a storage")
-        _, dtype, name, _, count = key
-        if dtype not in _DTYPES.values() or not isinstance(count, int):
+        if not isinstance(key, tuple) or len(key) != 5 or not all(map(_is_scalar, key)):
+            raise pickle.UnpicklingError("an id of another form, expected that of a storage")
+        kind, dtype, name, _, count = key
+        if kind != "storage" or dtype not in _DTYPES.values() or not isinstance(count, int):
             raise pickle.UnpicklingError(f"storage of {str(dtype)[:80]}, expected numbers")
         return _Storage(lambda: self._read(str(name)), str(dtype), count)
 
+    def set_item(self) -> None:
+        """Set one item of a dictionary, whose key and value are on the stack."""
+        value, key = self.stack.pop(), self.stack.pop()
+        self._set_items([key, value])
+
+    def set_marked_items(self) -> None:
+        """Set the items of a dictionary, whose keys and values follow the mark on the stack."""
+        self._set_items(self.pop_mark())
+
+    def make_dictionary(self) -> None:
+        """Put a dictionary of the keys and values behind the mark on the stack."""
+        items = self.pop_mark()
+        self.append({})
+        self._set_items(items)
+
+    def skip_state(self) -> None:
+        """Drop the state of an object: attributes of dictionaries, such as torch's versions."""
+        self.stack.pop()
+
+    def refuse(self) -> None:
+        """Refuse an opcode for other values."""
+        raise pickle.UnpicklingError("a set, bytes or an object, expected tensors and dictionaries")
+
+    def _set_items(self, items: list[object]) -> None:
+        """Set items of the dictionary on top of the stack, given as keys and values in turn."""
+        target = self.stack[-1]
+        if not isinstance(target, dict):
+            raise pickle.UnpicklingError("items of another object, expected those of a dictionary")
+        for key, value in zip(items[::2], items[1::2], strict=True):
+            if not isinstance(key, str | int):
+                raise pickle.UnpicklingError(f"a key of {type(key).__name__}, expected text")
+            target[key] = value
+
+    dispatch[pickle.SETITEM[0]] = set_item
+    dispatch[pickle.SETITEMS[0]] = set_marked_items
+    dispatch[pickle.DICT[0]] = make_dictionary
+    dispatch[pickle.BUILD[0]] = skip_state
+    dispatch |= dict.fromkeys((opcode[0] for opcode in _REFUSED), refuse)
+
+
+def _is_scalar(value: object) -> bool:
+    """Whether a value is text, a number or None."""
+    return value is None or isinstance(value, str | int | float)
+
+
+def _dictionary(*arguments: object) -> dict[object, object]:
+    """Return an empty dictionary; torch sets its items later."""
+    if arguments:
+        raise pickle.UnpicklingError("a dictionary of other values, expected an empty one")
+    return {}
+
+
+def _lengths(value: object) -> tuple[int, ...]:
+    """Return the shape or the strides of a tensor."""
+    if not isinstance(value, tuple) or len(value) > _MAX_DIMENSIONS:
+        raise pickle.UnpicklingError(f"a shape of another form, expected {_MAX_DIMENSIONS} lengths")
+    if not all(isinstance(length, int) and 0 <= length <= _MAX_LENGTH for length in value):
+        raise pickle.UnpicklingError("a shape of other values, expected lengths of axes")
+    return value
+
 
 def _tensor(
-    storage: _Storage, offset: int, shape: tuple[int, ...], stride: tuple[int, ...], *_: object
+    storage: object, offset: object, shape: object, stride: object, *_: object
 ) -> TorchTensor:
     """Return a contiguous tensor of a storage (``torch._utils._rebuild_tensor_v2``)."""
+    if not isinstance(storage, _Storage) or not isinstance(offset, int):
+        raise pickle.UnpicklingError("a tensor of other values, expected a storage and an offset")
+    shape, stride = _lengths(shape), _lengths(stride)
     count = math.prod(shape)
     steps = [math.prod(shape[axis + 1 :]) for axis in range(len(shape))]
     # Saved weights are contiguous; an axis of length 1 may have any stride.
     plain = all(size == 1 or a == b for size, a, b in zip(shape, stride, steps, strict=True))
     if not plain or not 0 <= offset <= offset + count <= storage.count:
         raise pickle.UnpicklingError(f"tensor of shape {shape} with strides {stride}")
-    return TorchTensor(storage.read, storage.dtype, storage.count, offset, tuple(shape))
+    return TorchTensor(storage.read, storage.dtype, storage.count, offset, shape)
 
 
-def _parameter(tensor: TorchTensor, *_: object) -> TorchTensor:
+def _parameter(tensor: object, *_: object) -> TorchTensor:
     """Return the tensor of a parameter (``torch._utils._rebuild_parameter``)."""
+    if not isinstance(tensor, TorchTensor):
+        raise pickle.UnpicklingError("a parameter of another value, expected a tensor")
     return tensor
 
 

@@ -1,6 +1,7 @@
 """Files of torch.save, read without PyTorch, and hostile ones."""
 
 import io
+import tracemalloc
 import zipfile
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from lpips_weights import alex
 from torch_files import Named, Storage, Tensor, saved, tensor
 
 from cogsplat.codec.errors import DataError, StorageError
+from cogsplat.formats.storage import torch_file
 from cogsplat.formats.storage.torch_file import read_state_dict
 
 
@@ -58,14 +60,11 @@ def test_hostile_pickles_build_nothing(tmp_path: Path, state: object) -> None:
 @pytest.mark.parametrize(
     "pickled",
     [
-        # Objects stored under numbers that make the unpickler of CPython keep 1 GiB and 480 MB.
-        b"\x80\x02}r\x00\x00\x00\x04.",
-        b"\x80\x02}p30000000\n.",
         # Lengths beyond any memory.
         b"\x80\x04\x8e" + b"\xff" * 8 + b".",
         b"\x80\x04\x95" + b"\xff" * 8 + b"}.",
     ],
-    ids=["memo", "memo in digits", "bytes", "frame"],
+    ids=["bytes", "frame"],
 )
 def test_numbers_in_a_pickle_that_would_take_memory_are_refused(
     tmp_path: Path, pickled: bytes
@@ -76,6 +75,96 @@ def test_numbers_in_a_pickle_that_would_take_memory_are_refused(
     with pytest.raises(DataError) as caught:
         read_state_dict(path)
     assert caught.value.code == "torch-file"
+
+
+@pytest.mark.parametrize("pickled", [b"\x80\x02}r\x00\x00\x00\x04.", b"\x80\x02}p30000000\n."])
+def test_objects_under_large_numbers_take_no_memory(tmp_path: Path, pickled: bytes) -> None:
+    """CPython's compiled unpickler allocates arrays of these lengths: 1 GiB and 480 MB."""
+    path = tmp_path / "weights.pth"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("archive/data.pkl", pickled)
+    tracemalloc.start()
+    try:
+        assert read_state_dict(path) == {}
+        assert tracemalloc.get_traced_memory()[1] < 64 << 20
+    finally:
+        tracemalloc.stop()
+
+
+def nested(depth: int, width: int = 8) -> bytes:
+    """Return opcodes of nested tuples that share their items: a hash visits width^depth."""
+    out = b"K\x00q\x000"
+    for level in range(depth):
+        reference = b"h" + bytes([level])
+        out += b"(" + reference * width + b"tq" + bytes([level + 1])
+        out += b"0"
+    return out + b"h" + bytes([depth])
+
+
+@pytest.mark.parametrize(
+    "pickled",
+    [
+        b"\x80\x02}" + nested(24) + b"K\x01s.",
+        b"\x80\x02}(" + nested(24) + b"K\x01u.",
+        b"\x80\x02(" + nested(24) + b"K\x01d.",
+        b"\x80\x02" + nested(24) + b"Q.",
+        b"\x80\x02((X\x07\x00\x00\x00storagectorch\nFloatStorage\n" + nested(24) + b"NK\x01tQ.",
+        b"\x80\x04\x8f(" + nested(24) + b"\x90.",
+        b"\x80\x04(" + nested(24) + b"\x91.",
+        b"\x80\x02ccollections\nOrderedDict\n(](]" + nested(24) + b"aK\x01aaatR.",
+        b"\x80\x02ctorch._utils\n_rebuild_tensor_v2\n(" + nested(24) + b"K\x00))tR.",
+        b"\x80\x02ctorch._utils\n_rebuild_tensor_v2\n((X\x07\x00\x00\x00storage"
+        b"ctorch\nFloatStorage\nX\x01\x00\x00\x000NK\x01tQK\x00" + nested(24) + b")tR.",
+        b"\x80\x05" + b"\x8f" * 500_000 + b".",
+        b"\x80\x05\x96\x00\x00\x00\x00\x04\x00\x00\x00}.",
+    ],
+    ids=[
+        *("key", "keys", "dictionary", "id", "part of an id", "set", "frozen set"),
+        *("ordered dictionary", "storage", "shape", "sets", "bytearray"),
+    ],
+)
+def test_shared_structure_takes_neither_time_nor_memory(tmp_path: Path, pickled: bytes) -> None:
+    """The hash and the text of such a tuple take longer than any test."""
+    path = tmp_path / "weights.pth"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("archive/data.pkl", pickled)
+    tracemalloc.start()
+    try:
+        with pytest.raises(DataError) as caught:
+            read_state_dict(path)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert caught.value.code == "torch-file"
+    assert peak < 64 << 20
+
+
+def test_tensors_of_one_storage_are_bounded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch_file, "_MAX_BYTES", 1 << 16)
+    values = np.zeros(1000, np.float32)
+    path = tmp_path / "a.pth"
+    saved(path, {str(n): tensor("0", values) for n in range(16)}, {"0": values.tobytes()})
+    assert len(read_state_dict(path)) == 16
+    saved(path, {str(n): tensor("0", values) for n in range(17)}, {"0": values.tobytes()})
+    with pytest.raises(DataError, match="tensors of more than 65536 bytes"):
+        read_state_dict(path)
+
+
+def test_attributes_of_dictionaries_are_skipped(tmp_path: Path) -> None:
+    """torch keeps the versions of modules as an attribute of an OrderedDict."""
+    values = np.arange(3, dtype=np.float32)
+    path, plain = tmp_path / "a.pth", tmp_path / "plain.pth"
+    saved(plain, {"w": tensor("0", values)}, {"0": values.tobytes()})
+    with zipfile.ZipFile(plain) as source, zipfile.ZipFile(path, "w") as out:
+        for name in source.namelist():
+            data = source.read(name)
+            if name.endswith(".pkl"):
+                data = data.replace(b"\x80\x02}", b"\x80\x02ccollections\nOrderedDict\n)R")
+                data = data[:-1] + b"}X\x09\x00\x00\x00_metadata}sb."
+            out.writestr(name, data)
+    assert read_state_dict(path)["w"].tolist() == [0, 1, 2]
 
 
 @pytest.mark.parametrize("length", [0, 1, 10, 100, 400])
