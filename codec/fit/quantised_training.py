@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -15,7 +16,7 @@ from cogsplat.codec.encode.finishing import Finisher, SizeOf
 from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.rate_control import LOG2_BYTES_PER_DB, PSNR_PER_DB, search_psnr
-from cogsplat.codec.errors import DataError
+from cogsplat.codec.errors import DataError, FormatError
 from cogsplat.codec.order.prefix_inflation import effective_splats
 from cogsplat.codec.progress import Progress
 from cogsplat.codec.rate.allocation import lagrangian
@@ -24,6 +25,7 @@ from cogsplat.codec.scoring.reference_views import render_references
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import sample_evenly
 
+from .checkpoint_arrays import CheckpointArrays
 from .prefix_loss import PrefixLoss
 from .preview_training import PreviewConfig, TrainedPreview
 from .rate_gradients import ERROR_PER_BIT, rate_gradients
@@ -53,6 +55,8 @@ _MAX_QUALITY_STEP_DB: Final = 4.0
 # grid take more bytes on any other. Bytes then change twice as fast as by `LOG2_BYTES_PER_DB`, and
 # undamped corrections oscillate.
 _DAMPING, _FINAL_DAMPING = 0.4, 0.6
+# Names of a codebook's payloads in a checkpoint: number, attribute and rows of the codebook, part.
+_CODEBOOK_NAME: Final = re.compile(r"codebook\.([0-9]{1,2})\.(\w{1,20})\.([0-9]{1,9})\.[0-9]{1,2}")
 # Maximum number of views for scoring.
 _MAX_SCORED_VIEWS: Final = 64
 
@@ -143,12 +147,22 @@ class QuantisedTraining:
                 arrays[f"{of}.{part}"] = np.frombuffer(payload, np.uint8)
         return arrays
 
-    def restore_codebooks(self, state: Mapping[str, NDArray[np.generic]]) -> None:
-        """Restore the codebooks of the last encode from the arrays of a checkpoint."""
+    def restore_codebooks(self, state: CheckpointArrays) -> None:
+        """Restore the codebooks of the last encode from the arrays of a checkpoint.
+
+        Raises
+        ------
+        FormatError
+            ``bad-checkpoint``: the name or the type of an array is that of no codebook.
+        """
         parts: dict[tuple[str, ...], list[bytes]] = {}
         for name in sorted(name for name in state if name.startswith("codebook.")):
-            _, *of, _ = name.split(".")
-            parts.setdefault(tuple(of), []).append(state[name].tobytes())
+            match = _CODEBOOK_NAME.fullmatch(name)
+            if match is None or state[name].dtype != np.uint8:
+                raise FormatError(
+                    "bad-checkpoint", f"array {name[:60]!r}, expected bytes of a codebook"
+                )
+            parts.setdefault(match.groups(), []).append(state[name].tobytes())
         self._codebooks = [
             EncodedCodebook(attribute, int(rows), tuple(payloads))
             for (_, attribute, rows), payloads in parts.items()

@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.compiling import called_with
+from cogsplat.codec.errors import FormatError
 from cogsplat.codec.render.jit import kernel
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
+from .checkpoint_arrays import CheckpointArrays, checkpoint_count, checkpoint_splats
 from .differentiable_rendering import Gradients
 
 F32 = NDArray[np.float32]
@@ -139,14 +141,22 @@ class SplatAdam:
         return arrays
 
     @classmethod
-    def from_state(cls, state: Mapping[str, NDArray[np.generic]]) -> SplatAdam:
-        """Return the optimiser from the checkpoint arrays of `state`."""
-        adam = cls.__new__(cls)
-        adam._steps = int(state["adam.steps"])
+    def from_state(cls, state: CheckpointArrays, splats: Splats) -> SplatAdam:
+        """Return the optimiser of a scene from the checkpoint arrays of `state`.
+
+        Raises
+        ------
+        FormatError
+            ``bad-checkpoint``: an array is missing, or has another shape or type.
+        """
+        adam = cls(splats)
+        adam._steps = checkpoint_count(state, "adam.steps")
         for part in ("_means", "_squares"):
-            arrays = {
-                name: np.array(state[f"adam{part}.{name}"], np.float32)
-                for name in Gradients.names()
-            }
-            setattr(adam, part, Gradients(**arrays))
+            moments = checkpoint_splats(state, f"adam{part}.", splats)
+            if len(moments["opacities"]) != len(splats):
+                raise FormatError(
+                    "bad-checkpoint",
+                    f"moments of {len(moments['opacities'])} splats, expected {len(splats)}",
+                )
+            setattr(adam, part, Gradients(**moments))
         return adam

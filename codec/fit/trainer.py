@@ -14,6 +14,12 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
+from .checkpoint_arrays import (
+    CheckpointArrays,
+    checkpoint_array,
+    checkpoint_count,
+    checkpoint_splats,
+)
 from .differentiable_rendering import ForwardPass, Gradients, render_forward, with_values
 from .image_losses import LOSSES
 from .prefix_loss import PrefixLoss
@@ -177,16 +183,24 @@ class Trainer:
         arrays["deleted_steps"] = np.array(self._deletion_steps)
         return arrays | {"steps": np.array(self.steps), "errors": self._view_errors}
 
-    def restore(self, state: Mapping[str, NDArray[np.generic]]) -> None:
-        """Restore the trainer from the checkpoint arrays of `state`."""
-        arrays = {name: np.array(state[f"splats.{name}"], np.float32) for name in Gradients.names()}
-        self.splats = with_values(self.splats, arrays)
-        self._adam = SplatAdam.from_state(state)
-        self._gradients = Gradients.zeros(self.splats)
-        self.steps = int(state["steps"])
-        self._view_errors = np.array(state["errors"], np.float64)
-        self._deletion_errors = np.array(state["deleted"], np.float64)
-        self._deletion_steps = int(state["deleted_steps"])
+    def restore(self, state: CheckpointArrays) -> None:
+        """Restore the trainer from the checkpoint arrays of `state`.
+
+        Raises
+        ------
+        FormatError
+            ``bad-checkpoint``: an array is missing, or has another shape or type.
+        """
+        splats = with_values(self.splats, checkpoint_splats(state, "splats.", self.splats))
+        adam = SplatAdam.from_state(state, splats)
+        steps, deletion_steps = (checkpoint_count(state, n) for n in ("steps", "deleted_steps"))
+        errors = checkpoint_array(state, "errors", (len(self._views),))
+        deletion_errors = checkpoint_array(state, "deleted", (len(splats),))
+        self.splats, self._adam, self.steps = splats, adam, steps
+        self._gradients = Gradients.zeros(splats)
+        self._view_errors = np.array(errors, np.float64)
+        self._deletion_errors = np.array(deletion_errors, np.float64)
+        self._deletion_steps = deletion_steps
 
     def _reset_deletion_errors(self) -> None:
         """Start accumulating deletion errors anew."""

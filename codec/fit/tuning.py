@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
@@ -11,14 +11,17 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.encode.config import MAX_QUALITY_DB
 from cogsplat.codec.encode.encoded import EncodedScene
 from cogsplat.codec.encode.finishing import SizeOf
+from cogsplat.codec.errors import FormatError
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 
+from .checkpoint_arrays import CheckpointArrays, checkpoint_array, checkpoint_splats
 from .deletion_errors import deletion_errors
 from .differentiable_rendering import Gradients, with_values
 from .quantised_training import QuantisedTraining
@@ -52,9 +55,6 @@ _RESERVED_SETUPS, _RESERVED_CYCLES = 2.0, 8.0
 _TIMED_CYCLE: Final = 2
 # Cycles between two checkpoints.
 _CHECKPOINT_CYCLES: Final = 5
-
-CheckpointArrays = Mapping[str, NDArray[np.generic]]
-"""Checkpoint: all arrays needed to resume tuning, by name."""
 
 
 @dataclass(frozen=True)
@@ -468,12 +468,13 @@ class _TuningRun:
         return arrays
 
     def restore(self, state: CheckpointArrays) -> None:
-        """Restore the run from the checkpoint of an earlier run with the same arguments."""
-        self.trainer.restore(state)
-        done, planned, quality_db = state["stored"].tolist()
-        self._quantised = int(done), int(planned), float(quality_db)
-        self._recoveries, self._corrected_to = state["recoveries"].tolist()
-        self.time_budget.fix_factor(float(state["factor"]))
+        """Restore the run from the checkpoint of an earlier run with the same arguments.
+
+        Raises
+        ------
+        FormatError
+            ``bad-checkpoint``: an array is missing, or has another shape or type.
+        """
         self._earlier_rounds = []
         for number in range(_MAX_EARLIER_ROUNDS):
             prefix = f"kept{number}."
@@ -482,9 +483,34 @@ class _TuningRun:
                 for name, values in state.items()
                 if name.startswith(prefix)
             }
-            self._earlier_rounds += [kept] if kept else []
-        if "base.means" in state:
-            arrays = {
-                name: np.array(state[f"base.{name}"], np.float32) for name in Gradients.names()
-            }
+            if kept:
+                # Checked now: the round may be needed after an hour of training.
+                self.trainer.restore(kept)
+                self._earlier_rounds.append(kept)
+        self.trainer.restore(state)
+        done, planned, quality_db = checkpoint_array(state, "stored", (3,)).tolist()
+        recoveries, corrected_to = checkpoint_array(state, "recoveries", (2,), "i").tolist()
+        factor = float(checkpoint_array(state, "factor", ()))
+        within = (
+            0 <= done <= planned < np.inf
+            and 0.0 <= quality_db <= MAX_QUALITY_DB
+            and 0 <= recoveries <= _MAX_RECOVERIES
+            and 0 <= corrected_to <= self._source_count
+            and 0 < factor < np.inf
+            and 0 < self._count <= self._source_count
+        )
+        if not within:
+            raise FormatError(
+                "bad-checkpoint",
+                f"{self._count} splats, steps {done:g} of {planned:g} at {quality_db:g} dB, "
+                f"{recoveries} recoveries to {corrected_to} splats, factor {factor:g}, expected "
+                "those of a run",
+            )
+        self._quantised = int(done), int(planned), quality_db
+        self._recoveries, self._corrected_to = recoveries, corrected_to
+        self.time_budget.fix_factor(factor)
+        if "base.opacities" in state:
+            arrays = checkpoint_splats(state, "base.", self.trainer.splats)
             self.base = with_values(self.trainer.splats, arrays)
+        elif planned:
+            raise FormatError("bad-checkpoint", "no array 'base.means', expected that of a run")

@@ -1,17 +1,158 @@
-"""Auxiliary files, such as caches, logs and checkpoints: regular files, never through links."""
+"""Auxiliary files, such as caches, logs and checkpoints: regular files, never through links.
+
+An auxiliary file is appended to or replaced only if it is new, empty, or begins as its kind does.
+"""
 
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final, cast
 
 from cogsplat.codec.errors import StorageError
 
-from .atomic import StrPath, require_regular, storage_errors
+from .atomic import (
+    OutputIsInputError,
+    StrPath,
+    atomic_write,
+    check_output,
+    require_regular,
+    storage_errors,
+)
 
 # Missing on Windows. O_NONBLOCK: opening a pipe would otherwise wait for its other end.
 _NO_LINKS: Final = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+
+# First bytes of a file that its kind is recognised by.
+_HEAD_BYTES: Final = 256
+
+
+@dataclass(frozen=True)
+class FileKind:
+    """Kind of an auxiliary file, recognised by its first bytes.
+
+    Parameters
+    ----------
+    name : str
+        Name for messages, such as ``log of cogsplat batch``.
+    head : bytes pattern
+        Matches the beginning of every file of this kind, in its first 256 bytes.
+    """
+
+    name: str
+    head: re.Pattern[bytes]
+
+    def require(self, file: BinaryIO, path: StrPath) -> None:
+        """Refuse a file of another kind; an empty file may become one of this kind.
+
+        Parameters
+        ----------
+        file : BinaryIO
+            File open for reading, at its beginning.
+        path : path
+            Path for messages.
+
+        Raises
+        ------
+        ForeignFileError
+            ``foreign-file``. Exit code 2.
+        """
+        head = file.read(_HEAD_BYTES)
+        if head and not self.head.match(head):
+            raise ForeignFileError(path, self.name)
+
+
+class ForeignFileError(StorageError):
+    """Error for an auxiliary file that exists as a file of another kind (``foreign-file``).
+
+    Parameters
+    ----------
+    path : path
+        Auxiliary file.
+    kind : str
+        Kind of file that was expected.
+    """
+
+    exit_code = 2
+
+    def __init__(self, path: StrPath, kind: str) -> None:
+        super().__init__(
+            "foreign-file",
+            f"{os.fspath(path)}: exists already and is no {kind}, expected one or a new name",
+        )
+
+
+def is_same_file(first: StrPath, second: StrPath) -> bool:
+    """Whether two paths name one file: by links, by spelling, or as a file that is still missing.
+
+    Raises
+    ------
+    StorageError
+        ``permission`` or ``io``.
+    """
+    if os.path.normcase(os.path.realpath(first)) == os.path.normcase(os.path.realpath(second)):
+        return True
+    with storage_errors(first):
+        try:
+            return Path(first).samefile(second)
+        except (FileNotFoundError, NotADirectoryError):
+            return False
+
+
+def check_auxiliary(path: StrPath, kind: FileKind, *, inputs: Iterable[StrPath] = ()) -> None:
+    """Check that an auxiliary file can be written, before the work that writes it.
+
+    Parameters
+    ----------
+    path : path
+        Auxiliary file. The check creates and removes a temporary file in its folder.
+    kind : FileKind
+        Kind of the file.
+    inputs : iterable of path
+        Input files, none of which may be the auxiliary file.
+
+    Raises
+    ------
+    OutputIsInputError
+        ``output-is-input``. Exit code 2.
+    ForeignFileError
+        ``foreign-file``: the file exists and is of another kind. Exit code 2.
+    StorageError
+        ``not-a-file``, also for a link; ``not-found`` for the folder; ``permission``,
+        ``disk-full`` or ``io``.
+    """
+    for source in inputs:
+        if is_same_file(path, source):
+            raise OutputIsInputError(path, source)
+    _require_kind(path, kind)
+    check_output(path, force=True)
+
+
+@contextmanager
+def replace_auxiliary(path: StrPath, kind: FileKind) -> Iterator[BinaryIO]:
+    """Write an auxiliary file beside and rename it, as `atomic_write` does.
+
+    Raises
+    ------
+    StorageError
+        See `check_auxiliary`.
+    """
+    # Checked again: hours may have passed since the start of the command.
+    _require_kind(path, kind)
+    with atomic_write(path, force=True, follow_links=False) as file:
+        yield file
+
+
+def _require_kind(path: StrPath, kind: FileKind) -> None:
+    """Refuse a link, folder or device, and a file of another kind; accept a missing file."""
+    if not os.path.lexists(path):
+        return
+    with open_regular(path) as file, storage_errors(path):
+        kind.require(file, path)
 
 
 def open_regular(path: StrPath, mode: str = "rb", *, max_bytes: int | None = None) -> BinaryIO:

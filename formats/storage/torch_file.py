@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import DataError
 
 from .atomic import StrPath, open_for_read, storage_errors
+from .npz import array_names, read_array
 from .zip_directory import open_zip
 
 F32 = NDArray[np.float32]
@@ -213,8 +214,10 @@ def read_state_dict(path: StrPath) -> dict[str, F32]:
         if sum(entry.file_size for entry in archive.infolist()) > _MAX_BYTES:
             raise _refusal(path, f"more than {_MAX_BYTES} bytes")
         if _pickle_name(archive) is None:
-            names = archive.namelist()
-            return {name.removesuffix(".npy"): _read_npy(archive, name) for name in names}
+            return {
+                name: np.ascontiguousarray(read_array(archive, name), np.float32)
+                for name in array_names(archive)
+            }
         state = _unpickle(archive)
         if not isinstance(state, dict):
             raise _refusal(path, f"a {type(state).__name__}")
@@ -224,23 +227,6 @@ def read_state_dict(path: StrPath) -> dict[str, F32]:
         if sum(4 * math.prod(tensor.shape) for tensor in tensors.values()) > _MAX_BYTES:
             raise _refusal(path, f"tensors of more than {_MAX_BYTES} bytes")
         return {name: tensor.array() for name, tensor in tensors.items()}
-
-
-def _read_npy(archive: zipfile.ZipFile, name: str) -> F32:
-    """Return one array of a file of ``numpy.savez``."""
-    with archive.open(name) as file:
-        version = np.lib.format.read_magic(file)
-        read_header = {
-            (1, 0): np.lib.format.read_array_header_1_0,
-            (2, 0): np.lib.format.read_array_header_2_0,
-        }
-        shape, by_columns, dtype = read_header[version](file)
-        data = file.read()
-    # numpy's `read_array` allocates the header's size before it reads.
-    if dtype.hasobject or len(data) != math.prod(shape) * dtype.itemsize:
-        raise ValueError(f"{name[:60]}: {len(data)} bytes, expected {dtype} of shape {shape}")
-    values = np.frombuffer(data, dtype).reshape(shape, order="F" if by_columns else "C")
-    return np.ascontiguousarray(values, np.float32)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
@@ -13,10 +15,33 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.errors import DataError, FormatError
 from cogsplat.codec.splats import Splats
-from cogsplat.formats.storage.atomic import atomic_write, open_for_read
+from cogsplat.formats.storage.atomic import storage_errors
+from cogsplat.formats.storage.npz import array_names, read_array
+from cogsplat.formats.storage.regular_files import FileKind, open_regular, replace_auxiliary
+from cogsplat.formats.storage.zip_directory import open_zip
 
-_RUN: Final = "of"
+# First array of a checkpoint: the fingerprint of the run.
+_RUN: Final = "cogsplat-checkpoint"
 _ARRAYS: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
+
+CHECKPOINT: Final = FileKind(
+    # The header of a ZIP entry has 30 bytes before its name (APPNOTE 4.3.7).
+    "checkpoint of cogsplat tune",
+    re.compile(rb"PK\x03\x04.{26}" + _RUN.encode() + rb"\.npy", re.DOTALL),
+)
+"""Kind of these files."""
+
+# About a hundred arrays with entries of 100 bytes, and 64 KiB in which the directory's end is.
+_MAX_DIRECTORY_BYTES: Final = 1 << 18
+
+# 64 hexadecimal digits of 4 bytes.
+_FINGERPRINT_BYTES: Final = 256
+
+# Exceptions that damaged ZIP files and headers raise.
+_DAMAGE: Final = (
+    *(zipfile.BadZipFile, zlib.error, EOFError, KeyError, ValueError, TypeError),
+    *(NotImplementedError, RuntimeError, OverflowError, SyntaxError),
+)
 
 
 def fingerprint(splats: Splats, settings: str) -> str:
@@ -28,7 +53,7 @@ def fingerprint(splats: Splats, settings: str) -> str:
 
 
 def write_checkpoint(path: Path, run: str, state: Mapping[str, NDArray[np.generic]]) -> None:
-    """Write the training state of a run; an earlier file is replaced when the new one is complete.
+    """Write the training state of a run; an earlier checkpoint is replaced by the complete new one.
 
     Parameters
     ----------
@@ -37,13 +62,21 @@ def write_checkpoint(path: Path, run: str, state: Mapping[str, NDArray[np.generi
         Identity of the run (`fingerprint`).
     state : mapping of str to ndarray
         Arrays by name.
+
+    Raises
+    ------
+    StorageError
+        See `replace_auxiliary`, e.g. ``foreign-file``.
     """
-    with atomic_write(path, force=True) as file:
+    with replace_auxiliary(path, CHECKPOINT) as file:
         np.savez(file, **{_RUN: np.array(run)}, **state)  # type: ignore[arg-type]
 
 
 def read_checkpoint(path: Path, run: str) -> dict[str, NDArray[np.generic]]:
     """Read the training state of a run, arrays by name.
+
+    The fingerprint is read first, and each array once its header fits the bytes that are stored, so
+    that memory is bounded by the size of the file.
 
     Parameters
     ----------
@@ -54,24 +87,31 @@ def read_checkpoint(path: Path, run: str) -> dict[str, NDArray[np.generic]]:
     Raises
     ------
     FormatError
-        ``bad-checkpoint``: the file is no checkpoint, or truncated.
+        ``bad-checkpoint``: the file is no checkpoint, or damaged.
     DataError
         ``other-checkpoint``: the checkpoint belongs to another scene or other settings.
     StorageError
-        The file cannot be read.
+        The file cannot be read, or is a link.
     """
-    with open_for_read(path) as file:
-        try:
-            with np.load(file, allow_pickle=False) as archive:
-                state = {name: archive[name] for name in archive.files}
-            found = str(state.pop(_RUN))
-        except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise FormatError(
-                "bad-checkpoint", f"{path}: {error}, expected a checkpoint of cogsplat tune"
-            ) from error
-    if found != run:
-        raise DataError(
-            "other-checkpoint",
-            f"{path}: of another scene or other options, expected those of this command",
+
+    def refusal(found: str) -> FormatError:
+        return FormatError(
+            "bad-checkpoint", f"{path}: {found[:200]}, expected a checkpoint of cogsplat tune"
         )
-    return state
+
+    with open_regular(path) as file, storage_errors(path):
+        try:
+            with open_zip(file, _MAX_DIRECTORY_BYTES, refusal) as archive:
+                found = str(read_array(archive, _RUN, _FINGERPRINT_BYTES))
+                if found == run:
+                    return {
+                        name: read_array(archive, name)
+                        for name in array_names(archive)
+                        if name != _RUN
+                    }
+        except _DAMAGE as error:
+            raise refusal(f"{type(error).__name__}: {error}") from error
+    raise DataError(
+        "other-checkpoint",
+        f"{path}: of another scene or other options, expected those of this command",
+    )
