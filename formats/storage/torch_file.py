@@ -10,7 +10,6 @@ import io
 import math
 import pickle
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from cogsplat.codec.errors import DataError
 
 from .atomic import StrPath, open_for_read, storage_errors
 from .npz import array_names, read_array
+from .parser_errors import parser_errors
 from .zip_directory import open_zip
 
 F32 = NDArray[np.float32]
@@ -47,22 +47,6 @@ _DTYPES: Final[Mapping[str, str]] = {
     "LongStorage": "<i8",
     "IntStorage": "<i4",
 }
-
-# Exceptions that damaged pickles, ZIP files and headers raise.
-_DAMAGE: Final = (
-    zipfile.BadZipFile,
-    pickle.UnpicklingError,
-    zlib.error,
-    EOFError,
-    KeyError,
-    IndexError,
-    TypeError,
-    ValueError,
-    AttributeError,
-    NotImplementedError,
-    RuntimeError,
-    OverflowError,
-)
 
 # Opcodes of sets, whose items are hashed and which take 216 bytes each, of bytearrays, which are
 # allocated before their bytes are read, and of objects beyond dictionaries and tensors.
@@ -147,16 +131,13 @@ def open_torch(path: StrPath) -> Iterator[Mapping[object, object]]:
 @contextmanager
 def _open_archive(path: StrPath) -> Iterator[zipfile.ZipFile]:
     """Open a ZIP file for the block, and turn errors from damage into ``torch-file``."""
-    with storage_errors(path), open_for_read(path) as file:
-        try:
-            with open_zip(
-                file, _MAX_DIRECTORY_BYTES, lambda found: _refusal(path, found)
-            ) as archive:
-                yield archive
-        except DataError:
-            raise
-        except _DAMAGE as error:
-            raise _refusal(path, f"{type(error).__name__}: {error}") from error
+    with (
+        storage_errors(path),
+        open_for_read(path) as file,
+        parser_errors(lambda found: _refusal(path, found), passed=(OSError,)),
+        open_zip(file, _MAX_DIRECTORY_BYTES, lambda found: _refusal(path, found)) as archive,
+    ):
+        yield archive
 
 
 def _pickle_name(archive: zipfile.ZipFile) -> str | None:

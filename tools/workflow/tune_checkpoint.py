@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
@@ -17,6 +15,7 @@ from cogsplat.codec.errors import DataError, FormatError
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.storage.atomic import storage_errors
 from cogsplat.formats.storage.npz import array_names, read_array
+from cogsplat.formats.storage.parser_errors import parser_errors
 from cogsplat.formats.storage.regular_files import FileKind, open_regular, replace_auxiliary
 from cogsplat.formats.storage.zip_directory import open_zip
 
@@ -36,12 +35,6 @@ _MAX_DIRECTORY_BYTES: Final = 1 << 18
 
 # 64 hexadecimal digits of 4 bytes.
 _FINGERPRINT_BYTES: Final = 256
-
-# Exceptions that damaged ZIP files and headers raise.
-_DAMAGE: Final = (
-    *(zipfile.BadZipFile, zlib.error, EOFError, KeyError, ValueError, TypeError),
-    *(NotImplementedError, RuntimeError, OverflowError, SyntaxError),
-)
 
 
 def fingerprint(splats: Splats, settings: str) -> str:
@@ -99,18 +92,17 @@ def read_checkpoint(path: Path, run: str) -> dict[str, NDArray[np.generic]]:
             "bad-checkpoint", f"{path}: {found[:200]}, expected a checkpoint of cogsplat tune"
         )
 
-    with open_regular(path) as file, storage_errors(path):
-        try:
-            with open_zip(file, _MAX_DIRECTORY_BYTES, refusal) as archive:
-                found = str(read_array(archive, _RUN, _FINGERPRINT_BYTES))
-                if found == run:
-                    return {
-                        name: read_array(archive, name)
-                        for name in array_names(archive)
-                        if name != _RUN
-                    }
-        except _DAMAGE as error:
-            raise refusal(f"{type(error).__name__}: {error}") from error
+    with (
+        open_regular(path) as file,
+        storage_errors(path),
+        parser_errors(refusal, passed=(OSError,)),
+        open_zip(file, _MAX_DIRECTORY_BYTES, refusal) as archive,
+    ):
+        found = str(read_array(archive, _RUN, _FINGERPRINT_BYTES))
+        if found == run:
+            return {
+                name: read_array(archive, name) for name in array_names(archive) if name != _RUN
+            }
     raise DataError(
         "other-checkpoint",
         f"{path}: of another scene or other options, expected those of this command",
