@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,7 @@ from .formats.cameras.camera_files import read_cameras
 from .formats.cogs.camera_segment import check_cameras
 from .formats.cogs.metadata import FileMetadata
 from .formats.cogs.open_file import open_scene
+from .formats.scenes.input_files import input_files
 from .formats.scenes.memory_cap import working_memory
 from .formats.scenes.registry import is_cogs, read_scene, scene_bytes
 from .formats.storage.atomic import check_output
@@ -383,8 +385,8 @@ def _require_scene(scene: object) -> None:
 def _require_output(path: _Path, force: bool, *inputs: object) -> None:
     """Refuse an output that exists without `force`, is an input, or cannot be written."""
     _require_scene(inputs[0])
-    paths = [given for given in inputs if isinstance(given, str | os.PathLike)]
-    check_output(path, force=force, inputs=paths)
+    paths = [Path(given) for given in inputs if isinstance(given, str | os.PathLike)]
+    check_output(path, force=force, inputs=chain.from_iterable(map(input_files, paths)))
 
 
 def _splats(scene: Splats | _Path, workspace: Workspace | None = None) -> Splats:

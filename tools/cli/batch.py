@@ -29,7 +29,7 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import display_name, print_error_line, print_json, print_line
-from cogsplat.tools.terminal.standard_streams import PATH
+from cogsplat.tools.terminal.standard_streams import PATH, WRITTEN_PATH
 from cogsplat.tools.workflow.batch_manifest import BatchScene, read_manifest
 
 from .encode import encode
@@ -153,7 +153,7 @@ class _Batch:
 @click.argument("manifest", type=PATH)
 @click.option(
     "--log",
-    type=PATH,
+    type=WRITTEN_PATH,
     metavar="PATH",
     help="Log file. Scenes that it lists as done are skipped unless they have changed.  [default: "
     "MANIFEST.log]",

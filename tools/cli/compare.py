@@ -11,7 +11,6 @@ import click
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.progress import StageCost
 from cogsplat.codec.splats import Splats
-from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.measuring_costs import comparison_costs, objects_cost
 from cogsplat.tools.evaluation.object_quality import ObjectQuality
@@ -39,15 +38,15 @@ from cogsplat.tools.terminal.output import (
 from cogsplat.tools.terminal.output_names import PNG, check_name
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
-from cogsplat.tools.terminal.standard_streams import INPUT, PATH
+from cogsplat.tools.terminal.standard_streams import INPUT, WRITTEN_PATH
 from cogsplat.tools.terminal.values import ChunkRange, Colour
 from cogsplat.tools.workflow.inputs import (
     LoadedScene,
     Selection,
     evaluation_cameras,
-    input_files,
     read_any,
 )
+from cogsplat.tools.workflow.output_files import check_outputs
 
 
 @click.command(
@@ -67,7 +66,7 @@ from cogsplat.tools.workflow.inputs import (
 )
 @click.option(
     "--difference",
-    type=PATH,
+    type=WRITTEN_PATH,
     metavar="OUT.png",
     help="Also write a picture of the worst view: A, B, and their difference times four.",
 )
@@ -111,8 +110,7 @@ def compare(
 
     if difference is not None:
         check_name(difference, PNG)
-        inputs = [*input_files(reference, cameras), *input_files(other)]
-        check_output(difference, force=force, inputs=inputs)
+        check_outputs(difference, force=force)
     part = Selection(chunks, least_splats, size, sh_degree, objects, compensate=compensate)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):

@@ -15,17 +15,15 @@ import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs.folder_map import MANIFEST_NAME, MANIFEST_SUFFIX
-from cogsplat.formats.cogs.folder_source import names_folder
 from cogsplat.formats.cogs.folder_writer import (
     Unpacked,
     check_manifest_name,
     pack_cogs,
     unpack_cogs,
 )
-from cogsplat.formats.cogs.packing import folder_files
 from cogsplat.formats.network.urls import is_url
 from cogsplat.formats.scenes.registry import is_cogs
-from cogsplat.formats.storage.atomic import check_output, storage_errors
+from cogsplat.formats.storage.atomic import storage_errors
 from cogsplat.tools.terminal.limits_option import current_limits, limits_option
 from cogsplat.tools.terminal.options import (
     cameras_option,
@@ -46,7 +44,8 @@ from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
-from cogsplat.tools.workflow.inputs import LoadedScene, input_files, read_any, scoring_cameras
+from cogsplat.tools.workflow.inputs import LoadedScene, read_any, scoring_cameras
+from cogsplat.tools.workflow.output_files import check_outputs
 from cogsplat.tools.workflow.scene_edits import SceneEdits, edit_options
 from cogsplat.tools.workflow.scene_output import (
     COGS_NAME,
@@ -143,11 +142,8 @@ def convert(
         and cameras is None
         and writing.extras
     )
-    inputs = input_files(source, cameras)
-    if copied and not to_folder and names_folder(source):
-        inputs = folder_files(source)
     if not to_folder or out.parent.is_dir():
-        check_output(out, force=force, inputs=inputs)
+        check_outputs(out, force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
         if copied:
             done = _copy(source, out, to_folder=to_folder, force=force, stages=stages)

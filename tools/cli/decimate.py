@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.order.baselines import antimatter, sort_descending
 from cogsplat.codec.splats import Splats
-from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import (
     cameras_option,
@@ -33,11 +32,11 @@ from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.workflow.inputs import (
     drop_invalid_splats,
-    input_files,
     plan_cameras,
     read_any,
     scoring_cameras,
 )
+from cogsplat.tools.workflow.output_files import check_outputs
 from cogsplat.tools.workflow.scene_output import OUTPUT_FORMATS, output_format, write_any
 
 _CONTRIBUTION: Final = "contribution"
@@ -131,7 +130,7 @@ def decimate(
         raise click.UsageError(
             f"--cameras with --by {by} and {out}, expected an option or output that uses them"
         )
-    check_output(out, force=force, inputs=input_files(path, cameras))
+    check_outputs(out, force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             views = scoring_cameras(cameras, 0)

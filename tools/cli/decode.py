@@ -14,7 +14,6 @@ from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.scenes.ply.ply_scene import write_ply, write_ply_parts
 from cogsplat.formats.scenes.registry import WRITABLE
-from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import (
@@ -39,6 +38,7 @@ from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT_BY_RANGES, OutputPath
 from cogsplat.tools.terminal.values import ChunkRange, FiniteNumber
 from cogsplat.tools.workflow.inputs import LoadedScene, Selection, decode_part, decode_part_with
+from cogsplat.tools.workflow.output_files import check_outputs
 from cogsplat.tools.workflow.scene_output import write_any
 
 
@@ -93,7 +93,7 @@ def decode(
     """
     format_ = scene_format(out, writing.format_name)
     writing.require(out, format_.name)
-    check_output(out, force=force, inputs=[cogs])
+    check_outputs(out, force=force)
     refine = not no_refine
     part = Selection(
         chunks, least_splats, size, sh_degree, objects, refine, compensate, writing.extras, level

@@ -25,7 +25,6 @@ from cogsplat.codec.streams.payload_limits import MAX_CHUNK_SPLATS
 from cogsplat.codec.threads import thread_count
 from cogsplat.codec.workspace import Workspace
 from cogsplat.formats.scenes.memory_cap import working_memory
-from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.cluster.dask_executor import connected
 from cogsplat.tools.evaluation.byte_inventory import stored_sizes
@@ -60,14 +59,13 @@ from cogsplat.tools.terminal.output import (
 from cogsplat.tools.terminal.output_names import (
     COGS,
     HTML,
-    check_distinct,
     check_name,
     format_option,
 )
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.scene_writing import no_extras_option
-from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
+from cogsplat.tools.terminal.standard_streams import INPUT, PATH, WRITTEN_PATH, OutputPath
 from cogsplat.tools.terminal.usage import usage_errors
 from cogsplat.tools.terminal.values import Colour, FiniteNumber, byte_count, number_of_bytes
 from cogsplat.tools.workflow.byte_table import print_byte_table
@@ -75,7 +73,6 @@ from cogsplat.tools.workflow.compile_ahead import CompileAhead
 from cogsplat.tools.workflow.file_evaluation import FileEvaluation, settings_of
 from cogsplat.tools.workflow.inputs import (
     LoadedScene,
-    input_files,
     load_cameras,
     plan_cameras,
     read_any,
@@ -83,6 +80,7 @@ from cogsplat.tools.workflow.inputs import (
     target_cameras,
 )
 from cogsplat.tools.workflow.order_options import OrderChoice, order_options
+from cogsplat.tools.workflow.output_files import check_outputs
 from cogsplat.tools.workflow.scene_edits import SceneEdits, edit_options
 
 if TYPE_CHECKING:
@@ -245,7 +243,7 @@ _GROUPS: Final = {
 )
 @click.option(
     "--report",
-    type=PATH,
+    type=WRITTEN_PATH,
     metavar="OUT.html",
     help="Write the results of --measure with plots and pictures as an HTML page.",
 )
@@ -328,11 +326,6 @@ class EncodeOptions:
         """Whether to measure the PSNR and SSIM of the new file; --report and --images imply it."""
         return self.measure or self.report is not None or self.images is not None
 
-    @property
-    def inputs(self) -> list[Path]:
-        """Files that the command reads."""
-        return list(input_files(self.scene, self.cameras, self.images, self.choice.masks))
-
     def require_consistent(self) -> None:
         """Refuse contradictory options and unwritable outputs.
 
@@ -355,11 +348,9 @@ class EncodeOptions:
                 "afterwards: measuring holds two scenes in memory"
             )
         check_name(self.out, COGS, insisted=self.format_name is not None)
-        check_output(self.out, force=self.force, inputs=self.inputs)
         if self.report is not None:
             check_name(self.report, HTML)
-            check_distinct(self.out, self.report)
-            check_output(self.report, force=self.force, inputs=self.inputs)
+        check_outputs(self.out, self.report, force=self.force)
 
     def request(self) -> EncodeRequest:
         """Return the request without the parts that depend on the scene and its cameras."""

@@ -11,7 +11,6 @@ import click
 
 from cogsplat.formats.storage.atomic import (
     atomic_write,
-    check_output,
     open_for_read,
     storage_errors,
 )
@@ -39,7 +38,7 @@ from cogsplat.tools.terminal.output import (
 from cogsplat.tools.terminal.output_names import HTML, check_name
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath, is_standard_output
-from cogsplat.tools.workflow.inputs import input_files
+from cogsplat.tools.workflow.output_files import check_outputs
 from cogsplat.tools.workflow.viewable import viewable
 
 
@@ -80,14 +79,13 @@ def export_html(
     """
     if folder and is_standard_output(out):
         raise click.UsageError("--folder with standard output, expected the name of a folder")
-    inputs = list(input_files(scene))
     if not folder:
         check_name(out, HTML)
-        check_output(out, force=force, inputs=inputs)
+        check_outputs(out, force=force)
     shown = not (quiet or as_json)
     title = display_title(scene)
     with (
-        _room_for(out, sorted([*linked_page(title), SCENE_NAME]), force, inputs, needed=folder),
+        _room_for(out, sorted([*linked_page(title), SCENE_NAME]), force, needed=folder),
         viewable(scene, threads=threads, shown=shown) as given,
         ExitStack() as outputs,
         open_for_read(given.path) as source,
@@ -122,9 +120,7 @@ def export_html(
 
 
 @contextmanager
-def _room_for(
-    folder: Path, names: list[str], force: bool, inputs: list[Path], *, needed: bool
-) -> Iterator[None]:
+def _room_for(folder: Path, names: list[str], force: bool, *, needed: bool) -> Iterator[None]:
     """Create a folder and check that `names` can be written there.
 
     A new folder is removed if the block fails. Unless `needed`, nothing is created or checked.
@@ -137,8 +133,7 @@ def _room_for(
         if made:
             folder.mkdir()
     try:
-        for name in names:
-            check_output(folder / name, force=force, inputs=inputs)
+        check_outputs(*(folder / name for name in names), force=force)
         yield
     except BaseException:
         if made:

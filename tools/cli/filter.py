@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.splats import Splats
-from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import (
     cameras_option,
@@ -35,11 +34,11 @@ from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import Box, FiniteNumber, box
 from cogsplat.tools.workflow.inputs import (
     drop_invalid_splats,
-    input_files,
     plan_cameras,
     read_any,
     scoring_cameras,
 )
+from cogsplat.tools.workflow.output_files import check_outputs
 from cogsplat.tools.workflow.scene_edits import inside_box
 from cogsplat.tools.workflow.scene_output import OUTPUT_FORMATS, output_format, write_any
 
@@ -121,7 +120,7 @@ def filter_scene(
         raise click.UsageError(
             f"--cameras with {out} and without --floaters, expected COGS output or --floaters"
         )
-    check_output(out, force=force, inputs=input_files(path, cameras))
+    check_outputs(out, force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             views = scoring_cameras(cameras, 0)

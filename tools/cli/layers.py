@@ -17,7 +17,6 @@ from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.colmap_points import find_points, read_points
 from cogsplat.formats.cogs.metadata import FileMetadata
-from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.evaluation.photos import read_ground_truth
 from cogsplat.tools.terminal.limits_option import current_limits, limits_option
 from cogsplat.tools.terminal.options import (
@@ -44,11 +43,11 @@ from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.workflow.inputs import (
     drop_invalid_splats,
-    input_files,
     load_cameras,
     plan_cameras,
     read_any,
 )
+from cogsplat.tools.workflow.output_files import check_outputs
 
 if TYPE_CHECKING:
     from cogsplat.codec.cameras import Camera
@@ -164,8 +163,7 @@ class LayersOptions:
                 "--splats with a trained scene, expected a COLMAP folder of points"
             )
         check_name(self.out, COGS, insisted=self.format_name is not None)
-        inputs = list(input_files(self.scene, self.cameras, self.images))
-        check_output(self.out, force=self.force, inputs=inputs)
+        check_outputs(self.out, force=self.force)
 
     def config(self) -> LevelsConfig:
         """Return the configuration of the levels; refuse scales and shares that do not fit."""

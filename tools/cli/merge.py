@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
 from pathlib import Path
 from typing import TypeVar
 
@@ -16,7 +15,6 @@ from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.geometry import merging
 from cogsplat.codec.order import objects
 from cogsplat.codec.splats import Splats
-from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import (
     force_option,
@@ -36,7 +34,8 @@ from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import Vector, vector
-from cogsplat.tools.workflow.inputs import input_files, read_any
+from cogsplat.tools.workflow.inputs import read_any
+from cogsplat.tools.workflow.output_files import check_outputs
 from cogsplat.tools.workflow.scene_edits import SceneEdits, scale_factor
 from cogsplat.tools.workflow.scene_output import COGS_NAME, OUTPUT_FORMATS, output_format, write_any
 
@@ -123,7 +122,7 @@ def merge(
             f"--no-extras with {out}, expected object labels, by which a .cogs is cut into chunks"
         )
     edits = _edits(len(sources), dict(scales), dict(turns), dict(shifts))
-    check_output(out, force=force, inputs=chain.from_iterable(map(input_files, sources)))
+    check_outputs(out, force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             given = [read_any(path, threads=threads).splats for path in sources]

@@ -8,7 +8,6 @@ from pathlib import Path
 import click
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import (
@@ -37,11 +36,11 @@ from cogsplat.tools.terminal.values import ChunkRange, Colour, picture_size
 from cogsplat.tools.workflow.inputs import (
     LoadedScene,
     Selection,
-    input_files,
     load_cameras,
     plan_cameras,
     read_any,
 )
+from cogsplat.tools.workflow.output_files import check_outputs
 
 
 @click.command(
@@ -103,7 +102,7 @@ def render(
     from cogsplat.tools.pictures.png import to_image, write_png
 
     check_name(out, PNG, insisted=format_name is not None)
-    check_output(out, force=force, inputs=input_files(path, cameras))
+    check_outputs(out, force=force)
     part = Selection(chunks, least_splats, size, sh_degree, objects, compensate=compensate)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):

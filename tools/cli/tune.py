@@ -17,7 +17,6 @@ from cogsplat.codec.encode.config import Target
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.progress import Progress
 from cogsplat.formats.cogs.metadata import FileMetadata
-from cogsplat.formats.storage.atomic import check_output
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.photos import read_ground_truth
 from cogsplat.tools.terminal.limits_option import limits_option
@@ -43,21 +42,26 @@ from cogsplat.tools.terminal.output import (
     print_line,
     size_text,
 )
-from cogsplat.tools.terminal.output_names import COGS, check_distinct, check_name, format_option
+from cogsplat.tools.terminal.output_names import COGS, check_name, format_option
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
-from cogsplat.tools.terminal.standard_streams import INPUT, PATH, OutputPath
+from cogsplat.tools.terminal.standard_streams import INPUT, WRITTEN_PATH, OutputPath
 from cogsplat.tools.terminal.values import Colour, FiniteNumber, byte_count
 from cogsplat.tools.workflow.inputs import (
     LoadedScene,
     drop_invalid_splats,
-    input_files,
     load_cameras,
     read_any,
     scoring_cameras,
     target_cameras,
 )
-from cogsplat.tools.workflow.tune_checkpoint import fingerprint, read_checkpoint, write_checkpoint
+from cogsplat.tools.workflow.output_files import check_outputs
+from cogsplat.tools.workflow.tune_checkpoint import (
+    CHECKPOINT,
+    fingerprint,
+    read_checkpoint,
+    write_checkpoint,
+)
 
 if TYPE_CHECKING:
     from cogsplat.codec.encode.encoded import EncodedScene
@@ -149,13 +153,13 @@ _GROUPS: Final = {
 @eval_every_option(0, "do not train in it.")
 @click.option(
     "--ply",
-    type=PATH,
+    type=WRITTEN_PATH,
     metavar="OUT.ply",
     help="Also write the trained splats before quantisation.",
 )
 @click.option(
     "--checkpoint",
-    type=PATH,
+    type=WRITTEN_PATH,
     metavar="FILE",
     help="Write a checkpoint for --resume to this file after every round.",
 )
@@ -223,13 +227,8 @@ class TuneOptions:
                 "--resume without --checkpoint, expected the file to resume from"
             )
         check_name(self.out, COGS, insisted=self.format_name is not None)
-        inputs = list(input_files(self.scene, self.cameras, self.images))
-        check_output(self.out, force=self.force, inputs=inputs)
-        for other in (self.ply, self.checkpoint):
-            if other is not None:
-                check_distinct(self.out, other)
-                force = self.force or other == self.checkpoint
-                check_output(other, force=force, inputs=inputs)
+        kinds = {} if self.checkpoint is None else {self.checkpoint: CHECKPOINT}
+        check_outputs(self.out, self.ply, force=self.force, auxiliary=kinds)
 
     def request(
         self,

@@ -12,7 +12,7 @@ import click
 
 from cogsplat.formats.storage.atomic import open_for_read
 
-from .standard_streams import PATH
+from .standard_streams import PATH, READ_PATHS
 
 # Options that a file cannot set: they say where values come from or how the command answers.
 _COMMAND_LINE_ONLY: Final = frozenset({"config", "help", "help-all", "json"})
@@ -97,6 +97,7 @@ def _set_defaults(context: click.Context, parameter: click.Parameter, path: Path
     """Make the values of a file the defaults of the command."""
     if path is None:
         return
+    context.meta[READ_PATHS] = [path]
     with open_for_read(path) as file:
         data = file.read()
     options = settable_options(context.command)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, TypeVar
@@ -100,25 +99,3 @@ def check_name(path: Path, extensions: Sequence[str], *, insisted: bool = False)
             f"{path}: the name ends in {max(found, key=len)}, expected a name that ends in "
             f"{' or '.join(extensions)}"
         )
-
-
-def check_distinct(*paths: Path | None) -> None:
-    """Refuse two outputs of one command that are the same file, links followed.
-
-    Parameters
-    ----------
-    *paths : Path or None
-        Outputs; None for an output that is not written.
-
-    Raises
-    ------
-    click.UsageError
-        Two paths name one file.
-    """
-    seen: dict[str, Path] = {}
-    for path in paths:
-        if path is None:
-            continue
-        other = seen.setdefault(os.path.realpath(path), path)
-        if other is not path:
-            raise click.UsageError(f"{path}: is the output {other} as well, expected two files")

@@ -30,6 +30,9 @@ STREAM: Final = "-"
 AS_JSON: Final = "cogsplat.json"
 """Key of a click context under which the flag ``--json`` is kept."""
 
+READ_PATHS: Final = "cogsplat.read_paths"
+"""Key of a click context under which files are kept that no parameter names, such as `--config`."""
+
 _KEY: Final = "cogsplat.streams"
 
 # Characters of a file's name that are kept of a URL; every file system accepts this length.
@@ -37,6 +40,28 @@ _LONGEST_NAME: Final = 64
 
 _INPUT: Final = "standard input"
 _OUTPUT: Final = "standard output"
+
+
+def is_file_name(name: str) -> bool:
+    """Whether a file can have a name: no NUL, and no character that the file system cannot hold.
+
+    Command lines never have such names; files of options and manifests may.
+    """
+    try:
+        return b"\0" not in os.fsencode(name)
+    except UnicodeEncodeError:
+        return False
+
+
+def _require_name(
+    kind: click.Path,
+    value: str | os.PathLike[str],
+    param: click.Parameter | None,
+    ctx: click.Context | None,
+) -> None:
+    """Refuse a name that no file can have."""
+    if not is_file_name(os.fspath(value)):
+        kind.fail(f"{os.fspath(value)!r}, expected a name that a file can have", param, ctx)
 
 
 class InputPath(click.Path):
@@ -62,6 +87,7 @@ class InputPath(click.Path):
         ctx: click.Context | None,
     ) -> Path:
         """Return the path of the file, a temporary one for ``-`` and for a URL."""
+        _require_name(self, value, param, ctx)
         streams = _streams(ctx)
         if streams is not None and ctx is not None and is_url(value):
             quiet = bool(ctx.params.get("quiet") or ctx.meta.get(AS_JSON))
@@ -75,7 +101,16 @@ class NamedPath(click.Path):
     """Parameter type of a file or folder; ``-`` is refused.
 
     Its absence is found when it is opened, and is then an error of input (exit code 4).
+
+    Parameters
+    ----------
+    is_output : bool
+        Whether the command writes the file or folder, and does not read it.
     """
+
+    def __init__(self, *, is_output: bool = False) -> None:
+        super().__init__(path_type=Path)
+        self.is_output = is_output
 
     def convert(
         self,
@@ -88,8 +123,9 @@ class NamedPath(click.Path):
         Raises
         ------
         click.BadParameter
-            The argument is ``-``.
+            The argument is ``-``, or no file can have its name.
         """
+        _require_name(self, value, param, ctx)
         if os.fspath(value) == STREAM:
             self.fail(
                 f"{STREAM} for a stream, expected the name of a file or folder: {STREAM} is only "
@@ -123,6 +159,7 @@ class OutputPath(click.Path):
         ctx: click.Context | None,
     ) -> Path:
         """Return the path of the file, a temporary one for ``-`` and for an object."""
+        _require_name(self, value, param, ctx)
         streams = _streams(ctx)
         if streams is not None and ctx is not None and is_url(value):
             if scheme_of(str(value)) in HTTP_SCHEMES:
@@ -146,8 +183,11 @@ INPUT: Final = InputPath()
 INPUT_BY_RANGES: Final = InputPath(by_ranges=True)
 """Parameter type of a scene that a command reads by ranges from a network."""
 
-PATH: Final = NamedPath(path_type=Path)
-"""Parameter type of every other file and folder."""
+PATH: Final = NamedPath()
+"""Parameter type of every other file and folder that a command reads."""
+
+WRITTEN_PATH: Final = NamedPath(is_output=True)
+"""Parameter type of every other file and folder that a command writes."""
 
 
 class StandardStreams:
@@ -342,6 +382,21 @@ def is_standard_output(path: Path) -> bool:
     """Whether a path of the running command is the temporary file for standard output."""
     streams = _streams(click.get_current_context(silent=True))
     return streams is not None and streams.is_output(path)
+
+
+def given_inputs() -> list[Path]:
+    """Return the paths given to arguments and options of the running command that it reads."""
+    context = click.get_current_context(silent=True)
+    if context is None:
+        return []
+    found: list[Path] = list(context.meta.get(READ_PATHS, ()))
+    for param in context.command.params:
+        if isinstance(param.type, InputPath) or (
+            isinstance(param.type, NamedPath) and not param.type.is_output
+        ):
+            value = context.params.get(param.name or "")
+            found += [value] if isinstance(value, Path) else list(value or ())
+    return found
 
 
 def is_output_reserved() -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -20,7 +20,7 @@ from cogsplat.codec.workspace import IN_MEMORY, Zeros
 from cogsplat.formats.cogs.between_levels import decode_between
 from cogsplat.formats.cogs.open_file import open_source
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.formats.scenes.registry import is_cogs, read_scene, scene_bytes, scene_files
+from cogsplat.formats.scenes.registry import is_cogs, read_scene, scene_bytes
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.formats.storage.source import Source
 from cogsplat.tools.terminal.limits_option import current_limits
@@ -285,28 +285,6 @@ def decode_part_with(decode: Decode, path: Path, part: Selection) -> LoadedScene
             ),
             unrefined=tuple(chunk for chunk in chunks if not file.has_refinement(chunk)),
         )
-
-
-def input_files(scene: Path, *others: Path | None) -> Iterator[Path]:
-    """Yield the files that a command reads and must not overwrite.
-
-    Parameters
-    ----------
-    scene : Path
-        Scene file, yielded with the files that it refers to.
-    others : Path or None
-        Cameras, photos, masks: files, or folders, of which all files are yielded.
-    """
-    yield scene
-    if scene.is_dir():
-        yield from (inner for inner in scene.rglob("*") if inner.is_file())
-    elif not is_cogs(scene):
-        yield from scene_files(scene)
-    for path in others:
-        if path is not None and path.is_dir():
-            yield from (inner for inner in path.rglob("*") if inner.is_file())
-        elif path is not None:
-            yield path
 
 
 def drop_invalid_splats(splats: Splats, where: Path) -> Splats:

@@ -110,7 +110,7 @@ def test_photos_teach_and_a_checkpoint_goes_on(run: Run, small: SmallScene, tmp_
     kept.write_bytes(kept.read_bytes()[:1000])
     assert "[bad-checkpoint]" in run(*words, "--resume").err
     kept.write_bytes(b"no archive")
-    assert "[bad-checkpoint]" in run(*words, "--resume").err
+    assert "[foreign-file]" in run(*words, "--resume").err
 
 
 @pytest.mark.parametrize(

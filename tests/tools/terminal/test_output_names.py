@@ -3,7 +3,7 @@ from pathlib import Path
 import click
 import pytest
 
-from cogsplat.tools.terminal.output_names import COGS, HTML, PNG, check_distinct, check_name
+from cogsplat.tools.terminal.output_names import COGS, HTML, PNG, check_name
 
 
 @pytest.mark.parametrize(
@@ -37,11 +37,3 @@ def test_names_that_say_another_format(name: str, extensions: tuple[str, ...], s
     with pytest.raises(click.UsageError, match=f"the name ends in {said}, expected"):
         check_name(Path(name), extensions)
     check_name(Path(name), extensions, insisted=True)
-
-
-def test_outputs_that_are_one_file(tmp_path: Path) -> None:
-    check_distinct(tmp_path / "a", None, tmp_path / "b", None)
-    (tmp_path / "link").symlink_to(tmp_path / "a")
-    for other in ("a", "b/../a", "link"):
-        with pytest.raises(click.UsageError, match="as well, expected two files"):
-            check_distinct(tmp_path / "a", tmp_path / other)

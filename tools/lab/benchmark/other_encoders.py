@@ -33,7 +33,7 @@ from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.scenes.ply.ply_scene import write_ply
 from cogsplat.formats.storage.atomic import atomic_write
 from cogsplat.tools.lab.crosscheck import converter
-from cogsplat.tools.terminal.standard_streams import PATH
+from cogsplat.tools.terminal.standard_streams import PATH, WRITTEN_PATH
 
 _MODULES: Final = Path(__file__).resolve().parents[2] / "web" / "node_modules"
 _MODULE: Final = "cogsplat.tools.lab.benchmark.other_encoders"
@@ -227,13 +227,13 @@ def _write_npz(scene: Path, cameras: Path, target: Path) -> None:
 @click.command()
 @click.argument("scene", type=PATH)
 @click.option("--cameras", type=PATH, required=True)
-@click.option("--out", type=PATH, help="Folder for a CSV table.")
+@click.option("--out", type=WRITTEN_PATH, help="Folder for a CSV table.")
 @click.option("--node-modules", type=PATH, default=_MODULES, help="Folder with splat-transform.")
 @click.option("--only", default="", help="Encoders to run, separated by commas.")
 @click.option(
     "--sh-iterations", default=10, show_default=True, help="Iterations of SH clustering in SOG."
 )
-@click.option("--write-npz", type=PATH, hidden=True)
+@click.option("--write-npz", type=WRITTEN_PATH, hidden=True)
 def main(
     scene: Path, cameras: Path, out: Path | None, node_modules: Path, only: str,
     sh_iterations: int, write_npz: Path | None,

@@ -27,7 +27,7 @@ from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 from cogsplat.tools.pictures.svg_charts import Series, line_chart
 from cogsplat.tools.terminal.options import force_option, json_option, threads_option
 from cogsplat.tools.terminal.output import print_json, print_line, print_table
-from cogsplat.tools.terminal.standard_streams import PATH
+from cogsplat.tools.terminal.standard_streams import WRITTEN_PATH
 from cogsplat.tools.terminal.values import number_of_bytes
 
 _STATUS: Final = Path("/proc/self/status")
@@ -255,7 +255,7 @@ def _counts(text: str) -> list[int]:
     show_default=True,
 )
 @click.option("--memory", type=number_of_bytes, metavar="SIZE", help="Memory limit of each encode.")
-@click.option("--out", type=PATH, metavar="DIR", help="Folder for two charts.")
+@click.option("--out", type=WRITTEN_PATH, metavar="DIR", help="Folder for two charts.")
 @threads_option
 @force_option
 @json_option

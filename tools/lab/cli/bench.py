@@ -20,7 +20,7 @@ from cogsplat.codec.progress import StageCost
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import thread_count
 from cogsplat.codec.views.view_sets import hold_out
-from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_errors
+from cogsplat.formats.storage.atomic import atomic_write, storage_errors
 from cogsplat.tools.evaluation.photos import read_photos
 from cogsplat.tools.lab.benchmark import ablation as bench_ablation
 from cogsplat.tools.lab.benchmark import rate_distortion as benches
@@ -48,16 +48,16 @@ from cogsplat.tools.terminal.output import (
 )
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
-from cogsplat.tools.terminal.standard_streams import INPUT, PATH
+from cogsplat.tools.terminal.standard_streams import INPUT, PATH, WRITTEN_PATH
 from cogsplat.tools.terminal.values import Colour
 from cogsplat.tools.workflow.inputs import (
     drop_invalid_splats,
     evaluation_cameras,
-    input_files,
     plan_cameras,
     read_any,
     scoring_cameras,
 )
+from cogsplat.tools.workflow.output_files import check_outputs
 
 _PROFILES: Final = ("transform", "vq", "near-lossless")
 
@@ -142,7 +142,7 @@ def decibels(text: str) -> tuple[float, ...]:
 @eval_every_option(8, "do not score in it, measure in it.")
 @click.option(
     "--out",
-    type=PATH,
+    type=WRITTEN_PATH,
     metavar="DIR",
     help="Folder for the results as CSV, JSON and SVG.",
 )
@@ -216,8 +216,8 @@ def bench(
         # Checked before minutes of work.
         with storage_errors(out):
             out.mkdir(parents=True, exist_ok=True)
-        for name in _ABLATION_FILES if ablation else _FILES:
-            check_output(out / name, force=force, inputs=input_files(scene, cameras, images))
+        names = _ABLATION_FILES if ablation else _FILES
+        check_outputs(*(out / name for name in names), force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
 
         def work(

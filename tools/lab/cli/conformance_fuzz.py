@@ -15,7 +15,7 @@ from cogsplat.tools.lab.conformance.differential import fuzz as fuzz_decoders
 from cogsplat.tools.terminal.options import json_option, quiet_option
 from cogsplat.tools.terminal.output import count_text, print_json, print_line
 from cogsplat.tools.terminal.progress_bars import Stages
-from cogsplat.tools.terminal.standard_streams import PATH
+from cogsplat.tools.terminal.standard_streams import PATH, WRITTEN_PATH
 
 from .conformance_options import MOST_SHOWN, VECTORS, own_vectors, timeout_option
 
@@ -56,7 +56,7 @@ _INVALID_STATUS: Final = 3
 @VECTORS
 @click.option(
     "--keep",
-    type=PATH,
+    type=WRITTEN_PATH,
     metavar="DIR",
     help="Folder for the mutants on which decoders differ.",
 )

@@ -23,7 +23,7 @@ from cogsplat.tools.terminal.output import (
     size_text,
 )
 from cogsplat.tools.terminal.progress_bars import Stages
-from cogsplat.tools.terminal.standard_streams import PATH
+from cogsplat.tools.terminal.standard_streams import WRITTEN_PATH
 from cogsplat.tools.workflow.compile_ahead import CompileAhead
 
 from .synth import MOST_SPLATS
@@ -36,7 +36,7 @@ _DEMO_SPLATS: Final = 60_000
 @click.command(epilog="\b\nExample:\n  cogsplat demo --out demo --force")
 @click.option(
     "--out",
-    type=PATH,
+    type=WRITTEN_PATH,
     default="demo",
     show_default=True,
     metavar="DIR",

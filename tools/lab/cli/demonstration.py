@@ -16,8 +16,9 @@ from cogsplat.codec.progress import Progress, StageCost, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out, roam
 from cogsplat.formats.cameras.inria import write_cameras_json
-from cogsplat.formats.storage.atomic import check_output, storage_errors
+from cogsplat.formats.storage.atomic import storage_errors
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
+from cogsplat.tools.workflow.output_files import check_outputs
 
 SHARES: Final = (0.03, 0.06, 0.12, 0.25, 1.0)
 """Prefixes in the film strip, as shares of the file."""
@@ -176,8 +177,7 @@ def run(
     files = DemoFiles(folder)
     with storage_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    for path in files.all():
-        check_output(path, force=force)
+    check_outputs(*files.all(), force=force)
 
     progress("synth", 0, 1)
     scene, cameras = synth(splats), synth_cameras()

@@ -20,7 +20,7 @@ from cogsplat.codec.progress import StageCost
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.scenes.registry import WRITABLE
-from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_errors
+from cogsplat.formats.storage.atomic import atomic_write, storage_errors
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.lpips import read_lpips
 from cogsplat.tools.evaluation.measuring_costs import references_cost
@@ -65,18 +65,18 @@ from cogsplat.tools.terminal.options import (
 from cogsplat.tools.terminal.output import display_name, print_facts, print_json, print_line
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
-from cogsplat.tools.terminal.standard_streams import INPUT, PATH
+from cogsplat.tools.terminal.standard_streams import INPUT, PATH, WRITTEN_PATH
 from cogsplat.tools.terminal.values import Colour
 from cogsplat.tools.workflow.inputs import (
     drop_invalid_splats,
     evaluation_cameras,
-    input_files,
     load_cameras,
     plan_cameras,
     read_any,
     scoring_cameras,
 )
 from cogsplat.tools.workflow.order_options import OrderChoice, orders_option
+from cogsplat.tools.workflow.output_files import check_outputs
 
 from .evaluation_costs import eval_costs
 from .evaluation_options import codecs, objects, shares, sizes
@@ -193,7 +193,7 @@ _GROUPS: Final = {
 @target_psnr_option("PSNR of every encoded file instead, in other views than the test views.")
 @click.option(
     "--out",
-    type=PATH,
+    type=WRITTEN_PATH,
     metavar="DIR",
     help="Folder for the results as CSV, JSON and SVG, and for film strips.",
 )
@@ -263,9 +263,8 @@ def evaluate(
         # Checked before minutes of work.
         with storage_errors(out):
             out.mkdir(parents=True, exist_ok=True)
-        for name in ("eval.csv", "eval.json", *picture_names(by)):
-            inputs = input_files(scene, cameras, images, lpips_weights)
-            check_output(out / name, force=force, inputs=inputs)
+        names = ("eval.csv", "eval.json", *picture_names(by))
+        check_outputs(*(out / name for name in names), force=force)
     results = _Results()
     of_objects: list[ObjectPoint] = []
     with Stages(shown=not (quiet or as_json)) as stages:

@@ -14,7 +14,6 @@ from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.order import objects
 from cogsplat.codec.order.chunk_plan import DEFAULT_CHUNK_SPLATS
 from cogsplat.codec.order.orders import OrderInputs, needs_scores, order_rows
-from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.option_groups import GroupedCommand
 from cogsplat.tools.terminal.options import (
@@ -40,13 +39,13 @@ from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.workflow.inputs import (
-    input_files,
     load_cameras,
     plan_cameras,
     read_any,
     scoring_cameras,
 )
 from cogsplat.tools.workflow.order_options import OrderChoice, order_options
+from cogsplat.tools.workflow.output_files import check_outputs
 
 from .npy_output import write_npy
 
@@ -119,7 +118,7 @@ def order(
     from cogsplat.codec.scoring.contribution import ScoreConfig, score, zero_scores
 
     check_name(out, NPY)
-    check_output(out, force=force, inputs=input_files(path, cameras, choice.masks))
+    check_outputs(out, force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             given = read_any(path, threads=threads).splats

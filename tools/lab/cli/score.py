@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.errors import CogsplatWarning
-from cogsplat.formats.storage.atomic import check_output
 from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import (
     cameras_option,
@@ -34,7 +33,8 @@ from cogsplat.tools.terminal.output_names import NPY, check_name
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
-from cogsplat.tools.workflow.inputs import input_files, plan_cameras, read_any, scoring_cameras
+from cogsplat.tools.workflow.inputs import plan_cameras, read_any, scoring_cameras
+from cogsplat.tools.workflow.output_files import check_outputs
 
 from .npy_output import write_npy
 
@@ -78,7 +78,7 @@ def score(
     from cogsplat.codec.scoring.contribution import score as score_splats
 
     check_name(out, NPY)
-    check_output(out, force=force, inputs=input_files(path, cameras))
+    check_outputs(out, force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             views = scoring_cameras(cameras, eval_every)

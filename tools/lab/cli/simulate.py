@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import cogsplat
 from cogsplat.codec.views.view_sets import hold_out
-from cogsplat.formats.storage.atomic import atomic_write, check_output
+from cogsplat.formats.storage.atomic import atomic_write
 from cogsplat.tools.cli.serve import BitRate
 from cogsplat.tools.lab.streaming.client import Link
 from cogsplat.tools.lab.streaming.comparison import (
@@ -48,16 +48,16 @@ from cogsplat.tools.terminal.output import (
 )
 from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
-from cogsplat.tools.terminal.standard_streams import INPUT, PATH
+from cogsplat.tools.terminal.standard_streams import INPUT, PATH, WRITTEN_PATH
 from cogsplat.tools.terminal.values import FiniteNumber, number_of_bytes
 from cogsplat.tools.workflow.inputs import (
     drop_invalid_splats,
-    input_files,
     input_source,
     is_cogs_input,
     load_cameras,
     read_any,
 )
+from cogsplat.tools.workflow.output_files import check_outputs
 
 # Moments in a film strip at most; more do not fit on a page.
 _STRIP_PICTURES: Final = 6
@@ -197,15 +197,23 @@ _GROUPS: Final = {
     "bandwidth.",
 )
 @click.option(
-    "--csv", "csv_path", type=PATH, metavar="OUT.csv", help="Write the results of every moment."
+    "--csv",
+    "csv_path",
+    type=WRITTEN_PATH,
+    metavar="OUT.csv",
+    help="Write the results of every moment.",
 )
 @click.option(
-    "--plot", "plot_path", type=PATH, metavar="OUT.svg", help="Write a chart of PSNR over time."
+    "--plot",
+    "plot_path",
+    type=WRITTEN_PATH,
+    metavar="OUT.svg",
+    help="Write a chart of PSNR over time.",
 )
 @click.option(
     "--strip",
     "strip_path",
-    type=PATH,
+    type=WRITTEN_PATH,
     metavar="OUT.png",
     help="Write pictures of up to six moments, one row per policy.",
 )
@@ -260,9 +268,7 @@ def simulate(
         raise click.UsageError("--as-large-as without --bandwidth, expected both")
     if peer is not None and source is None:
         raise click.UsageError("--peer without --source, expected the common source scene")
-    for out in (csv_path, plot_path, strip_path):
-        if out is not None:
-            check_output(out, force=force, inputs=input_files(path, cameras, source, peer))
+    check_outputs(csv_path, plot_path, strip_path, force=force)
     chosen = (policies or POLICIES) + (() if peer is None else (PEER,))
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):

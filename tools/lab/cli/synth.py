@@ -15,7 +15,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.order.objects import with_labels
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats
 from cogsplat.formats.cameras.inria import write_cameras_json
-from cogsplat.formats.storage.atomic import check_output, storage_errors
+from cogsplat.formats.storage.atomic import storage_errors
 from cogsplat.tools.lab.synthetic.floor_plan import MOST_ROOMS, SPLATS_PER_ROOM
 from cogsplat.tools.terminal.options import (
     force_option,
@@ -29,9 +29,9 @@ from cogsplat.tools.terminal.output import (
     print_line,
     size_text,
 )
-from cogsplat.tools.terminal.output_names import check_distinct
 from cogsplat.tools.terminal.progress_bars import Stages
-from cogsplat.tools.terminal.standard_streams import PATH
+from cogsplat.tools.terminal.standard_streams import WRITTEN_PATH
+from cogsplat.tools.workflow.output_files import check_outputs
 
 _SPLATS: Final = 120_000
 MOST_SPLATS: Final = 20_000_000
@@ -43,7 +43,7 @@ MOST_SPLATS: Final = 20_000_000
     "  cogsplat lab synth scene.ply\n"
     "  cogsplat encode scene.ply scene.cogs --cameras scene.cameras.json"
 )
-@click.argument("out", type=PATH, metavar="OUT.ply")
+@click.argument("out", type=WRITTEN_PATH, metavar="OUT.ply")
 @click.option(
     "--splats",
     type=click.IntRange(1, MOST_SPLATS),
@@ -76,13 +76,13 @@ MOST_SPLATS: Final = 20_000_000
 )
 @click.option(
     "--cameras",
-    type=PATH,
+    type=WRITTEN_PATH,
     metavar="PATH",
     help="File for the cameras.  [default: OUT.cameras.json]",
 )
 @click.option(
     "--walk",
-    type=PATH,
+    type=WRITTEN_PATH,
     metavar="PATH",
     help="With --rooms: file for the cameras of a walk through all rooms.  "
     "[default: OUT.walk.json]",
@@ -94,7 +94,7 @@ MOST_SPLATS: Final = 20_000_000
 )
 @click.option(
     "--masks",
-    type=PATH,
+    type=WRITTEN_PATH,
     metavar="DIR",
     help="Folder for masks of the three objects, a PNG for each camera.",
 )
@@ -134,15 +134,12 @@ def synth(
     if rooms is not None:
         walk = walk or out.with_suffix(".walk.json")
         walked = houses.rooms_walk(rooms, seed)
-    check_distinct(out, cameras, walk)
-    for path in (out, cameras, *([] if walk is None else [walk])):
-        check_output(path, force=force)
     views = scenes.synth_cameras() if rooms is None else houses.rooms_cameras(rooms, seed)
     if masks is not None:
         with storage_errors(masks):
             masks.mkdir(parents=True, exist_ok=True)
-        for camera in views:
-            check_output(_mask_path(masks, camera), force=force)
+    pictures = [] if masks is None else [_mask_path(masks, camera) for camera in views]
+    check_outputs(out, cameras, walk, *pictures, force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("synth"):
             if rooms is None:

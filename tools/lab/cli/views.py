@@ -13,7 +13,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.progress import Progress
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cameras.inria import write_cameras_json
-from cogsplat.formats.storage.atomic import check_output, storage_errors
+from cogsplat.formats.storage.atomic import storage_errors
 from cogsplat.tools.cli.render import fitted
 from cogsplat.tools.pictures.contact_sheet import THUMBNAIL, contact_sheet
 from cogsplat.tools.pictures.png import write_png
@@ -35,7 +35,8 @@ from cogsplat.tools.terminal.output import (
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
-from cogsplat.tools.workflow.inputs import input_files, read_any
+from cogsplat.tools.workflow.inputs import read_any
+from cogsplat.tools.workflow.output_files import check_outputs
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -83,7 +84,7 @@ def views(
     kind = out.suffix.lower()
     if kind not in (".json", ".png"):
         raise click.UsageError(f"{out}, expected an output that ends in .json or .png")
-    check_output(out, force=force, inputs=input_files(path))
+    check_outputs(out, force=force)
     config = ViewPlanConfig(threads=threads)
     if count is not None:
         config = replace(config, views=count)

@@ -1,0 +1,67 @@
+"""Check of all files that a command writes, against the files that it reads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import click
+
+from cogsplat.formats.scenes.input_files import input_files
+from cogsplat.formats.storage.atomic import check_output
+from cogsplat.formats.storage.regular_files import FileKind, check_auxiliary, is_same_file
+from cogsplat.tools.terminal.standard_streams import given_inputs
+
+
+def check_outputs(
+    *outputs: Path | None, force: bool, auxiliary: Mapping[Path, FileKind] | None = None
+) -> None:
+    """Check every file that the running command writes, before the work that produces it.
+
+    The inputs are the paths that the command line and ``--config`` give to arguments and options of
+    types for inputs, with the files that they refer to.
+
+    Parameters
+    ----------
+    outputs : Path or None
+        Output files; None for an output that is not written.
+    force : bool
+        Whether existing outputs may be replaced.
+    auxiliary : mapping of Path to FileKind, optional
+        Kind of each auxiliary file, such as a checkpoint. `force` does not apply to them: a file of
+        its kind is replaced or continued, any other file is refused.
+
+    Raises
+    ------
+    click.UsageError
+        Two of the files are the same.
+    StorageError
+        See `check_output` and `check_auxiliary`.
+    """
+    written = [path for path in outputs if path is not None]
+    auxiliary = auxiliary or {}
+    check_distinct(*written, *auxiliary)
+    for path in written:
+        check_output(path, force=force, inputs=_input_files())
+    for path, kind in auxiliary.items():
+        check_auxiliary(path, kind, inputs=_input_files())
+
+
+def check_distinct(*paths: Path) -> None:
+    """Refuse two files to write that are the same file.
+
+    Raises
+    ------
+    click.UsageError
+        Two paths name one file.
+    """
+    for number, path in enumerate(paths):
+        for other in paths[:number]:
+            if is_same_file(path, other):
+                raise click.UsageError(f"{path}: is the output {other} as well, expected two files")
+
+
+def _input_files() -> Iterator[Path]:
+    """Yield the files that the running command reads."""
+    for path in given_inputs():
+        yield from input_files(path)
