@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from .drawn_chunks import first_level
-from .index import Index, codebook_kinds
+from .index import Index
+from .segment_rows import codebook_kinds
 
 if TYPE_CHECKING:
     from .root import SegmentTable

@@ -12,17 +12,16 @@ from cogsplat.formats.storage.source import Source, prefetching
 
 from .fetch_order import codebook_rows, needed_codebooks, rows_of_chunk
 from .index import (
-    I64,
     Index,
     Page,
     RootExtent,
-    codebook_kinds,
     join_pages,
     page_positions,
     page_ranges,
     read_page,
     require_end,
 )
+from .segment_rows import I64, codebook_kinds
 
 
 class LazyIndex:

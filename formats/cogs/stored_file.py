@@ -18,12 +18,13 @@ from cogsplat.formats.storage.source import RemoteSource, Source, has_range
 
 from .fetch_order import needed_codebooks
 from .folder_places import object_name
-from .index import I64, Index, codebook_kinds
+from .index import Index
 from .layout import SegmentKind
 from .lazy_index import LazyIndex
 from .missing_segments import missing_segment_bytes
 from .object_source import ObjectSource
 from .root import ChunkTable, SegmentTable
+from .segment_rows import I64, codebook_kinds
 from .selection import select_chunks
 
 

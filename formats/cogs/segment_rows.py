@@ -1,0 +1,220 @@
+"""Rows of each chunk's and codebook's segments in the segment table, with the checks of SPEC 5.
+
+In all functions `source` is the file, named in messages; `table` holds the segments of the root and
+of the pages that were read; `heads` holds the row of each chunk's head, -1 where its page was not
+read.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.errors import FormatError
+from cogsplat.formats.storage.source import Source
+
+from . import layout
+from .drawn_chunks import later_levels
+from .layout import SegmentKind
+from .root import ChunkTable, Root, SegmentTable
+
+I64 = NDArray[np.int64]
+
+
+def codebook_kinds(attribute: str, degree: int) -> tuple[SegmentKind, ...]:
+    """Return the segment kinds of a codebook up to an SH degree (SPEC 5.5).
+
+    Parameters
+    ----------
+    attribute : str
+        ``shape`` or ``colour``.
+    degree : int
+        SH degree, 0 to 3.
+    """
+    return (SegmentKind.SHAPE_CODEBOOK,) if attribute == "shape" else layout.COLOUR_BANDS[:degree]
+
+
+def head_rows(source: Source, table: SegmentTable, known: NDArray[np.bool_]) -> I64:
+    """Return the segment row of each chunk's head (SPEC 5.4); -1 if its page was not read."""
+    heads = np.flatnonzero(table.kind == SegmentKind.HEAD).astype(np.int64)
+    if not np.array_equal(table.owner[heads], np.flatnonzero(known)):
+        raise FormatError(
+            "chunk-heads",
+            f"{source.name}: heads of chunks {table.owner[heads].tolist()[:8]} …, expected those "
+            "of all chunks in order",
+            clause="5.4",
+        )
+    found = np.full(len(known), -1, np.int64)
+    found[known] = heads
+    return found
+
+
+def tail_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I64:
+    """Return the segment row of each chunk's tail (SPEC 5.4); -1 for none."""
+    if root.sh_degree == 0 and bool((table.kind == SegmentKind.TAIL).any()):
+        raise FormatError(
+            "chunk-tails",
+            f"{source.name}: a tail in a scene of SH degree 0, expected none",
+            clause="5.4",
+        )
+    rows = _rows_by_chunk(table, heads, SegmentKind.TAIL)
+    if rows is None:
+        raise FormatError(
+            "chunk-tails", _misplaced(source, table, heads, SegmentKind.TAIL), clause="5.4"
+        )
+    return rows
+
+
+def refinement_rows(source: Source, table: SegmentTable, heads: I64) -> I64:
+    """Return the segment row of each chunk's refinement (SPEC 5.4); -1 for none."""
+    rows = _rows_by_chunk(table, heads, SegmentKind.REFINEMENT)
+    if rows is None:
+        raise FormatError(
+            "chunk-refinements",
+            _misplaced(source, table, heads, SegmentKind.REFINEMENT),
+            clause="5.4",
+        )
+    return rows
+
+
+def opacity_rows(
+    source: Source, root: Root, table: SegmentTable, chunks: ChunkTable, heads: I64
+) -> dict[int, list[int]]:
+    """Return the rows of each chunk's opacity segments (SPEC 5.11)."""
+    rows = np.flatnonzero(table.kind == SegmentKind.OPACITIES)
+    owners = table.owner[rows].astype(np.int64)
+    known = bool((owners < len(heads)).all()) and bool((heads[owners] < rows).all())
+    if known and len(rows):
+        later = later_levels(root.levels, chunks)
+        known = bool((np.bincount(owners, minlength=len(heads)) <= later).all())
+    if not known:
+        raise FormatError(
+            "chunk-opacities",
+            f"{source.name}: opacity segments of chunks {owners.tolist()[:8]}, expected at most "
+            f"one per later level that draws one of {len(heads)} chunks, behind its head",
+            clause="5.11",
+        )
+    found: dict[int, list[int]] = {}
+    for row, owner in zip(rows.tolist(), owners.tolist(), strict=True):
+        found.setdefault(owner, []).append(row)
+    return found
+
+
+def attribute_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I64:
+    """Return the segment row of each chunk's extra attributes (SPEC 5.7); -1 for none."""
+    if not root.attributes and bool((table.kind == SegmentKind.ATTRIBUTES).any()):
+        raise FormatError(
+            "attribute-segments",
+            f"{source.name}: a segment of attributes, expected none: the root lists no attributes",
+            clause="5.7",
+        )
+    rows = _rows_by_chunk(table, heads, SegmentKind.ATTRIBUTES)
+    if rows is None:
+        raise FormatError(
+            "attribute-segments",
+            _misplaced(source, table, heads, SegmentKind.ATTRIBUTES),
+            clause="5.7",
+        )
+    return rows
+
+
+def _rows_by_chunk(table: SegmentTable, heads: I64, kind: SegmentKind) -> I64 | None:
+    """Return the row of each chunk's segment of a kind, -1 for none; None if one is misplaced."""
+    rows = np.flatnonzero(table.kind == kind)
+    owners = table.owner[rows]
+    # The head comes first, so a chunk whose page was not read has no segment before that page.
+    once = len(np.unique(owners)) == len(owners) and bool((owners < len(heads)).all())
+    if not once or bool((heads[owners] > rows).any()):
+        return None
+    found = np.full(len(heads), -1, np.int64)
+    found[owners] = rows
+    return found
+
+
+def _misplaced(source: Source, table: SegmentTable, heads: I64, kind: SegmentKind) -> str:
+    """Return the message for misplaced segments of a kind."""
+    owners = table.owner[table.kind == kind].tolist()
+    return (
+        f"{source.name}: {kind.name.lower()} segments of chunks {owners[:8]}, expected at most one "
+        f"for each of {len(heads)} chunks, behind its head"
+    )
+
+
+def camera_row(source: Source, table: SegmentTable) -> int:
+    """Return the row of the cameras' segment (SPEC 5.8); -1 for none."""
+    row, owners = _single_row(table, SegmentKind.CAMERAS)
+    if owners:
+        raise FormatError(
+            "camera-segments",
+            f"{source.name}: cameras with owners {owners}, expected at most one segment, with "
+            "owner 0",
+            clause="5.8",
+        )
+    return row
+
+
+def view_table_row(source: Source, table: SegmentTable) -> int:
+    """Return the row of the view table's segment (SPEC 5.12); -1 for none."""
+    row, owners = _single_row(table, SegmentKind.VIEW_TABLE)
+    if owners:
+        raise FormatError(
+            "view-table-segments",
+            f"{source.name}: view tables with owners {owners}, expected at most one segment, with "
+            "owner 0",
+            clause="5.12",
+        )
+    return row
+
+
+def _single_row(table: SegmentTable, kind: SegmentKind) -> tuple[int, list[int]]:
+    """Return the row of the only segment of a kind, -1 for none, and its owners if misplaced.
+
+    The list of owners is empty if there is at most one such segment, with owner 0.
+    """
+    rows = np.flatnonzero(table.kind == kind)
+    owners = table.owner[rows]
+    strange = owners.tolist()[:8] if len(rows) > 1 or owners.any() else []
+    return (int(rows[0]) if len(rows) else -1), strange
+
+
+def layer_rows(source: Source, table: SegmentTable) -> list[int]:
+    """Return the rows of the compensation layers' segments (SPEC 5.9)."""
+    rows = np.flatnonzero(table.kind == SegmentKind.COMPENSATION)
+    owners = table.owner[rows]
+    if not np.array_equal(owners, np.arange(len(rows))):
+        raise FormatError(
+            "compensation-segments",
+            f"{source.name}: layers {owners.tolist()[:8]}, expected each once, in order",
+            clause="5.9",
+        )
+    return [int(row) for row in rows]
+
+
+def codebook_rows_by_kind(
+    source: Source, root: Root, table: SegmentTable, *, whole: bool
+) -> list[dict[SegmentKind, int]]:
+    """Return the rows of each codebook's segments by kind (SPEC 5.5)."""
+    found: list[dict[SegmentKind, int]] = [{} for _ in root.codebooks]
+
+    def refuse(message: str) -> FormatError:
+        return FormatError("codebook-segments", f"{source.name}: {message}", clause="5.5")
+
+    expected = [codebook_kinds(entry.attribute, root.sh_degree) for entry in root.codebooks]
+    for row in np.flatnonzero(np.isin(table.kind, layout.CODEBOOK_KINDS)).tolist():
+        kind, owner = SegmentKind(int(table.kind[row])), int(table.owner[row])
+        label = f"segment {row}, {kind.name.lower()} of codebook {owner}"
+        if owner >= len(found):
+            raise refuse(f"{label}: expected a codebook below {len(found)}")
+        if kind not in expected[owner]:
+            raise refuse(
+                f"{label}: expected {[k.name.lower() for k in expected[owner]]} "
+                f"for {root.codebooks[owner].attribute}"
+            )
+        if kind in found[owner]:
+            raise refuse(f"{label}: a second one, expected one")
+        found[owner][kind] = row
+    for number, kinds in enumerate(expected):
+        missing = [kind.name.lower() for kind in kinds if kind not in found[number]]
+        if whole and missing:
+            raise refuse(f"codebook {number}: no {missing}, expected one each")
+    return found
