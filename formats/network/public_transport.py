@@ -16,8 +16,14 @@ from cogsplat.codec.errors import StorageError
 
 _Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
-# Reachable from virtual machines only, though not reserved: Azure's platform and metadata service.
-_METADATA: Final = frozenset({ipaddress.ip_address("168.63.129.16")})
+# Networks that `is_global` misses: 168.63.129.16 is Azure's metadata service. The others are
+# reserved (RFC 6890, 9602, 9637), which older versions of Python do not know.
+_NOT_PUBLIC: Final = tuple(
+    map(
+        ipaddress.ip_network,
+        ("168.63.129.16/32", "192.0.0.0/24", "2001::/23", "3fff::/20", "5f00::/16", "fec0::/10"),
+    )
+)
 
 # Prefixes whose addresses end in an IPv4 address: NAT64 (RFC 6052), and its local form (RFC 8215).
 _NAT64: Final = (
@@ -166,7 +172,8 @@ def is_public(address: _Address) -> bool:
     inner = _inner_address(address)
     if inner is not None:
         return is_public(inner)
-    return address.is_global and not address.is_multicast and address not in _METADATA
+    reserved = address.is_multicast or any(address in network for network in _NOT_PUBLIC)
+    return address.is_global and not reserved
 
 
 def _inner_address(address: _Address) -> ipaddress.IPv4Address | None:
