@@ -1,28 +1,22 @@
 """Files that the container's tests share, encoded from made-up scenes."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 from encoding import encode, unseen
+from random_splats import random_splats
 
-from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.formats.cogs.writer import lay_out
 
 ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
 
 
-def scene(count, degree=3, seed=1):
-    rng = np.random.default_rng(seed)
-    size = (count, (degree + 1) ** 2 - 1, 3)
-    return Splats(
-        rng.normal(size=(count, 3)).astype(np.float32),
-        rng.normal(-3, 0.7, size=(count, 3)).astype(np.float32),
-        rng.normal(size=(count, 4)).astype(np.float32),
-        rng.normal(0, 2, size=count).astype(np.float32),
-        rng.normal(size=(count, 3)).astype(np.float32),
-        rng.normal(0, 0.1, size=size).astype(np.float32),
-    )
+def scene(count, degree=3):
+    """Return random splats with SH up to a degree, within a few units of the origin."""
+    splats = random_splats(count, (degree + 1) ** 2 - 1, sh_scale=0.1)
+    return replace(splats, means=splats.means / np.float32(5))
 
 
 @cache
