@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Final, cast
 
 import numpy as np
@@ -11,6 +14,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.errors import FormatError
 
+from . import huffman_streams
 from .payload_limits import MAX_WINDOW_BYTES
 
 U64 = NDArray[np.uint64]
@@ -31,6 +35,21 @@ _HAS_BATCH_CALL: Final = "multi_decompress_to_buffer" in zstandard.backend_featu
 _MIN_BATCH_FRAMES: Final = 8
 
 _local = threading.local()
+_is_exact: ContextVar[bool] = ContextVar("cogsplat_exact_frames", default=False)
+
+
+@contextmanager
+def exact_streams() -> Iterator[None]:
+    """Within the block, refuse Huffman streams that do not end with their last code (SPEC 6.3).
+
+    Verifiers must, readers may: the check takes longer than libzstd takes to decode. The block
+    covers frames that its own thread decompresses.
+    """
+    token = _is_exact.set(True)
+    try:
+        yield
+    finally:
+        _is_exact.reset(token)
 
 
 def decompress(stored: memoryview, length: int, where: str) -> bytes:
@@ -60,6 +79,13 @@ def decompress(stored: memoryview, length: int, where: str) -> bytes:
         raise FormatError(
             "zstd-frame", f"{where}: a frame of {len(raw)} bytes, expected {length}", clause="6.3"
         )
+    if _is_exact.get() and not _has_exact_streams(stored):
+        raise FormatError(
+            "zstd-frame",
+            f"{where}: a Huffman stream that does not end with its last code, expected its first "
+            "bit there",
+            clause="6.3",
+        )
     return raw
 
 
@@ -78,17 +104,46 @@ def decompress_located(stored: memoryview, frames: U64, sizes: U64) -> bytes | N
     """
     try:
         if len(frames) < _MIN_BATCH_FRAMES or not _HAS_BATCH_CALL:
-            whole = _decompressor().decompress
-            return b"".join([whole(stored[a : a + n]) for a, n in frames.tolist()])
-        source = zstandard.BufferWithSegments(stored, frames.astype("<u8").tobytes())
-        found = _decompressor().multi_decompress_to_buffer(
-            source, decompressed_sizes=sizes.astype("<u8").tobytes()
-        )
+            raw = b"".join(map(_decompressor().decompress, _parts(stored, frames)))
+        else:
+            raw = _decompress_batch(stored, frames, sizes)
     except zstandard.ZstdError:
         # The caller decompresses frame by frame instead, which raises the error of the damaged one.
         return None
+    is_sound = not _is_exact.get() or all(map(_has_exact_streams, _parts(stored, frames)))
+    return raw if is_sound else None
+
+
+def _parts(stored: memoryview, frames: U64) -> list[memoryview]:
+    """Return each frame of `decompress_located`."""
+    return [stored[first : first + length] for first, length in frames.tolist()]
+
+
+def _decompress_batch(stored: memoryview, frames: U64, sizes: U64) -> bytes:
+    """Decompress several frames in one call; see `decompress_located`."""
+    source = zstandard.BufferWithSegments(stored, frames.astype("<u8").tobytes())
+    found = _decompressor().multi_decompress_to_buffer(
+        source, decompressed_sizes=sizes.astype("<u8").tobytes()
+    )
     # Segments are buffers; their declared type lacks that.
     return b"".join(cast(list[bytes], [found[number] for number in range(len(found))]))
+
+
+def _has_exact_streams(stored: memoryview) -> bool:
+    """Tell whether the Huffman streams of a frame that libzstd accepts end with their last code."""
+    return huffman_streams.end_exactly(stored, _header_bytes(stored[4]))
+
+
+def _header_bytes(descriptor: int) -> int:
+    """Return the length of a frame header, bytes (RFC 8878, 3.1.1.1)."""
+    window_bytes = int(not descriptor & _SINGLE_SEGMENT_BIT)
+    dictionary_bytes = _DICTIONARY_BYTES[descriptor & _DICTIONARY_BITS]
+    return 5 + window_bytes + dictionary_bytes + _size_bytes(descriptor)
+
+
+def _size_bytes(descriptor: int) -> int:
+    """Return the length of the content size in a frame header, bytes."""
+    return _SIZE_BYTES[descriptor >> 6] or int(bool(descriptor & _SINGLE_SEGMENT_BIT))
 
 
 def _check_header(stored: memoryview, length: int, where: str) -> None:
@@ -105,13 +160,11 @@ def _check_header(stored: memoryview, length: int, where: str) -> None:
         )
     descriptor = stored[4] if len(stored) > 4 else 0
     single_segment = bool(descriptor & _SINGLE_SEGMENT_BIT)
-    size_bytes = _SIZE_BYTES[descriptor >> 6] or int(single_segment)
-    window_at = 5
-    size_at = window_at + (not single_segment) + _DICTIONARY_BYTES[descriptor & _DICTIONARY_BITS]
-    if len(stored) < size_at + size_bytes or len(stored) < window_at:
+    header_bytes = _header_bytes(descriptor)
+    if len(stored) < header_bytes:
         raise FormatError(
             "zstd-frame",
-            f"{where}: {len(stored)} bytes, expected a frame header of {size_at + size_bytes}",
+            f"{where}: {len(stored)} bytes, expected a frame header of {header_bytes}",
             clause="6.3",
         )
     if descriptor & _RESERVED_BIT:
@@ -121,14 +174,15 @@ def _check_header(stored: memoryview, length: int, where: str) -> None:
             clause="6.3",
         )
     # A size in two bytes is stored less 256 (RFC 8878, 3.1.1.1.4).
-    stated = int.from_bytes(stored[size_at : size_at + size_bytes], "little")
+    size_bytes = _size_bytes(descriptor)
+    stated = int.from_bytes(stored[header_bytes - size_bytes : header_bytes], "little")
     stated += 256 if size_bytes == 2 else 0
     if not size_bytes or stated != length:
         found = stated if size_bytes else "no content size"
         raise FormatError(
             "zstd-size", f"{where}: the frame states {found}, expected {length}", clause="6.3"
         )
-    window = length if single_segment else _window_bytes(stored[window_at])
+    window = length if single_segment else _window_bytes(stored[5])
     if window > MAX_WINDOW_BYTES:
         raise FormatError(
             "zstd-window",

@@ -64,6 +64,13 @@ class CheckedMap:
             raise self.error(key, f"{type(value).__name__}, expected {kind.__name__}", "root-type")
         return value
 
+    def array(self, key: str, most: int, *, least: int = 0) -> list[Value]:
+        """Remove a key and return its array of `least` to `most` values."""
+        values = self.pop(key, list)
+        if not least <= len(values) <= most:
+            raise self.error(key, f"{len(values)} entries, expected {least} to {most}")
+        return values
+
     def integer(self, key: str, low: int, high: int) -> int:
         """Remove a key and return its integer, from `low` to `high`."""
         value = self.pop(key, int)
@@ -87,6 +94,13 @@ class CheckedMap:
         value = self.pop(key, float)
         if not math.isfinite(value):
             raise self.error(key, f"{value}, expected a finite number")
+        return value
+
+    def positive(self, key: str) -> float:
+        """Remove a key and return its finite number above 0."""
+        value = self.number(key)
+        if value <= 0:
+            raise self.error(key, f"{value}, expected more than 0")
         return value
 
     def numbers(self, key: str, count: int) -> list[float]:

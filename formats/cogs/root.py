@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Container, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -393,23 +393,18 @@ def parse_root(value: Value, where: str) -> Root:
         origin=(origin[0], origin[1], origin[2]),
         axes=_axes(root),
         colour_space=_colour_space(root),
-        kernel_px=root.number("kernel_px"),
+        kernel_px=_kernel_px(root),
         antialiased=root.pop("antialiased", bool),
     )
-    if info.kernel_px < 0:
-        raise root.error("kernel_px", f"{info.kernel_px}, expected 0 or more")
     box = np.array(root.numbers("box", 6))
     if not (box[:3] <= box[3:]).all():
         raise root.error("box", "corners not ordered, expected minimum, maximum")
-    codebooks = [_codebook(v, where) for v in root.pop("codebooks", list)]
-    if len(codebooks) > layout.MAX_CODEBOOKS:
-        raise root.error("codebooks", f"{len(codebooks)}, expected at most {layout.MAX_CODEBOOKS}")
+    codebooks = [_codebook(v, where) for v in root.array("codebooks", layout.MAX_CODEBOOKS)]
     first_view = _camera(root.pop("first_view", dict), where) if root.has("first_view") else None
     attributes = _attributes(root, where)
     levels = _levels(root, where)
-    pages = [_page(v, where) for v in root.pop("pages", list)] if root.has("pages") else []
-    if len(pages) > layout.MAX_PAGES:
-        raise root.error("pages", f"{len(pages)}, expected at most {layout.MAX_PAGES}")
+    entries = root.array("pages", layout.MAX_PAGES) if root.has("pages") else []
+    pages = [_page(value, where) for value in entries]
     segments = parse_segments(root.pop("segments", dict), where)
     chunks = parse_chunks(root.pop("chunks", dict), where)
     root.finish()
@@ -456,6 +451,14 @@ def _axes(root: CheckedMap) -> str:
     return axes
 
 
+def _kernel_px(root: CheckedMap) -> float:
+    """Return the checked variance that a renderer adds to projected covariances, px²."""
+    variance = root.number("kernel_px")
+    if variance < 0:
+        raise root.error("kernel_px", f"{variance}, expected 0 or more")
+    return variance
+
+
 def _colour_space(root: CheckedMap) -> str:
     """Return the checked name of the colour space."""
     name = root.word("colour_space")
@@ -472,46 +475,48 @@ def _colour_space(root: CheckedMap) -> str:
 def _codebook(value: Value, where: str) -> CodebookEntry:
     """Parse the entry of a codebook (SPEC 5.5)."""
     book = CheckedMap(value, f"{where}, codebooks", "5.5")
-    entry = CodebookEntry(book.word("attribute"), book.integer("rows", 1, MAX_CODEBOOK_ROWS))
-    book.finish()
-    if entry.attribute not in CODEBOOK_ATTRIBUTES:
+    attribute = book.word("attribute")
+    if attribute not in CODEBOOK_ATTRIBUTES:
         raise UnsupportedError(
             "codebook-unknown",
-            f"{where}: a codebook of {entry.attribute[:_SHOWN]!r}, expected {CODEBOOK_ATTRIBUTES} "
+            f"{where}: a codebook of {attribute[:_SHOWN]!r}, expected {CODEBOOK_ATTRIBUTES} "
             "(SPEC 5.5)",
         )
-    return entry
+    rows = book.integer("rows", 1, MAX_CODEBOOK_ROWS)
+    book.finish()
+    return CodebookEntry(attribute, rows)
 
 
 def _attributes(root: CheckedMap, where: str) -> list[AttributeType]:
     """Parse the types of the extra attributes (SPEC 5.7)."""
     if not root.has("attributes"):
         return []
-    values = root.pop("attributes", list)
-    if len(values) > MAX_EXTRAS:
-        raise root.error("attributes", f"{len(values)}, expected at most {MAX_EXTRAS}")
-    found = [_attribute(value, where) for value in values]
-    if len({kind.name for kind in found}) < len(found):
-        raise root.error("attributes", "a name occurs twice, expected unique names")
-    return found
+    found: dict[str, AttributeType] = {}
+    for value in root.array("attributes", MAX_EXTRAS):
+        kind = _attribute(value, found, where)
+        found[kind.name] = kind
+    return list(found.values())
 
 
-def _attribute(value: Value, where: str) -> AttributeType:
-    """Parse the type of one extra attribute (SPEC 5.7)."""
+def _attribute(value: Value, before: Container[str], where: str) -> AttributeType:
+    """Parse the type of one extra attribute, whose name must not be in `before` (SPEC 5.7)."""
     entry = CheckedMap(value, f"{where}, attributes", "5.7")
-    name, dtype = entry.text("name"), entry.word("type")
-    components = 0
-    if entry.has("components"):
-        components = entry.integer("components", 1, MAX_EXTRA_COMPONENTS)
-    entry.finish()
+    name = entry.text("name")
     if not name:
         raise entry.error("name", "empty, expected a name")
+    if name in before:
+        raise entry.error("name", f"{name!r} twice, expected each name once")
+    dtype = entry.word("type")
     if dtype not in EXTRA_DTYPES:
         raise UnsupportedError(
             "attribute-type-unknown",
             f"{where}: attribute {name!r} of type {dtype[:_SHOWN]!r}, expected one of "
             f"{', '.join(EXTRA_DTYPES)} (SPEC 5.7)",
         )
+    components = 0
+    if entry.has("components"):
+        components = entry.integer("components", 1, MAX_EXTRA_COMPONENTS)
+    entry.finish()
     return AttributeType(name, dtype, components)
 
 
@@ -519,22 +524,16 @@ def _levels(root: CheckedMap, where: str) -> list[Level]:
     """Parse the levels of detail (SPEC 5.11)."""
     if not root.has("levels"):
         return []
-    values = root.pop("levels", list)
-    if not 1 <= len(values) <= layout.MAX_LEVELS:
-        raise root.error("levels", f"{len(values)}, expected 1 to {layout.MAX_LEVELS}")
     found: list[Level] = []
-    for value in values:
+    for value in root.array("levels", layout.MAX_LEVELS, least=1):
         entry = CheckedMap(value, f"{where}, levels", "5.11")
-        level = Level(entry.integer("chunks", 1, layout.MAX_SEGMENTS), entry.number("scale"))
-        entry.finish()
         before = found[-1] if found else Level(0, np.inf)
-        if level.chunks <= before.chunks:
-            raise entry.error("chunks", f"{level.chunks} after {before.chunks}, expected more")
-        if not 0 < level.scale < before.scale:
-            raise entry.error(
-                "scale", f"{level.scale} after {before.scale}, expected less, above 0"
-            )
-        found.append(level)
+        chunks = entry.integer("chunks", before.chunks + 1, layout.MAX_SEGMENTS)
+        scale = entry.positive("scale")
+        if scale >= before.scale:
+            raise entry.error("scale", f"{scale} after {before.scale}, expected less")
+        entry.finish()
+        found.append(Level(chunks, scale))
     return found
 
 
@@ -557,11 +556,13 @@ def _camera(value: Value, where: str) -> Camera:
     view = CheckedMap(value, f"{where}, first_view", "4.4")
     width = view.integer("width", 1, 65535)
     height = view.integer("height", 1, 65535)
-    fx, fy, cx, cy = (view.number(key) for key in ("fx", "fy", "cx", "cy"))
+    fx, fy = view.positive("fx"), view.positive("fy")
+    cx, cy = view.number("cx"), view.number("cy")
     rotation = np.array(view.numbers("rotation", 9)).reshape(3, 3)
-    translation = np.array(view.numbers("translation", 3))
-    view.finish()
     try:
-        return Camera(width, height, fx, fy, cx, cy, rotation, translation, "first view")
+        camera = Camera(width, height, fx, fy, cx, cy, rotation, np.zeros(3), "first view")
     except DataError as error:
         raise FormatError("root-value", f"{where}, first_view: {error}", clause="4.4") from error
+    translation = np.array(view.numbers("translation", 3))
+    view.finish()
+    return replace(camera, translation=translation)

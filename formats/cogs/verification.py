@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from cogsplat.codec.errors import FormatError
+from cogsplat.codec.streams.zstd_frames import exact_streams
 
 from .chunk_decoder import ChunkDecoder
 from .drawn_chunks import first_level
@@ -50,6 +51,12 @@ def checks(file: ChunkDecoder) -> Iterator[Check]:
         codebooks; cameras; compensation; view table; then head, refinement, opacities, tail with
         attributes, and bounding box of every chunk.
     """
+    for check in _checks(file):
+        yield replace(check, run=exact_streams()(check.run))
+
+
+def _checks(file: ChunkDecoder) -> Iterator[Check]:
+    """Yield the checks of `checks`, with Huffman streams checked as far as libzstd does."""
     yield Check("decoded size", 0, file.require_size)
     for row in range(len(file.segments)):
         yield Check(f"segment {row}", int(file.offsets[row]), partial(read_verified, file, row))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from cogsplat.formats.cogs.canonical_msgpack import pack
+from cogsplat.formats.cogs.canonical_msgpack import Value, pack
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
 
@@ -104,4 +104,56 @@ def invalid() -> list[Invalid]:
         bad("books-cameras", build(with_segments(chunk_with_codebooks(), [shape, *drawn, camera,
             camera])),
             "codebook-segments", "5.5", "a codebook incomplete, and cameras twice"),
+        *_key_order(),
+    ]  # fmt: skip
+
+
+def _key_order() -> list[Invalid]:
+    """Return vectors of two faults in the maps of a root, whose keys are read one by one."""
+
+    def bad(
+        name: str, code: str, clause: str, note: str, *changes: Change, draft: Draft | None = None
+    ) -> Invalid:
+        data = build_edited(draft or uniform_chunk(), _all(*changes))
+        return Invalid(f"order-{name}", data, code, clause, note)
+
+    def without(name: str) -> Change:
+        def change(index: Index) -> None:
+            del index[name]
+
+        return change
+
+    unknown = {"unit!": "m"}
+    shape: dict[str, Value] = {"attribute": "shape", "rows": 1}
+    view: dict[str, Value] = {
+        "width": 64, "height": 64, "fx": 50.0, "fy": 50.0, "cx": 32.0, "cy": 32.0,
+        "rotation": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], "translation": [0.0, 0.0, 0.0],
+    }  # fmt: skip
+    sheared: list[Value] = [1.0, 0.5, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    level: dict[str, Value] = {"chunks": 1, "scale": 2.0}
+    return [
+        bad("kernel-antialiased", "root-value", "4.2",
+            "a negative kernel, and no key behind it",
+            key_setter("kernel_px", -1.0), without("antialiased")),
+        bad("codebooks-33", "root-value", "4.2", "33 codebooks, the first of them unknown",
+            key_setter("codebooks", [shape | {"attribute": "depth"}, *[shape] * 32])),
+        bad("codebook-rows", "codebook-unknown", "5.5", "an unknown codebook, of 0 rows",
+            key_setter("codebooks", [{"attribute": "depth", "rows": 0}])),
+        bad("codebooks-text", "root-value", "5.5", "a codebook of 0 rows, then one that is no map",
+            key_setter("codebooks", [shape | {"rows": 0}, "shape"])),
+        bad("view-focal", "root-value", "4.4", "a negative focal length, and no principal point",
+            key_setter("first_view",
+                       {**{key: view[key] for key in view if key != "cx"}, "fx": -1.0})),
+        bad("view-rotation", "root-value", "4.4", "a sheared rotation, and an unknown key with !",
+            key_setter("first_view", view | {"rotation": sheared} | unknown)),
+        bad("level-chunks", "root-value", "5.11",
+            "two levels of one chunk, the second without a scale",
+            key_setter("levels", [level, {"chunks": 1}])),
+        bad("level-scale", "root-value", "5.11",
+            "a scale below 0, and an unknown key with !",
+            key_setter("levels", [level | {"scale": -1.0} | unknown])),
+        bad("kind-length", "segment-kind-unknown", "5.2",
+            "a segment of 0 bytes, then one of an unknown kind",
+            _poke("segments", "length", 0, "I", 0), _poke("segments", "kind", 1, "B", 99),
+            draft=two_chunks()),
     ]  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 from cogsplat.codec.streams.records import Attribute
@@ -38,14 +39,50 @@ _LITERALS_AT: Final = 11
 _SEQUENCES_AT: Final = 112
 
 
-def _file(frame: bytes) -> bytes:
-    """Return a file of 300 splats whose plane of opacities is stored as the given zstd frame."""
-    opacities = handmade.scalar(Attribute.OPACITIES, [(-2.0, 2.0, 8)], [[0] * _ROWS])
-    head = handmade.uniform_head(_ROWS, opacities)
+def _file(frame: bytes, rows: int = _ROWS) -> bytes:
+    """Return a file whose plane of opacities is stored as the given zstd frame."""
+    opacities = handmade.scalar(Attribute.OPACITIES, [(-2.0, 2.0, 8)], [[0] * rows])
+    head = handmade.uniform_head(rows, opacities)
     records = [record(stream) for stream in head]
     place = handmade.stream_index(head, Attribute.OPACITIES)
     records[place].planes = [(len(frame) | 1 << 31, frame)]
-    return build(one_chunk(payload(records), _ROWS))
+    return build(one_chunk(payload(records), rows))
+
+
+# Symbols of a frame that libzstd decodes two codes at once, four streams of an odd number each.
+_HUFFMAN_ROWS: Final = 4 * 1023
+
+
+def _huffman_frame(tree: bytes, streams: Sequence[bytes], rows: int) -> bytes:
+    """Return a frame of one block of Huffman literals, in one stream or four."""
+    table = b"".join(len(stream).to_bytes(2, "little") for stream in streams[:-1])
+    section = tree + table + b"".join(streams)
+    size_format, bits, header_bytes = (0, 10, 3) if len(streams) == 1 else (2, 14, 4)
+    header = 2 | size_format << 2 | rows << 4 | len(section) << (4 + bits)
+    block = header.to_bytes(header_bytes, "little") + section + b"\0"
+    return (
+        _MAGIC
+        + bytes([_SIZE_IN_2 | _SINGLE_SEGMENT])
+        + (rows - 256).to_bytes(2, "little")
+        + (1 | 2 << 1 | len(block) << 3).to_bytes(3, "little")
+        + block
+    )
+
+
+# RFC 8878, 4.2.1.1: weights of the first of two symbols, in half a byte; codes of one bit.
+_TWO_SYMBOLS: Final = b"\x80\x10"
+_NO_LONGEST_CODE: Final = b"\x80\x20"
+
+
+def _zeros(bits: int) -> bytes:
+    """Return a Huffman stream of zero bits behind the mark of its end."""
+    return (1 << bits).to_bytes(bits // 8 + 1, "little")
+
+
+def _file_of_streams(first: bytes) -> bytes:
+    """Return a file of 4,092 splats, its opacities in four streams of which one is given."""
+    frame = _huffman_frame(_TWO_SYMBOLS, [first, *[_zeros(1023)] * 3], _HUFFMAN_ROWS)
+    return _file(frame, _HUFFMAN_ROWS)
 
 
 # RFC 8878, 3.1.1.2: the last block, raw and of 0 bytes, and an RLE block of 3.
@@ -76,6 +113,8 @@ def valid() -> list[Valid]:
              "the unused bit of a frame header set: decoders ignore it"),
         good("frame-window-8m", _MAGIC + bytes([_SIZE_IN_2]) + window + _SIZE + _BLOCK,
              "the largest window that is allowed"),
+        Valid("frame-huffman", _file_of_streams(_zeros(1023)), ("6.3",),
+              "four Huffman streams of 1,023 codes of one bit"),
         Valid("frame-empty", _file_of_empty(_EMPTY + _NO_BYTES), ("6.3",),
               "a plane of 0 bytes in a zstd frame"),
     ]  # fmt: skip
@@ -93,6 +132,10 @@ def invalid() -> list[Invalid]:
     def bad_empty(name: str, frame: bytes, note: str) -> Invalid:
         return Invalid(name, _file_of_empty(frame), "zstd-frame", "6.3", note, "decode")
 
+    def bad_stream(name: str, first: bytes, note: str) -> Invalid:
+        return Invalid(name, _file_of_streams(first), "zstd-frame", "6.3", note, "verify")
+
+    no_longest = _huffman_frame(_NO_LONGEST_CODE, [_zeros(_ROWS)], _ROWS)
     one_window = bytes([13 << 3 | 1])
     whole = frame(0, _SMALLEST_WINDOW + _SIZE)
     return [
@@ -109,6 +152,10 @@ def invalid() -> list[Invalid]:
             "a block of 812 literals in a frame of 300 bytes"),
         bad("zstd-sequence-cut", poke(_LITERALS, _SEQUENCES_AT, "B", 1), "frame",
             "a block that states a sequence and ends"),
+        bad("zstd-huffman-weights", no_longest, "frame", "a Huffman code in which no weight is 1"),
+        bad_stream("zstd-huffman-left", _zeros(1024), "a Huffman stream of a bit more"),
+        bad_stream("zstd-huffman-beyond", _zeros(1022), "a Huffman stream of a bit less"),
+        bad_stream("zstd-huffman-mark", bytes(128), "a Huffman stream without the mark of its end"),
         bad("zstd-window-8m", frame(0, one_window + _SIZE), "window", "a window of 9 MiB"),
         bad("zstd-window-2-41", frame(0, _LARGEST_WINDOW + _SIZE), "window",
             "the largest window that a header can state, 3.75 TiB"),

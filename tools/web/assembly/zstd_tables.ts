@@ -184,16 +184,21 @@ function bitsAt(start: usize, at: i32, count: i32): u32 {
 /** Fill the table of 2^bits entries: symbol, length of its code. */
 function buildHuffman(count: i32): bool {
   let sum: u32 = 0;
+  let longest = 0;
   for (let i = 0; i < count; i++) {
     const weight = load<u8>(weights + i);
     if (weight > 12) return false;
     if (weight > 0) sum += 1 << (weight - 1);
+    if (weight === 1) longest++;
   }
   if (sum === 0) return false;
   const log = 32 - <i32>clz<u32>(sum);
   if (log > HUFFMAN_BITS) return false;
   const left = ((<u32>1) << log) - sum;
   if (left === 0 || (left & (left - 1)) !== 0) return false;
+  // The longest codes, of weight 1, come in pairs.
+  if (left === 1) longest++;
+  if (longest < 2) return false;
   store<u8>(weights + count, <u8>(32 - clz<u32>(left)));
   count++;
   let at: usize = huffmanTable;

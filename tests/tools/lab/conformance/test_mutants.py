@@ -183,7 +183,7 @@ READER = [
         "a dictionary field of 0 is accepted",
         _header,
         "if descriptor & _DICTIONARY_BITS:",
-        "if descriptor & _DICTIONARY_BITS and any(stored[size_at - 1 : size_at]):",
+        "if descriptor & _DICTIONARY_BITS and stored[header_bytes - size_bytes - 1]:",
         ("6.3",),
     ),
     Mutant(

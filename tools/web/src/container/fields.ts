@@ -63,13 +63,13 @@ export class Fields {
     return value as readonly Value[];
   }
 
-  /** Read an array of at most `most` maps. */
-  maps(key: string, most: number): Fields[] {
+  /** Read an array of at most `most` maps, one after the other. */
+  maps<T>(key: string, most: number, read: (fields: Fields) => T): T[] {
     const values = this.array(key);
     if (values.length > most) throw this.outOfRange(key, `${values.length} entries, at most ${most}`);
     return values.map((value, i) => {
       if (!(value instanceof Map)) throw this.wrongType(key, "an array of maps");
-      return new Fields(value, `${this.where}.${key}[${i}]`);
+      return read(new Fields(value, `${this.where}.${key}[${i}]`));
     });
   }
 

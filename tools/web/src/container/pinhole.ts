@@ -30,12 +30,17 @@ export function readFirstView(fields: Fields): Pinhole {
     fy: fields.float("fy", focal, "a focal length"),
     cx: fields.float("cx", Number.isFinite, "finite"),
     cy: fields.float("cy", Number.isFinite, "finite"),
-    rotation: fields.floats("rotation", 9),
+    rotation: readRotation(fields),
     translation: fields.floats("translation", 3),
   };
-  if (!isRotation(view.rotation)) throw fields.outOfRange("rotation", "no rotation matrix");
   fields.finish();
   return view;
+}
+
+function readRotation(fields: Fields): number[] {
+  const rotation = fields.floats("rotation", 9);
+  if (!isRotation(rotation)) throw fields.outOfRange("rotation", "no rotation matrix");
+  return rotation;
 }
 
 /** Return whether nine numbers, row by row, are a rotation within the tolerance of SPEC 4.4. */

@@ -88,11 +88,11 @@ export function readRoot(bytes: Uint8Array): Root {
   const box = fields.floats("box", 6);
   if ([0, 1, 2].some((axis) => box[axis]! > box[axis + 3]!))
     throw fields.outOfRange("box", "a minimum above its maximum");
-  const codebooks = fields.maps("codebooks", 32).map(readCodebook);
+  const codebooks = fields.maps("codebooks", 32, readCodebook);
   const firstView = fields.has("first_view") ? readFirstView(fields.fields("first_view")) : undefined;
   const attributes = fields.has("attributes") ? readAttributeEntries(fields) : [];
   const levels = fields.has("levels") ? readLevels(fields) : [];
-  const pages = fields.has("pages") ? fields.maps("pages", 128).map(readPageEntry) : [];
+  const pages = fields.has("pages") ? fields.maps("pages", 128, readPageEntry) : [];
   const segments = readSegmentTable(fields.fields("segments"));
   const chunks = readChunkTable(fields.fields("chunks"));
   fields.finish();
@@ -131,7 +131,7 @@ function readCodebook(fields: Fields): CodebookEntry {
 
 function readAttributeEntries(root: Fields): AttributeEntry[] {
   const names = new Set<string>();
-  return root.maps("attributes", 256).map((fields) => {
+  return root.maps("attributes", 256, (fields) => {
     const name = fields.text("name");
     const bytes = textBytes(name);
     if (bytes < 1 || bytes > 255) throw fields.outOfRange("name", `${bytes} bytes`);
@@ -148,10 +148,8 @@ function readAttributeEntries(root: Fields): AttributeEntry[] {
 }
 
 function readLevels(root: Fields): LevelEntry[] {
-  const entries = root.maps("levels", 16);
-  if (entries.length === 0) throw root.outOfRange("levels", "none");
   let before: LevelEntry = { chunks: 0, scale: Infinity };
-  return entries.map((fields) => {
+  const levels = root.maps("levels", 16, (fields) => {
     before = {
       chunks: fields.integer("chunks", before.chunks + 1, 1_048_576),
       scale: fields.float("scale", (value) => value > 0 && value < before.scale, "above 0 and falling"),
@@ -159,6 +157,8 @@ function readLevels(root: Fields): LevelEntry[] {
     fields.finish();
     return before;
   });
+  if (levels.length === 0) throw root.outOfRange("levels", "none");
+  return levels;
 }
 
 function readPageEntry(fields: Fields): PageEntry {

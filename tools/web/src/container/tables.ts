@@ -64,12 +64,12 @@ export function readSegmentTable(fields: Fields): SegmentTable {
   };
   fields.finish();
   const known = new Set<number>(Object.values(SegmentKind));
-  for (let i = 0; i < rows; i++) {
-    if (table.length[i] === 0) throw fields.outOfRange("length", `segment ${i} has no bytes`);
-    if (kind[i]! < FIRST_SKIPPABLE_KIND && !known.has(kind[i]!)) {
-      throw new CogsplatError("segment-kind-unknown", `${fields.where}: segment ${i} is of kind ${kind[i]}`);
-    }
+  const unknown = kind.findIndex((value) => value < FIRST_SKIPPABLE_KIND && !known.has(value));
+  if (unknown >= 0) {
+    throw new CogsplatError("segment-kind-unknown", `${fields.where}: segment ${unknown} is of kind ${kind[unknown]}`);
   }
+  const empty = table.length.indexOf(0);
+  if (empty >= 0) throw fields.outOfRange("length", `segment ${empty} has no bytes`);
   return table;
 }
 
