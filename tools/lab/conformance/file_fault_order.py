@@ -123,7 +123,7 @@ def _key_order() -> list[Invalid]:
 
         return change
 
-    unknown = {"unit!": "m"}
+    unknown: dict[str, Value] = {"unit!": "m"}
     shape: dict[str, Value] = {"attribute": "shape", "rows": 1}
     view: dict[str, Value] = {
         "width": 64, "height": 64, "fx": 50.0, "fy": 50.0, "cx": 32.0, "cy": 32.0,
