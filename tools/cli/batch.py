@@ -5,22 +5,22 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Final
 
 import click
 
-import cogsplat
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.formats.network.object_output import ObjectOutput
 from cogsplat.formats.network.urls import is_url
-from cogsplat.formats.storage.atomic import open_for_read, storage_errors
+from cogsplat.formats.storage.atomic import TargetExistsError
 from cogsplat.tools.terminal.config_file import settable_options
 from cogsplat.tools.terminal.options import (
     json_option,
@@ -29,8 +29,11 @@ from cogsplat.tools.terminal.options import (
     threads_option,
 )
 from cogsplat.tools.terminal.output import display_name, print_error_line, print_json, print_line
-from cogsplat.tools.terminal.standard_streams import PATH, WRITTEN_PATH
+from cogsplat.tools.terminal.standard_streams import PATH, WRITTEN_PATH, is_file_name
+from cogsplat.tools.workflow.batch_log import BATCH_LOG, BatchLog
 from cogsplat.tools.workflow.batch_manifest import BatchScene, read_manifest
+from cogsplat.tools.workflow.child_process import child_process
+from cogsplat.tools.workflow.output_files import check_outputs
 
 from .encode import encode
 
@@ -49,14 +52,10 @@ class _Batch:
     ----------
     folder : Path
         Folder of the manifest, where relative paths begin.
-    log : Path
-        Log file, with a line for each encode.
+    log : BatchLog
+        Log of this run and earlier ones.
     common : tuple of str
         Command-line options of every encode.
-    before : mapping of str to mapping
-        Last log line of each output finished by earlier runs, by output.
-    quiet : bool
-        Whether to print nothing.
     running : set of Popen
         Running encode processes.
     stopped : bool
@@ -66,10 +65,8 @@ class _Batch:
     """
 
     folder: Path
-    log: Path
+    log: BatchLog
     common: tuple[str, ...]
-    before: Mapping[str, Mapping[str, object]]
-    quiet: bool
     running: set[subprocess.Popen[str]] = field(default_factory=set)
     stopped: bool = False
     lock: threading.Lock = field(default_factory=threading.Lock)
@@ -78,18 +75,22 @@ class _Batch:
         """Encode a scene in a process unless its output is up to date; return the log line."""
         line: dict[str, object] = {"input": scene.input, "output": scene.output}
         start = time.monotonic()
-        earlier = self.before.get(scene.output, {})
         try:
             line["fingerprint"] = scene.fingerprint(self.folder)
-            same = earlier.get("fingerprint") == line["fingerprint"]
-            if same and self._is_up_to_date(scene, earlier):
+            if self._is_up_to_date(scene, line["fingerprint"]):
                 return {**line, "status": "skipped"}
+            # Outputs of this batch are replaced, other files are not.
+            is_own = self.log.owns(scene.output)
+            if not is_own:
+                self._require_absent(scene)
+            self.log.write({**line, "status": "started"})
         except CogsplatError as error:
             failure = {"code": error.code, "message": error.message, "exit_code": error.exit_code}
-            return {**line, "status": "failed", "error": failure}
-        # Outputs of an earlier run are replaced, other files are not.
-        words = [*scene.words, *(["--force"] if earlier else []), *self.common]
-        code, out, err = self._run(["encode", scene.input, scene.output, *words, "--json"])
+            return self._logged({**line, "status": "failed", "error": failure})
+        words = [*scene.words, *(["--force"] if is_own else []), *self.common, "--json"]
+        code, out, err = self._run(["encode", *words, "--", scene.input, scene.output])
+        if self.stopped:
+            return {**line, "status": "failed", "error": {"code": "interrupted"}}
         line["encode_s"] = round(time.monotonic() - start, 3)
         try:
             report = json.loads(out)
@@ -97,39 +98,43 @@ class _Batch:
             message = (err.strip() or "no output").splitlines()[-1]
             report = {"error": {"code": "ended", "message": message, "exit_code": code}}
         if code or "error" in report:
-            return {**line, "status": "failed", "error": report.get("error")}
-        return {**line, "status": "done", "result": report}
+            return self._logged({**line, "status": "failed", "error": report.get("error")})
+        return self._logged({**line, "status": "done", "result": report})
 
-    def _is_up_to_date(self, scene: BatchScene, earlier: Mapping[str, object]) -> bool:
-        """Whether the output exists with the size that the log lists."""
-        result = earlier.get("result")
-        expected = result.get("bytes") if isinstance(result, dict) else None
+    def _logged(self, line: dict[str, object]) -> dict[str, object]:
+        """Add a line to the log; return it."""
+        self.log.write(line)
+        return line
+
+    def _is_up_to_date(self, scene: BatchScene, fingerprint: object) -> bool:
+        """Whether the log lists the same encode as done, and the output has the size listed."""
+        done = self.log.done(scene.output)
+        if done is None or done.fingerprint != fingerprint:
+            return False
         if is_url(scene.output):
-            return ObjectOutput(scene.output).size() == expected
+            return ObjectOutput(scene.output).size() == done.size_bytes
         path = self.folder / scene.output
-        return path.is_file() and path.stat().st_size == expected
+        return path.is_file() and path.stat().st_size == done.size_bytes
+
+    def _require_absent(self, scene: BatchScene) -> None:
+        """Refuse outputs that exist."""
+        for output in scene.outputs:
+            if is_url(output):
+                ObjectOutput(output).require_absent()
+            elif os.path.lexists(self.folder / output):
+                raise TargetExistsError(output)
 
     def _run(self, words: list[str]) -> tuple[int, str, str]:
         """Run a ``cogsplat`` command in a process; return exit code, output and error output."""
-        root = Path(cogsplat.__file__).parents[1]
-        paths = [str(root), *filter(None, [os.environ.get("PYTHONPATH")])]
-        command = [sys.executable, "-P", "-m", "cogsplat.tools.main", *words]
-        with self.lock:
-            if self.stopped:
-                return 130, "", "interrupted"
-            process = subprocess.Popen(
-                command,
-                cwd=self.folder,
-                env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-            )
-            self.running.add(process)
-        out, err = process.communicate()
-        with self.lock:
-            self.running.discard(process)
+        with ExitStack() as stack:
+            with self.lock:
+                if self.stopped:
+                    return 130, "", "interrupted"
+                process = stack.enter_context(child_process(words, self.folder))
+                self.running.add(process)
+            out, err = process.communicate()
+            with self.lock:
+                self.running.discard(process)
         return process.returncode, out, err
 
     def stop(self) -> None:
@@ -138,15 +143,6 @@ class _Batch:
             self.stopped = True
             for process in self.running:
                 process.terminate()
-
-    def write(self, line: Mapping[str, object]) -> None:
-        """Add a line to the log, unless its scene was skipped, and print it, unless quiet."""
-        text = json.dumps(line, allow_nan=False)
-        if line["status"] != "skipped":
-            with storage_errors(self.log), self.log.open("a", encoding="utf-8") as file:
-                file.write(f"{text}\n")
-        if not self.quiet:
-            print_line(text)
 
 
 @click.command(epilog="\b\nExample:\n  cogsplat batch scenes.toml --jobs 2")
@@ -186,7 +182,7 @@ def batch(
     Paths are relative to the folder of the manifest; URLs such as s3://bucket/a.ply are accepted.
 
     A line of JSON is printed for each scene. A failed scene does not stop the others; the exit
-    status is then 3.
+    status is then 3. After an interruption, the same command continues.
     """
     options = settable_options(encode)
     scenes = read_manifest(
@@ -195,17 +191,25 @@ def batch(
     log = log or manifest.with_name(f"{manifest.name}.log")
     common = [f"--threads={threads}", *([f"--scheduler={scheduler}"] if scheduler else [])]
     folder = manifest.absolute().parent
-    run = _Batch(folder, log, tuple(common), _read_log(log), quiet or as_json)
+    check_outputs(
+        force=True,
+        auxiliary={log: BATCH_LOG},
+        inputs=_local_paths(folder, chain.from_iterable(scene.inputs for scene in scenes)),
+        others=_local_paths(folder, chain.from_iterable(scene.outputs for scene in scenes)),
+    )
     lines: list[dict[str, object]] = []
-    pool = ThreadPoolExecutor(jobs)
-    try:
-        for future in [pool.submit(run.encode_if_changed, scene) for scene in scenes]:
-            lines.append(future.result())
-            run.write(lines[-1])
-    finally:
-        # Terminate the encodes first, because the pool waits for them.
-        run.stop()
-        pool.shutdown(cancel_futures=True)
+    with BatchLog(log, folder) as opened:
+        run = _Batch(folder, opened, tuple(common))
+        pool = ThreadPoolExecutor(jobs)
+        try:
+            for future in [pool.submit(run.encode_if_changed, scene) for scene in scenes]:
+                lines.append(future.result())
+                if not (quiet or as_json):
+                    print_line(json.dumps(lines[-1], allow_nan=False))
+        finally:
+            # Terminate the encodes first, because the pool waits for them.
+            run.stop()
+            pool.shutdown(cancel_futures=True)
     counts = {
         status: sum(line["status"] == status for line in lines)
         for status in ("done", "skipped", "failed")
@@ -226,19 +230,6 @@ def _without_report(line: Mapping[str, object]) -> dict[str, object]:
     return {**brief, "bytes": result.get("bytes") if isinstance(result, dict) else None}
 
 
-def _read_log(log: Path) -> dict[str, Mapping[str, object]]:
-    """Return the last line of each finished output in the log of earlier runs."""
-    found: dict[str, Mapping[str, object]] = {}
-    if not log.exists():
-        return found
-    with open_for_read(log) as file:
-        lines = file.read().decode(errors="replace").splitlines()
-    for text in lines:
-        try:
-            line = json.loads(text)
-        except ValueError:
-            # An interrupted run may have left half a line; its scene is encoded again.
-            continue
-        if isinstance(line, dict) and line.get("status") == "done":
-            found[str(line.get("output"))] = line
-    return found
+def _local_paths(folder: Path, names: Iterable[str]) -> list[Path]:
+    """Return the paths of names that files can have, without URLs."""
+    return [folder / name for name in names if is_file_name(name) and not is_url(name)]

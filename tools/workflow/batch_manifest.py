@@ -17,11 +17,18 @@ from cogsplat.formats.network.network_options import MIB
 from cogsplat.formats.network.open_url import open_url
 from cogsplat.formats.network.urls import is_url
 from cogsplat.formats.scenes.registry import is_cogs, scene_files
-from cogsplat.formats.storage.atomic import open_for_read
+from cogsplat.formats.storage.atomic import open_for_read, storage_errors
+from cogsplat.formats.storage.strict_json import parse_object
 from cogsplat.tools.terminal.config_file import option_values
+from cogsplat.tools.terminal.standard_streams import STREAM, NamedPath, is_file_name
+
+from .batch_log import output_key
 
 _KEYS: Final = frozenset({"input", "output", "options"})
 _CODE: Final = "bad-manifest"
+
+# About 80,000 scenes.
+_MAX_BYTES: Final = 1 << 24
 
 
 @dataclass(frozen=True)
@@ -34,11 +41,37 @@ class BatchScene:
         Paths relative to the folder of the manifest, or URLs.
     words : tuple of str
         Options of ``cogsplat encode``, as words of a command line.
+    reads, writes : tuple of str
+        Further files that options name, such as cameras and a report.
     """
 
     input: str
     output: str
     words: tuple[str, ...]
+    reads: tuple[str, ...] = ()
+    writes: tuple[str, ...] = ()
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """All files and URLs that the encode reads."""
+        return self.input, *self.reads
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """All files and URLs that the encode writes."""
+        return self.output, *self.writes
+
+    def require_names(self) -> None:
+        """Refuse names and options that no command line can have, and ``-`` for a stream.
+
+        Raises
+        ------
+        FormatError
+            ``bad-manifest``.
+        """
+        for text in (self.input, self.output, *self.words):
+            if text == STREAM or not is_file_name(text):
+                raise FormatError(_CODE, f"{text!r}, expected the name of a file, or an option")
 
     def fingerprint(self, folder: Path) -> str:
         """Return SHA-256, in hexadecimal, of the input's bytes, the output's name and the options.
@@ -53,8 +86,9 @@ class BatchScene:
         Raises
         ------
         CogsplatError
-            The input cannot be read.
+            The input cannot be read, or a name is none (`require_names`).
         """
+        self.require_names()
         digest = hashlib.sha256(json.dumps([self.output, self.words]).encode())
         if is_url(self.input):
             _update_by_url(digest, self.input)
@@ -92,28 +126,43 @@ def read_manifest(path: Path, options: Mapping[str, click.Option]) -> list[Batch
     DataError
         ``same-output``: two scenes have one output.
     """
-    with open_for_read(path) as file:
-        data = file.read()
+    with open_for_read(path) as file, storage_errors(path):
+        data = file.read(_MAX_BYTES + 1)
+    if len(data) > _MAX_BYTES:
+        raise FormatError(_CODE, f"{path}: is longer than {_MAX_BYTES} bytes, expected a manifest")
+    scenes = [_scene(table, f"{path}: {where}", options) for where, table in _tables(data, path)]
+    folder = path.absolute().parent
+    used: set[str] = set()
+    for scene in scenes:
+        for output in filter(is_file_name, scene.outputs):
+            key = output_key(folder, output)
+            if key in used:
+                raise DataError(
+                    "same-output", f"{path}: 2 scenes with output {output!r}, expected one"
+                )
+            used.add(key)
+    return scenes
+
+
+def _tables(data: bytes, path: Path) -> list[tuple[str, object]]:
+    """Return the place and the value of each scene of a manifest."""
     try:
         text = data.decode()
         if path.suffix == ".toml":
             found = tomllib.loads(text).get("scene", [])
-            tables = [(f"scene {n}", table) for n, table in enumerate(found, start=1)]
-        else:
-            lines = [(f"line {n}", line) for n, line in enumerate(text.splitlines(), start=1)]
-            tables = [(where, json.loads(line)) for where, line in lines if line.strip()]
+            if not isinstance(found, list):
+                raise ValueError(f"scene is {type(found).__name__}, expected tables [[scene]]")
+            return [(f"scene {n}", table) for n, table in enumerate(found, start=1)]
+    # RecursionError: nested deeper than the parser goes.
     except (ValueError, RecursionError) as error:
         raise FormatError(
             _CODE, f"{path}: {error}, expected JSON lines, or TOML in a file called .toml"
         ) from None
-    scenes = [_scene(table, f"{path}: {where}", options) for where, table in tables]
-    outputs = [scene.output for scene in scenes]
-    for output in outputs:
-        if outputs.count(output) > 1:
-            raise DataError(
-                "same-output", f"{path}: {outputs.count(output)} scenes with output {output!r}"
-            )
-    return scenes
+    return [
+        (f"line {number}", parse_object(line, f"{path}: line {number}", _CODE).values)
+        for number, line in enumerate(data.split(b"\n"), start=1)
+        if line.strip()
+    ]
 
 
 def _scene(table: object, where: str, options: Mapping[str, click.Option]) -> BatchScene:
@@ -136,9 +185,15 @@ def _scene(table: object, where: str, options: Mapping[str, click.Option]) -> Ba
     except ValueError as error:
         raise FormatError(_CODE, f"{where}: {error}") from None
     words: list[str] = []
+    named: dict[bool, list[str]] = {False: [], True: []}
     for name, value in values.items():
+        kind = options[name].type
+        if isinstance(kind, NamedPath) and isinstance(value, str):
+            named[kind.is_output].append(value)
         if isinstance(value, bool):
             words += [f"--{name}"] * value
         else:
             words += [f"--{name}={text}" for text in ([value] if isinstance(value, str) else value)]
-    return BatchScene(str(paths[0]), str(paths[1]), tuple(words))
+    return BatchScene(
+        str(paths[0]), str(paths[1]), tuple(words), tuple(named[False]), tuple(named[True])
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import click
@@ -14,7 +14,11 @@ from cogsplat.tools.terminal.standard_streams import given_inputs
 
 
 def check_outputs(
-    *outputs: Path | None, force: bool, auxiliary: Mapping[Path, FileKind] | None = None
+    *outputs: Path | None,
+    force: bool,
+    auxiliary: Mapping[Path, FileKind] | None = None,
+    inputs: Sequence[Path] = (),
+    others: Sequence[Path] = (),
 ) -> None:
     """Check every file that the running command writes, before the work that produces it.
 
@@ -30,6 +34,10 @@ def check_outputs(
     auxiliary : mapping of Path to FileKind, optional
         Kind of each auxiliary file, such as a checkpoint. `force` does not apply to them: a file of
         its kind is replaced or continued, any other file is refused.
+    inputs : sequence of Path
+        Further inputs, which no parameter names.
+    others : sequence of Path
+        Further outputs, which are checked later.
 
     Raises
     ------
@@ -41,10 +49,12 @@ def check_outputs(
     written = [path for path in outputs if path is not None]
     auxiliary = auxiliary or {}
     check_distinct(*written, *auxiliary)
-    for path in written:
-        check_output(path, force=force, inputs=_input_files())
     for path, kind in auxiliary.items():
-        check_auxiliary(path, kind, inputs=_input_files())
+        for other in others:
+            check_distinct(other, path)
+        check_auxiliary(path, kind, inputs=_input_files(inputs))
+    for path in written:
+        check_output(path, force=force, inputs=_input_files(inputs))
 
 
 def check_distinct(*paths: Path) -> None:
@@ -61,7 +71,7 @@ def check_distinct(*paths: Path) -> None:
                 raise click.UsageError(f"{path}: is the output {other} as well, expected two files")
 
 
-def _input_files() -> Iterator[Path]:
+def _input_files(further: Sequence[Path]) -> Iterator[Path]:
     """Yield the files that the running command reads."""
-    for path in given_inputs():
+    for path in (*given_inputs(), *further):
         yield from input_files(path)

@@ -2,8 +2,10 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from running import Run, SmallScene, program
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.tools.cli.encode import encode
 from cogsplat.tools.terminal.config_file import settable_options
+from cogsplat.tools.workflow.batch_log import BatchLog, DoneEncode
 from cogsplat.tools.workflow.batch_manifest import BatchScene, read_manifest
 
 OPTIONS = {
@@ -24,8 +27,8 @@ OPTIONS = {
 TELL_OF_PROCESSES = """
 import subprocess
 start = subprocess.Popen.__init__
-def told(*args, **options):
-    start(*args, **options)
+def told(self, *args, **options):
+    start(self, *args, **options)
     print("started", flush=True)
 subprocess.Popen.__init__ = told
 """
@@ -54,13 +57,18 @@ def test_both_forms_of_a_manifest_say_the_same(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "code", "told"),
     [
-        ("{", "bad-manifest", "expected JSON lines"),
-        ("[1]", "bad-manifest", "line 1: list, expected an object"),
+        ("{", "bad-manifest", "line 1: Expecting property name"),
+        ("[1]", "bad-manifest", "line 1: is an array of 1, expected a JSON object"),
+        ('\n{"input": "a", "output": NaN}', "bad-manifest", "line 2: NaN is no JSON number"),
+        ("[" * 9999, "bad-manifest", "expected a JSON object"),
+        ('{"a": ' + "[]," * 2_000_000, "json-too-long", "line 1"),
         ('{"input": "a", "output": "b", "size": 1}', "bad-manifest", "key 'size'"),
         ('{"input": "a"}', "bad-manifest", "output None, expected paths"),
         ('{"input": "a", "output": "b", "options": {"json": true}}', "bad-manifest", "'json'"),
         ('{"input": "a", "output": "b", "options": {"quality": [1]}}', "bad-manifest", "[1]"),
         ('{"input": "a", "output": "b"}\n{"input": "c", "output": "b"}', "same-output", "2 scenes"),
+        ('{"input": "a", "output": "b"}\n{"input": "c", "output": "./b"}', "same-output", "./b"),
+        ('{"input": "a", "output": "b"}\n{"input": "c", "output": "x/../b"}', "same-output", ""),
     ],
 )
 def test_manifests_that_are_none_are_refused(
@@ -72,6 +80,111 @@ def test_manifests_that_are_none_are_refused(
         read_manifest(path, OPTIONS)
     assert error.value.code == code
     assert told in error.value.message
+
+
+@pytest.mark.parametrize("text", ["scene = 3", "scene = {}", "[[scene", "scene = [1]", "a = " * 9])
+def test_toml_that_is_no_manifest_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text(text)
+    with pytest.raises(CogsplatError) as error:
+        read_manifest(path, OPTIONS)
+    assert error.value.code == "bad-manifest"
+
+
+def test_a_long_manifest_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_bytes(b"#" * (1 << 25))
+    with pytest.raises(CogsplatError, match="is longer than") as error:
+        read_manifest(path, OPTIONS)
+    assert error.value.code == "bad-manifest"
+
+
+def test_links_to_one_output_are_one_output(tmp_path: Path) -> None:
+    (tmp_path / "b.cogs").symlink_to("c.cogs")
+    path = tmp_path / "a.jsonl"
+    path.write_text(entry("a", "b.cogs") + "\n" + entry("d", str(tmp_path / "c.cogs")))
+    with pytest.raises(CogsplatError) as error:
+        read_manifest(path, OPTIONS)
+    assert error.value.code == "same-output"
+
+
+def test_names_that_no_file_can_have_fail_alone(run: Run, tmp_path: Path) -> None:
+    """Other scenes go on, and no name of a scene is an option or a stream."""
+    names = ["a\0b.ply", "\ud800.ply", "-", "--help", "--force"]
+    lines = [entry(name, f"{number}.cogs") for number, name in enumerate(names)]
+    lines += [entry("gone.ply", "c\0.cogs"), entry("gone.ply", "-"), entry("gone.ply", "d.cogs")]
+    lines += [entry("gone.ply", "e.cogs", cameras="c\0"), entry("gone.ply", "f.cogs", order="\0")]
+    (tmp_path / "a.jsonl").write_text("\n".join(lines))
+    told = run("batch", tmp_path / "a.jsonl")
+    assert told.code == 3, told.err
+    codes = [json.loads(line)["error"]["code"] for line in told.out.splitlines()]
+    assert codes == [
+        *("bad-manifest", "bad-manifest", "bad-manifest", "not-found", "not-found"),
+        *("bad-manifest", "bad-manifest", "not-found", "bad-manifest", "bad-manifest"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("log", "code"),
+    [
+        ("scene.ply", "output-is-input"),
+        ("hard.ply", "output-is-input"),
+        ("link.ply", "output-is-input"),
+        ("cameras.json", "output-is-input"),
+        ("a.jsonl", "output-is-input"),
+        ("./a.cogs", "usage"),
+        ("report.html", "usage"),
+        ("notes.txt", "foreign-file"),
+        ("link.txt", "not-a-file"),
+        (".", "not-a-file"),
+    ],
+)
+def test_a_log_is_never_another_file(
+    run: Run, small: SmallScene, tmp_path: Path, log: str, code: str
+) -> None:
+    for path in (small.ply, small.cameras):
+        shutil.copy(path, tmp_path / path.name)
+    os.link(tmp_path / "scene.ply", tmp_path / "hard.ply")
+    (tmp_path / "link.ply").symlink_to("scene.ply")
+    (tmp_path / "notes.txt").write_text('{"input": "a.ply", "output": "a.cogs"}\n')
+    (tmp_path / "own.log").write_text('{"log": "cogsplat batch"}\n')
+    (tmp_path / "link.txt").symlink_to("own.log")
+    manifest = tmp_path / "a.jsonl"
+    manifest.write_text(entry("scene.ply", "a.cogs", cameras="cameras.json", report="report.html"))
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    told = run("batch", manifest, "--log", tmp_path / log)
+    assert (told.code in (2, 4), f"[{code}]" in told.err) == (True, True), told.err
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def lines_of(path: Path) -> list[dict[str, object]]:
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def test_a_log_tells_own_outputs_from_others(tmp_path: Path) -> None:
+    path = tmp_path / "a.log"
+    done = {"output": "a", "status": "done", "fingerprint": "f", "result": {"bytes": 3}}
+    with BatchLog(path, tmp_path) as log:
+        assert not log.owns("a")
+        log.write({"output": "./a", "status": "started"})
+        log.write(done)
+        log.write({"output": "b", "status": "started"})
+        log.write({"output": "b", "status": "failed"})
+        log.write({"output": "c", "status": "started"})
+        log.write({"output": "a", "status": "started"})
+        log.write({"output": "a", "status": "failed"})
+    with path.open("a") as file:
+        file.write('["output"]\n{"output": "x\\u0000"}\n{"output": 3}\n' + "[" * 9999 + '\n{"outp')
+    with BatchLog(path, tmp_path) as log:
+        owned = [log.owns(name) for name in ("a", "x/../a", "b", "c", "d", "log")]
+        assert owned == [True, True, False, True, False, False]
+        assert log.done("./a") == DoneEncode("f", 3)
+        log.write({"output": "d", "status": "started"})
+    with BatchLog(path, tmp_path) as log:
+        # The half of a line before it does not swallow it.
+        assert log.owns("d")
+    assert path.read_text().startswith('{"log": "cogsplat batch"}\n')
+    assert path.read_text().count('"cogsplat batch"') == 1
 
 
 def test_a_fingerprint_follows_what_the_output_depends_on(small: SmallScene) -> None:
@@ -98,8 +211,10 @@ def test_a_batch_goes_on_where_it_ended(run: Run, small: SmallScene, tmp_path: P
     assert done["result"]["bytes"] == (tmp_path / "a.cogs").stat().st_size
     assert failed["error"]["exit_code"] == 4
     assert "1 done, 0 skipped, 1 failed" in first.err
-    log = [json.loads(line) for line in (tmp_path / "scenes.jsonl.log").read_text().splitlines()]
-    assert log == [done, failed]
+    log = lines_of(tmp_path / "scenes.jsonl.log")
+    assert log.pop(0) == {"log": "cogsplat batch"}
+    assert log.pop([line["status"] for line in log].index("started"))["output"] == "a.cogs"
+    assert sorted(log, key=str) == sorted([done, failed], key=str)
 
     # A line that was cut off, and a scene that another option makes again.
     with (tmp_path / "scenes.jsonl.log").open("a") as file:
@@ -113,6 +228,7 @@ def test_a_batch_goes_on_where_it_ended(run: Run, small: SmallScene, tmp_path: P
     assert again.code == 0
     assert again.json["counts"] == {"done": 1, "skipped": 0, "failed": 0}
     assert (tmp_path / "a.cogs").stat().st_size < done["result"]["bytes"]
+    assert run("batch", manifest, "--json").json["counts"]["skipped"] == 1
 
 
 @pytest.mark.slow
@@ -138,4 +254,40 @@ def test_a_stopped_batch_leaves_no_half_of_a_file(small: SmallScene, tmp_path: P
         assert process.stdout.readline() == "started\n"
         process.send_signal(signal.SIGTERM)
         assert process.wait(60) == 130
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["scenes.jsonl"]
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["scenes.jsonl", "scenes.jsonl.log"]
+
+
+def alive(number: int) -> bool:
+    """Whether a process runs; one that waits for its parent to read its status does not."""
+    try:
+        return Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc").exists(), reason="needs /proc")
+def test_a_killed_batch_leaves_no_encode_and_is_continued(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    """The encode ends with its parent, and what was begun is replaced by the same command."""
+    manifest = tmp_path / "scenes.jsonl"
+    manifest.write_text(entry(small.ply, "a.cogs", preset="best"))
+    words = program(["batch", manifest], before=TELL_OF_PROCESSES.replace('"started"', "self.pid"))
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        child = int(process.stdout.readline())
+        assert alive(child)
+        process.kill()
+    until = time.monotonic() + 60
+    while alive(child) and time.monotonic() < until:
+        time.sleep(0.1)
+    assert not alive(child)
+    # As if the encode had just finished when the batch was killed.
+    (tmp_path / "a.cogs").write_bytes(b"half")
+    manifest.write_text(entry(small.ply, "a.cogs", preset="fast"))
+    told = run("batch", manifest, "--json")
+    assert told.json["counts"] == {"done": 1, "skipped": 0, "failed": 0}, told.out
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["a.cogs", "scenes.jsonl", "scenes.jsonl.log"]
