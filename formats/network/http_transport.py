@@ -231,12 +231,16 @@ def new_client(
         timeout=library.Timeout(options.idle_seconds, connect=options.connect_seconds, pool=None),
         limits=library.Limits(max_connections=connections),
         verify=_certificates(),
-        # A server could make every request longer and fill the memory.
-        cookies=CookieJar(DefaultCookiePolicy(allowed_domains=[])),
+        cookies=no_cookies(),
         event_hooks={"response": [_set_location_aside]},
         transport=transport,
     )
     return made
+
+
+def no_cookies() -> CookieJar:
+    """Return a jar that keeps no cookies, with which a server could fill memory and requests."""
+    return CookieJar(DefaultCookiePolicy(allowed_domains=[]))
 
 
 async def _set_location_aside(response: httpx.Response) -> None:

@@ -21,6 +21,9 @@ from .rules import HostFinding, file_findings, length_findings, object_findings
 # Objects of a folder whose headers are checked; a host serves all objects alike.
 _CHECKED_OBJECTS: Final = 1
 
+# Larger objects are not fetched for their headers, because a manifest may state any size.
+_MAX_CHECKED_BYTES: Final = 64 << 20
+
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -146,7 +149,7 @@ def _length_and_object_findings(
     start = manifest.root_end
     if start < manifest.file_length and not manifest.pages_for(start, 1):
         for piece in manifest.object_ranges(start, 1)[:_CHECKED_OBJECTS]:
-            if piece.name:
+            if piece.name and piece.object_bytes <= _MAX_CHECKED_BYTES:
                 size = piece.object_bytes
                 response = prober.fetch_object(probed.first.url, piece.name, size + 1)
                 found += object_findings(response, piece.name, size)

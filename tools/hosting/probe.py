@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import TYPE_CHECKING, Final
+from typing import Final
 from urllib.parse import urljoin
 
 from cogsplat.codec.errors import StorageError, printable
-
-if TYPE_CHECKING:
-    import httpx
+from cogsplat.formats.network.http_transport import no_cookies
 
 FIRST_BYTES: Final = 65536
 """Length of a reader's first request, bytes (SPEC 8.8)."""
@@ -24,6 +23,7 @@ _COMPRESSIONS: Final = "gzip, deflate, br, zstd"
 _LAST_BYTES: Final = 16
 _CONNECT_SECONDS: Final = 10.0
 _IDLE_SECONDS: Final = 15.0
+_LONGEST_SECONDS: Final = 60.0
 _MAX_REDIRECTS: Final = 5
 
 
@@ -110,22 +110,18 @@ class ProbeResult:
 
 
 class Prober:
-    """HTTP client for probe requests; a context manager.
+    """HTTP client for probe requests, over HTTP/2 and HTTP/1.1; a context manager."""
 
-    Parameters
-    ----------
-    client : httpx.Client, optional
-        Client to use; by default one with HTTP/2 and HTTP/1.1.
-    """
-
-    def __init__(self, client: httpx.Client | None = None) -> None:
+    def __init__(self) -> None:
         import httpx
 
-        self._client = client or httpx.Client(
+        self._runner = asyncio.Runner()
+        self._client = httpx.AsyncClient(
             http2=True,
             follow_redirects=True,
             max_redirects=_MAX_REDIRECTS,
             timeout=httpx.Timeout(_IDLE_SECONDS, connect=_CONNECT_SECONDS),
+            cookies=no_cookies(),
         )
 
     def __enter__(self) -> Prober:
@@ -137,7 +133,10 @@ class Prober:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._client.close()
+        try:
+            self._runner.run(self._client.aclose())
+        finally:
+            self._runner.close()
 
     def request(
         self, url: str, headers: Mapping[str, str], *, max_bytes: int, method: str = "GET"
@@ -162,31 +161,13 @@ class Prober:
         """
         import httpx
 
-        sent = {"User-Agent": "cogsplat-verify", **headers}
-        start = time.perf_counter()
+        async def attempt() -> Response:
+            # Headers may arrive slowly, and bodies without end.
+            async with asyncio.timeout(_LONGEST_SECONDS):
+                return await self._request(url, headers, max_bytes, method)
+
         try:
-            with self._client.stream(method, url, headers=sent) as response:
-                seconds = time.perf_counter() - start
-                parts: list[bytes] = []
-                remaining = max_bytes
-                if remaining:
-                    # Raw bytes, without decompression.
-                    for part in response.iter_raw():
-                        parts.append(part[:remaining])
-                        remaining -= len(parts[-1])
-                        if not remaining:
-                            break
-                return Response(
-                    url=str(response.url),
-                    status=response.status_code,
-                    version=response.http_version,
-                    headers={
-                        name.lower(): printable(value) for name, value in response.headers.items()
-                    },
-                    body=b"".join(parts),
-                    first_byte_s=seconds,
-                    redirects=tuple(str(hop.url) for hop in response.history),
-                )
+            return self._runner.run(attempt())
         except httpx.TooManyRedirects as error:
             raise StorageError(
                 "redirect-loop",
@@ -198,8 +179,44 @@ class Prober:
             raise StorageError(
                 "network-timeout", f"{url}: no byte for {_IDLE_SECONDS:g} s, expected a response"
             ) from error
-        except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError) as error:
-            raise StorageError("connection-broken", f"{url}: {error}") from error
+        except TimeoutError as error:
+            raise StorageError(
+                "network-timeout",
+                f"{url}: incomplete after {_LONGEST_SECONDS:g} s, expected a response",
+            ) from error
+        except Exception as error:
+            # httpx, HTTP/2, TLS and codecs of host names raise exceptions of many types.
+            fault = str(error) or type(error).__name__
+            raise StorageError("connection-broken", f"{url}: {fault}") from error
+
+    async def _request(
+        self, url: str, headers: Mapping[str, str], max_bytes: int, method: str
+    ) -> Response:
+        """Send a request and read the start of its response; raises what httpx raises."""
+        sent = {"User-Agent": "cogsplat-verify", **headers}
+        start = time.perf_counter()
+        async with self._client.stream(method, url, headers=sent) as response:
+            seconds = time.perf_counter() - start
+            parts: list[bytes] = []
+            remaining = max_bytes
+            if remaining:
+                # Raw bytes, without decompression.
+                async for part in response.aiter_raw():
+                    parts.append(part[:remaining])
+                    remaining -= len(parts[-1])
+                    if not remaining:
+                        break
+            return Response(
+                url=str(response.url),
+                status=response.status_code,
+                version=response.http_version,
+                headers={
+                    name.lower(): printable(value) for name, value in response.headers.items()
+                },
+                body=b"".join(parts),
+                first_byte_s=seconds,
+                redirects=tuple(str(hop.url) for hop in response.history),
+            )
 
     def probe(self, url: str) -> ProbeResult:
         """Send all probe requests for an address; see `ProbeResult`.

@@ -1,9 +1,12 @@
 """Probe requests, and the recorded responses."""
 
+import asyncio
+
 import pytest
-from fault_server import Exchange, FaultServer, no_ranges, reset, serving, status
+from fault_server import Exchange, Fault, FaultServer, no_ranges, reset, serving, stating, status
 
 from cogsplat.codec.errors import StorageError
+from cogsplat.tools.hosting import probe
 from cogsplat.tools.hosting.probe import FIRST_BYTES, Prober, Response, content_range, total_of
 
 DATA = bytes(range(256)) * 400
@@ -60,3 +63,47 @@ def test_unresponsive_servers_are_errors() -> None:
 @pytest.mark.parametrize("text", ["", "bytes */10", "bytes 1-2", "bytes a-b/c", "bytes 1-2/*"])
 def test_a_malformed_content_range_is_none(text: str) -> None:
     assert content_range(Response("", 206, "", {"content-range": text}, b"", 0.0)) is None
+
+
+async def continuing(exchange: Exchange) -> None:
+    """Send informational responses without end."""
+    while True:
+        exchange.writer.write(b"HTTP/1.1 100 Continue\r\n\r\n")
+        await exchange.writer.drain()
+        await asyncio.sleep(0.02)
+
+
+async def dripping(exchange: Exchange) -> None:
+    """Send a byte of the body at a time."""
+    exchange.head(206, exchange.stated())
+    for at in range(10_000):
+        exchange.writer.write(exchange.part[at : at + 1])
+        await exchange.writer.drain()
+        await asyncio.sleep(0.05)
+
+
+@pytest.mark.parametrize("fault", [continuing, dripping])
+def test_servers_without_end_are_left(fault: Fault, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(probe, "_LONGEST_SECONDS", 0.5)
+    with serving(FaultServer(DATA, always=fault)) as server, Prober() as prober:
+        with pytest.raises(StorageError, match="incomplete after") as caught:
+            prober.probe(server.url())
+        assert caught.value.code == "network-timeout"
+
+
+@pytest.mark.parametrize(
+    "location", ["http://h:99999/", "http://xn--a/", "http://[::1", "http://a..b/"]
+)
+def test_redirects_that_lead_nowhere_are_errors(location: str) -> None:
+    with serving(FaultServer(DATA, always=status(302, Location=location))) as server:
+        for url in (server.url(), location):
+            with Prober() as prober, pytest.raises(StorageError) as caught:
+                prober.probe(url)
+            assert caught.value.code in ("connection-broken", "host-unreachable")
+
+
+def test_cookies_are_not_kept() -> None:
+    baking = stating(Set_Cookie="a=" + "x" * 1000)
+    with serving(FaultServer(DATA, always=baking)) as server, Prober() as prober:
+        prober.probe(server.url())
+    assert all("cookie" not in asked.headers for asked in server.asked)
