@@ -24,7 +24,8 @@ from click.testing import CliRunner
 import cogsplat
 from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.formats.cameras.inria import write_cameras_json
-from cogsplat.formats.network.http_transport import HttpTransport
+from cogsplat.formats.network import http_transport
+from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.tools.lab import check, make_vectors
 from cogsplat.tools.lab.cli import demonstration
 from cogsplat.tools.lab.synthetic import terrace as synthetic
@@ -56,10 +57,10 @@ def web(small_scene: dict[str, bytes], monkeypatch: pytest.MonkeyPatch) -> None:
 
         return httpx.Response(206, headers={"Content-Range": span}, content=body())
 
-    def new_client(transport: HttpTransport) -> httpx.AsyncClient:
+    def new_client(options: NetworkOptions) -> httpx.AsyncClient:
         return httpx.AsyncClient(transport=httpx.MockTransport(answer))
 
-    monkeypatch.setattr(HttpTransport, "_new_client", new_client)
+    monkeypatch.setattr(http_transport, "new_client", new_client)
 
 
 @pytest.fixture

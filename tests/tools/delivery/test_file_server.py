@@ -9,7 +9,7 @@ from cogs_samples import assert_same, file_of
 
 import cogsplat
 from cogsplat.codec.errors import MissingExtraError, StorageError
-from cogsplat.formats.network.http_transport import HttpTransport
+from cogsplat.formats.network import http_transport
 from cogsplat.tools.delivery.file_app import FileApp
 from cogsplat.tools.delivery.file_server import Certificate, FileServer, running
 from cogsplat.tools.delivery.shaped_link import LinkQuality, ShapedLink
@@ -53,7 +53,7 @@ def test_http2_with_a_certificate(scene, tmp_path, monkeypatch):
     context = ssl.create_default_context(cafile=certificate.certificate)
     clients = []
 
-    def new_client(self):
+    def new_client(options):
         clients.append(httpx.AsyncClient(http2=True, verify=context, event_hooks=hooks))
         return clients[-1]
 
@@ -63,7 +63,7 @@ def test_http2_with_a_certificate(scene, tmp_path, monkeypatch):
         versions.add(response.http_version)
 
     hooks = {"response": [seen]}
-    monkeypatch.setattr(HttpTransport, "_new_client", new_client)
+    monkeypatch.setattr(http_transport, "new_client", new_client)
     with served(scene, certificate) as server:
         assert server.url.startswith("https://")
         assert_same(cogsplat.decode(server.url + "scene.cogs"), cogsplat.decode(scene))
