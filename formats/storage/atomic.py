@@ -281,11 +281,11 @@ def _create_temporary(target: Path) -> tuple[Path, BinaryIO]:
     # Cut between characters, because some file systems refuse names that are not UTF-8.
     stem = os.fsencode(target.name)[:_MAX_STEM_BYTES].decode("utf-8", "ignore") or "output"
     while True:
-        temporary = target.with_name(f".{stem}.{os.getpid()}-{_host()}{_token()}.tmp")
+        temporary = target.with_name(f".{stem}.{os.getpid()}-{host_digits()}{_token()}.tmp")
         # "x" fails for an existing name, so that two writers never share a file.
         file = temporary.open("xb")
         try:
-            if _lock(file) and _is_same_file(file, temporary):
+            if lock(file) and _is_same_file(file, temporary):
                 return temporary, file
         except BaseException:
             file.close()
@@ -294,7 +294,7 @@ def _create_temporary(target: Path) -> tuple[Path, BinaryIO]:
         file.close()
 
 
-def _lock(file: BinaryIO) -> bool:
+def lock(file: BinaryIO) -> bool:
     """Lock a file while it is open; return False if another process holds the lock."""
     if sys.platform == "win32":
         return True
@@ -305,6 +305,17 @@ def _lock(file: BinaryIO) -> bool:
     except OSError:
         # A file system without locks, where no temporary counts as stale.
         return True
+    return True
+
+
+def is_abandoned(file: BinaryIO) -> bool:
+    """Whether no process holds the lock of a file; False where files cannot be locked."""
+    if sys.platform == "win32":
+        return False
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
     return True
 
 
@@ -345,7 +356,7 @@ def _mode_of(path: Path) -> int | None:
         return None
 
 
-def _host() -> str:
+def host_digits() -> str:
     """Return 8 hex digits of this machine, because process numbers repeat across machines."""
     return f"{zlib.crc32(socket.gethostname().encode()):08x}"
 
@@ -366,7 +377,7 @@ def _remove_stale(folder: Path) -> None:
         matches = [(entry.path, _TEMPORARY.fullmatch(entry.name)) for entry in entries]
     for name, match in matches:
         # Locks of other machines may be invisible on a shared volume.
-        if match and match[2] == _host():
+        if match and match[2] == host_digits():
             _remove_unlocked(Path(name))
 
 
@@ -382,11 +393,7 @@ def _remove_unlocked(path: Path) -> None:
         # Already removed, or owned by another user.
         return
     with os.fdopen(descriptor, "rb") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            return
-        if stat.S_ISREG(os.fstat(descriptor).st_mode):
+        if is_abandoned(file) and stat.S_ISREG(os.fstat(descriptor).st_mode):
             # Another process may be removing the same file.
             path.unlink(missing_ok=True)
 

@@ -354,3 +354,45 @@ def test_full_disk_leaves_nothing(
     assert "[disk-full]" in done.err
     assert "Traceback" not in done.err
     assert list(tmp_path.iterdir()) == []
+
+
+@posix
+def test_a_full_disk_names_the_page_and_not_the_scene(
+    run_apart: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100000, 100000))"
+    done = run_apart("export-html", small.cogs, tmp_path / "page.html", before=limit)
+    assert (done.code, "[disk-full]" in done.err) == (4, True), done.err
+    assert str(tmp_path / "page.html") in done.err
+    assert str(small.cogs) not in done.err
+    assert list(tmp_path.iterdir()) == []
+
+
+@posix
+def test_a_full_temporary_folder_is_named(small: SmallScene, tmp_path: Path) -> None:
+    """Errors of writing what standard input holds are none of standard output."""
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))"
+    with small.ply.open("rb") as scene:
+        done = subprocess.run(
+            program(["info", "-"], before=limit),
+            stdin=scene,
+            capture_output=True,
+            text=True,
+            check=False,
+            env={**os.environ, "TMPDIR": str(tmp_path)},
+        )
+    assert (done.returncode, "[disk-full]" in done.stderr) == (4, True), done.stderr
+    assert "standard output" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_temporary_folder_is_an_error(small: SmallScene) -> None:
+    done = subprocess.run(
+        program(["info", small.cogs], before="import tempfile; tempfile.tempdir = '/no/such'"),
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, "[not-found]" in done.stderr) == (4, True), done.stderr
+    assert "standard output" not in done.stderr

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,7 @@ from cogsplat.formats.cogs.folder_writer import (
 from cogsplat.formats.network.urls import is_url
 from cogsplat.formats.scenes.registry import is_cogs
 from cogsplat.formats.storage.atomic import storage_errors
+from cogsplat.formats.storage.scratch_folder import scratch_folder
 from cogsplat.tools.terminal.limits_option import current_limits, limits_option
 from cogsplat.tools.terminal.options import (
     cameras_option,
@@ -245,8 +245,8 @@ def _write(
         return _Conversion(
             written, given.file_bytes, given.file_splats, len(splats), splats.sh_degree
         )
-    with tempfile.TemporaryDirectory(prefix="cogsplat-") as folder:
-        path = Path(folder) / "scene.cogs"
+    with scratch_folder() as folder:
+        path = folder / "scene.cogs"
         encoded = write_any(
             splats,
             path,

@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 import click
 
@@ -15,6 +16,7 @@ from cogsplat.formats.storage.atomic import (
     storage_errors,
 )
 from cogsplat.tools.delivery.viewer_pages import (
+    BLOCK_BYTES,
     PAGE_NAME,
     SCENE_NAME,
     linked_page,
@@ -95,13 +97,11 @@ def export_html(
             for name, content in linked_page(title).items():
                 outputs.enter_context(atomic_write(out / name, force=force)).write(content)
             target = outputs.enter_context(atomic_write(out / SCENE_NAME, force=force))
-            with storage_errors(given.path):
-                shutil.copyfileobj(source, target)
+            target.writelines(_blocks(source, given.path))
             written, page = target.tell(), out / PAGE_NAME
         else:
             target = outputs.enter_context(atomic_write(out, force=force))
-            with storage_errors(given.path):
-                write_standalone_page(title, source, target)
+            write_standalone_page(title, _blocks(source, given.path), target)
             written, page = target.tell(), out
     if as_json:
         print_json(
@@ -117,6 +117,16 @@ def export_html(
     elif not quiet:
         what = "scene" if folder else "page"
         print_line(f"{page}: {count_text(given.splats, 'splat')}, {what} of {size_text(written)}")
+
+
+def _blocks(file: BinaryIO, path: Path) -> Iterator[bytes]:
+    """Yield a file in blocks; errors name it, so that those of writing a block name the output."""
+    while True:
+        with storage_errors(path):
+            block = file.read(BLOCK_BYTES)
+        if not block:
+            return
+        yield block
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import html
-from collections.abc import Iterator
+from collections.abc import Iterable
 from importlib.resources import files
 from typing import BinaryIO, Final
 
@@ -33,7 +33,7 @@ _LINKED_FILES: Final = ("viewer.css", "viewer.js", *_WORKERS)
 
 # An embedded scene is split into blocks, because browsers limit a text node to half a GiB. The size
 # is a multiple of 3 bytes, so that only the last block's base64 has padding.
-_BLOCK_BYTES: Final = 3 << 20
+BLOCK_BYTES: Final = 3 << 20
 
 
 def linked_page(
@@ -74,7 +74,7 @@ def linked_page(
     return {PAGE_NAME: page.encode(), **{name: _viewer_file(name) for name in _LINKED_FILES}}
 
 
-def write_standalone_page(title: str, scene: BinaryIO, out: BinaryIO) -> None:
+def write_standalone_page(title: str, scene: Iterable[bytes], out: BinaryIO) -> None:
     """Write one HTML page with the viewer and the scene embedded, which needs no server.
 
     The page's content security policy allows its own script and style, by their hashes, and its
@@ -84,8 +84,8 @@ def write_standalone_page(title: str, scene: BinaryIO, out: BinaryIO) -> None:
     ----------
     title : str
         Title of the page.
-    scene : binary file
-        The scene, read in blocks from the current position to the end.
+    scene : iterable of bytes
+        The scene in blocks of `BLOCK_BYTES`; the last one may be shorter.
     out : binary file
         The output, UTF-8.
     """
@@ -103,17 +103,11 @@ def write_standalone_page(title: str, scene: BinaryIO, out: BinaryIO) -> None:
         if b"</script" in text.lower() or b"<!--" in text:
             raise RuntimeError(f"{name} holds an end of a script, expected none to embed it")
         out.write(b'<script type="application/x-cogs-worker">' + text + b"</script>\n    ")
-    for block in _blocks(scene):
+    for block in scene:
         out.write(b'<script type="application/x-cogs-base64">')
         out.write(base64.b64encode(block))
         out.write(b"</script>\n    ")
     out.write(f'<script type="module">{script}</script>{after}'.encode())
-
-
-def _blocks(scene: BinaryIO) -> Iterator[bytes]:
-    """Yield the rest of a file in blocks."""
-    while block := scene.read(_BLOCK_BYTES):
-        yield block
 
 
 def _titled(title: str, attributes: str = "") -> str:

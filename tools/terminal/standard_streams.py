@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
@@ -21,6 +20,8 @@ import click
 from cogsplat.formats.network.download import download
 from cogsplat.formats.network.object_output import ObjectOutput
 from cogsplat.formats.network.urls import HTTP_SCHEMES, is_url, redacted, scheme_of
+from cogsplat.formats.storage.atomic import storage_errors
+from cogsplat.formats.storage.scratch_folder import scratch_folder
 
 from .progress_bars import Stages
 
@@ -225,7 +226,7 @@ class StandardStreams:
             raise click.UsageError("standard input is a terminal, expected a file or a pipe")
         self._input = self._folder / "input"
         self.set_name(self._input, _INPUT)
-        with self._input.open("wb") as file:
+        with storage_errors(self._input), self._input.open("wb") as file:
             shutil.copyfileobj(sys.stdin.buffer, file)
         return self._input
 
@@ -369,8 +370,8 @@ class StandardStreams:
 @contextmanager
 def standard_streams(ctx: click.Context) -> Iterator[None]:
     """Serve ``-`` and URLs to the command of a context; copy its results after the block."""
-    with tempfile.TemporaryDirectory(prefix="cogsplat-") as folder:
-        streams = ctx.meta[_KEY] = StandardStreams(Path(folder))
+    with scratch_folder() as folder:
+        streams = ctx.meta[_KEY] = StandardStreams(folder)
         try:
             yield
             streams.send()

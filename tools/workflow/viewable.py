@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ import cogsplat
 from cogsplat.formats.cogs.folder_source import names_folder
 from cogsplat.formats.cogs.folder_writer import pack_cogs
 from cogsplat.formats.scenes.registry import is_cogs
+from cogsplat.formats.storage.scratch_folder import scratch_folder
 from cogsplat.tools.delivery.viewer_pages import SCENE_NAME
 from cogsplat.tools.terminal.limits_option import current_limits
 from cogsplat.tools.terminal.output import print_error_line
@@ -68,8 +68,8 @@ def viewable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
     if shown:
         why = "is truncated" if is_cogs(scene) else "is no COGS file"
         print_error_line(f"{scene} {why}: encoding it first, preset {PRESET}")
-    with tempfile.TemporaryDirectory(prefix="cogsplat-") as folder:
-        path = Path(folder) / SCENE_NAME
+    with scratch_folder() as folder:
+        path = folder / SCENE_NAME
         with Stages(shown=shown) as stages:
             with stages.stage("read"):
                 found = drop_invalid_splats(read_any(scene, threads=threads).splats, scene)
@@ -107,8 +107,8 @@ def drawable(scene: Path, *, threads: int, shown: bool) -> Iterator[Viewable]:
         if whole is not None:
             yield whole
             return
-    with tempfile.TemporaryDirectory(prefix="cogsplat-") as folder:
-        path = Path(folder) / "scene.ply"
+    with scratch_folder() as folder:
+        path = folder / "scene.ply"
         with Stages(shown=shown) as stages:
             with stages.stage("read"):
                 found = drop_invalid_splats(read_any(scene, threads=threads).splats, scene)
@@ -128,14 +128,14 @@ def _whole_cogs(scene: Path) -> Iterator[Viewable | None]:
         return
     with (
         cogsplat.open(scene, partial=partial_accepted(), limits=current_limits()) as file,
-        tempfile.TemporaryDirectory(prefix="cogsplat-") as folder,
+        scratch_folder() as folder,
     ):
         if file.missing_bytes:
             yield None
             return
         path = scene
         if names_folder(scene):
-            path = Path(folder) / SCENE_NAME
+            path = folder / SCENE_NAME
             pack_cogs(file, path)
         yield Viewable(path, file.root.splats, encoded=False)
 

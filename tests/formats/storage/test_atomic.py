@@ -254,7 +254,7 @@ def test_a_temporary_cleared_before_it_was_locked_is_made_again(
             Path(file.name).unlink()
         return True
 
-    monkeypatch.setattr(atomic, "_lock", lock)
+    monkeypatch.setattr(atomic, "lock", lock)
     write(tmp_path / "a.bin", b"x")
     assert len(locked) == 2
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"x"]

@@ -5,14 +5,15 @@ import hashlib
 import io
 import re
 
-from cogsplat.tools.delivery.viewer_pages import linked_page, write_standalone_page
+from cogsplat.tools.delivery.viewer_pages import BLOCK_BYTES, linked_page, write_standalone_page
 
 BLOCK = re.compile(r'<script type="application/x-cogs-base64">([^<]*)</script>')
 
 
 def lone_page(scene: bytes) -> str:
     out = io.BytesIO()
-    write_standalone_page("a & b", io.BytesIO(scene), out)
+    blocks = [scene[at : at + BLOCK_BYTES] for at in range(0, len(scene), BLOCK_BYTES)]
+    write_standalone_page("a & b", blocks, out)
     return out.getvalue().decode()
 
 

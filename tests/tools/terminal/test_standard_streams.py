@@ -139,7 +139,7 @@ def test_every_other_path_takes_no_stream() -> None:
         for parameter in command.params:
             if isinstance(parameter.type, click.Path):
                 assert isinstance(parameter.type, kinds), f"{command.name}: {parameter.name}"
-    assert NamedPath(path_type=Path).convert("./-", None, None) == Path("-")
+    assert NamedPath().convert("./-", None, None) == Path("-")
 
 
 def leaves(group: click.Group) -> Iterator[click.Command]:

@@ -264,8 +264,8 @@ def test_a_page_without_a_server_shows_its_scene(
     page: Page, small: SmallScene, tmp_path: Path
 ) -> None:
     path = tmp_path / "page.html"
-    with small.cogs.open("rb") as scene, path.open("wb") as out:
-        write_standalone_page("scene", scene, out)
+    with path.open("wb") as out:
+        write_standalone_page("scene", [small.cogs.read_bytes()], out)
     page.goto(path.as_uri())
     look_from(page, camera())
     wait_until(page, COMPLETE)

@@ -6,7 +6,6 @@ import csv
 import io
 import json
 import platform
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import thread_count
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.storage.atomic import atomic_write, storage_errors
+from cogsplat.formats.storage.scratch_folder import scratch_folder
 from cogsplat.tools.evaluation.photos import read_photos
 from cogsplat.tools.lab.benchmark import ablation as bench_ablation
 from cogsplat.tools.lab.benchmark import rate_distortion as benches
@@ -238,7 +238,7 @@ def bench(
             scene, cameras, eval_every, images, background, work, threads=threads, stages=stages
         )
         about = _about(scene, given, what)
-        with tempfile.TemporaryDirectory(prefix="cogsplat-bench-") as folder:
+        with scratch_folder() as folder:
             if ablation:
                 found = bench_ablation.run(
                     given,
@@ -248,7 +248,7 @@ def bench(
             else:
                 measured = benches.run(
                     given,
-                    Path(folder),
+                    folder,
                     profiles=profiles,
                     qualities=qualities,
                     formats=formats,

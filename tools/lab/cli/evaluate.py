@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,6 +21,7 @@ from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.scenes.registry import WRITABLE
 from cogsplat.formats.storage.atomic import atomic_write, storage_errors
 from cogsplat.formats.storage.byte_counts import ByteCount
+from cogsplat.formats.storage.scratch_folder import scratch_folder
 from cogsplat.tools.evaluation.lpips import read_lpips
 from cogsplat.tools.evaluation.measuring_costs import references_cost
 from cogsplat.tools.evaluation.photos import read_photos
@@ -327,10 +327,10 @@ def evaluate(
                 progress=stages,
             )
         if cut:
-            with tempfile.TemporaryDirectory(prefix="cogsplat-eval-") as folder:
+            with scratch_folder() as folder:
                 made: list[tuple[str, Path, Curve | None]]
                 made = [(printable(display_name(path)), path, None) for path in files] or [
-                    (curve.label, Path(folder) / f"{number}.cogs", curve)
+                    (curve.label, folder / f"{number}.cogs", curve)
                     for number, curve in enumerate(measured)
                 ]
                 stages("files", 0, len(made))
@@ -450,7 +450,7 @@ def _measure_codecs(
 ) -> None:
     """Measure prefixes of every order, written in every format of `codecs`."""
     pairs = [(codec, label) for codec in codecs for label in ordered]
-    with tempfile.TemporaryDirectory(prefix="cogsplat-eval-") as folder:
+    with scratch_folder() as folder:
         for number, (codec, label) in enumerate(pairs):
             stages("codecs", number, len(pairs))
             results.points += by_codec(
@@ -460,7 +460,7 @@ def _measure_codecs(
                 ordered[label],
                 codec,
                 shares,
-                path=Path(folder) / codec,
+                path=folder / codec,
                 progress=stages,
             )
     stages("codecs", len(pairs), len(pairs))
