@@ -15,7 +15,7 @@ from cogsplat.formats.network.urls import is_url, redacted, split_url
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import FileSource, Readable, Source, as_source
 
-from .folder_map import MANIFEST_NAME, is_manifest
+from .folder_map import MANIFEST_NAME, FolderMap, is_manifest
 from .folder_source import FolderSource, names_folder
 from .layout import FIRST_READ, PREAMBLE_BYTES, unpack_preamble
 from .network_folder import NetworkFolder
@@ -98,14 +98,17 @@ def _open_network_source(
 
 
 def _length_of_file(head: bytes, where: str) -> int | None:
-    """Return the length of a file from its preamble, bytes; None for a manifest.
+    """Return the length of a file or manifest from its first bytes; None if they are too few.
 
     Raises
     ------
-    FormatError, UnsupportedError
-        ``not-cogs`` and the other codes of SPEC 3.1.
+    CogsplatError
+        ``not-cogs`` and the other codes of SPEC 3.1, and of SPEC 3.4 for a manifest.
     """
-    return None if is_manifest(head) else unpack_preamble(head, where).file_length
+    if not is_manifest(head):
+        return unpack_preamble(head, where).file_length
+    # The length of a manifest follows from its root.
+    return FolderMap(head, where).manifest_bytes if len(head) == FIRST_READ else None
 
 
 def manifest_address(url: str) -> str:

@@ -10,9 +10,9 @@ from cogsplat.codec.errors import StorageError
 from cogsplat.formats.storage.atomic import TargetExistsError
 
 from .network_options import NetworkOptions
-from .object_transport import object_store
+from .object_transport import object_key, object_store
 from .store_errors import store_errors
-from .urls import redacted, split_url
+from .urls import redacted
 
 # no-transform: scenes are compressed already. no-cache: clients revalidate their copy.
 _HEADERS: Final = {
@@ -54,7 +54,7 @@ class ObjectOutput:
     def __init__(self, url: str, options: NetworkOptions | None = None) -> None:
         options = options or NetworkOptions()
         self._store: Any = object_store(url, options, retries=options.retries)
-        self._key = split_url(url).path.lstrip("/")
+        self._key = object_key(url)
         self.name = redacted(url)
 
     def size(self) -> int | None:

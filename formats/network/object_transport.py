@@ -14,7 +14,7 @@ from .backoff import TransientError
 from .network_options import NetworkOptions
 from .range_responses import RangeResponse, ResponseHead, late, timely
 from .store_errors import first_line, obstore_module, store_errors
-from .urls import redacted, split_url
+from .urls import bad_url, redacted, split_url
 
 # Minimum size of the parts in which obstore passes a body on.
 _PART_BYTES: Final = 16384
@@ -46,7 +46,7 @@ class ObjectTransport:
 
     def __init__(self, url: str, options: NetworkOptions, store: Any = None) -> None:
         self._obstore = obstore_module()
-        self._key = split_url(url).path.lstrip("/")
+        self._key = object_key(url)
         self._url = url
         self._name = redacted(url)
         self._options = options
@@ -69,17 +69,18 @@ class ObjectTransport:
             with self._store_errors():
                 pending = self._obstore.get_async(self._store, self._key, options=options)
                 found = await asyncio.wait_for(pending, idle)
+                # obstore parses the headers here.
+                meta, (start, stop) = found.meta, found.range
         except TimeoutError as error:
             raise late(self._name, idle) from error
-        start, stop = found.range
-        size = int(found.meta["size"])
+        size = int(meta["size"])
         if start != first or not first < stop <= end:
             raise StorageError(
                 "answer-range",
                 f"{self._name}: a response of bytes {start} to {stop - 1}, expected {first} "
                 f"to {end - 1} or their beginning",
             )
-        etag = found.meta["e_tag"]
+        etag = meta["e_tag"]
         strong = etag if etag is not None and etag.startswith('"') else None
         head = ResponseHead(start, stop, size, strong, is_whole=False)
         yield RangeResponse(head, timely(self._parts(found), idle, self._name))
@@ -103,6 +104,14 @@ class ObjectTransport:
 
     async def close(self) -> None:
         """Do nothing: obstore closes the connections when the store is freed."""
+
+
+def object_key(url: str) -> str:
+    """Return the key of an object by its URL; raise ``bad-url`` for a key that stores refuse."""
+    key = split_url(url).path.lstrip("/")
+    if any(step in ("", ".", "..") for step in key.split("/")):
+        raise bad_url(url, "an empty step, . or .. in its path")
+    return key
 
 
 def object_store(url: str, options: NetworkOptions, *, retries: int) -> Any:

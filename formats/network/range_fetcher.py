@@ -22,7 +22,7 @@ BEGINNING_BYTES: Final = 64 * KIB
 """Size of the first request (SPEC 8.8), whose bytes are kept."""
 
 HEAD_BYTES: Final = 64
-"""First bytes of a file, from which its length is read where the server does not state it."""
+"""First bytes of a file, by which it is judged where the server does not state its length."""
 
 # Requests start small, so that the first chunks arrive soon; each finished one doubles the limit.
 _INITIAL_REQUEST_BYTES: Final = 256 * KIB
@@ -39,7 +39,7 @@ _WHOLE_AHEAD_BYTES: Final = 4 << 20
 
 
 LengthOf = Callable[[bytes], int | None]
-"""Function that gives the length of a file from its first 64 bytes."""
+"""Function that gives the length of a file from its first 64 bytes, or its first 64 KiB."""
 
 
 class RangeFetcher:
@@ -58,8 +58,8 @@ class RangeFetcher:
     beginning_bytes : int
         Size of the first request, bytes.
     length_of : callable, optional
-        Function that returns the length of a file from its first 64 bytes, None where they do not
-        give it, or raises an error for a file that is not wanted. Called where the server sends the
+        Function that returns the length of a file from its first 64 bytes, None where it takes
+        64 KiB, or raises an error for a file that is not wanted. Called where the server sends the
         whole file without stating its length.
 
     Attributes
@@ -98,6 +98,7 @@ class RangeFetcher:
         self._options = options
         self._bypass_caches = bypass_caches
         self._length_of = length_of
+        self._judged_bytes = 0
         self._queue = RangeQueue(options.gap_bytes, options.request_bytes)
         self._queue.add([self.beginning], urgent=True)
         self._request_limit = _INITIAL_REQUEST_BYTES
@@ -261,7 +262,7 @@ class RangeFetcher:
         ) as response:
             head = response.head
             await self._require_unchanged(head)
-            if head.is_whole:
+            if head.is_whole or self.whole is not None:
                 await self._receive_whole(response, request, backoff)
                 return
             with self.arrival:
@@ -352,14 +353,17 @@ class RangeFetcher:
     async def _receive_whole(
         self, response: RangeResponse, request: Request, backoff: Backoff
     ) -> None:
-        """Download the whole file from its first byte, at most 4 MiB ahead of the readers."""
+        """Receive a body of the whole file, or its rest, at most 4 MiB ahead of the readers."""
+        head = response.head
+        has_progressed = False
         with self.arrival:
-            body = self._switch_to_whole(response.head, request)
-        at = 0
+            body = self._switch_to_whole(head, request)
+        # A server that sent the whole file may answer a retry by a range.
+        at = head.first
         async for part in response.parts:
             self._received += len(part)
             with self.arrival:
-                backoff.add_bytes(body.receive(at, part, self.size))
+                has_progressed |= backoff.add_bytes(body.receive(at, part, self.size))
                 at += len(part)
                 self._set_size_of_body(body, request)
                 request.position = min(body.received, request.end)
@@ -373,6 +377,8 @@ class RangeFetcher:
                     self._begin_requests()
         with self.arrival:
             if self.size is not None and body.received < self.size:
+                if has_progressed and body.received == head.end:
+                    return
                 raise TransientError(
                     "connection-broken",
                     f"{self._name}: the response ended at byte {body.received}, expected "
@@ -385,10 +391,13 @@ class RangeFetcher:
 
     def _set_size_of_body(self, body: WholeBody, request: Request) -> None:
         """Set the length of the file from its first bytes, where the server does not state it."""
-        if self.size is None and self._length_of is not None and body.received >= HEAD_BYTES:
-            # Refuses a file of another format; a body without end is received no further.
-            self.size = self._length_of(body.bytes_at(0, HEAD_BYTES))
-            request.end = self.size or request.end
+        for count in (HEAD_BYTES, BEGINNING_BYTES):
+            if self.size is None and self._judged_bytes < count <= body.received:
+                # Refuses a file of another format; a body without end is received no further.
+                self._judged_bytes = count
+                if self._length_of is not None:
+                    self.size = self._length_of(body.bytes_at(0, count))
+                    request.end = self.size or request.end
         limit = self._options.unstated_bytes
         if self.size is None and body.received > limit:
             raise StorageError(
@@ -401,13 +410,13 @@ class RangeFetcher:
         """Cancel all requests but one, which downloads the whole file."""
         if self.whole is None:
             self.whole = WholeBody()
+            self.whole.wanted = request.end
             for other, task in self._in_flight.items():
                 if other is not request:
                     task.cancel()
                     for pending in other.ranges:
                         self.whole.wanted = max(self.whole.wanted, pending.end)
             self._begin_requests()
-        self.whole.wanted = max(self.whole.wanted, request.end)
         if head.total is not None:
             self.size = head.total
         # The body is longer than the requested range.

@@ -8,8 +8,6 @@ from types import ModuleType
 
 from cogsplat.codec.errors import CogsplatError, MissingExtraError, StorageError
 
-from .urls import bad_url
-
 # obstore adds internal details below the first line, which a server may make long.
 _LONGEST_LINE = 300
 
@@ -28,8 +26,7 @@ def store_errors(name: str, failure: Callable[[str], Exception]) -> Iterator[Non
     Raises
     ------
     StorageError
-        ``not-found``, ``permission``, ``source-changed``; ``bad-url`` for a name that stores
-        cannot have.
+        ``not-found``, ``permission``, ``source-changed``.
     """
     exceptions = obstore_module().exceptions
     try:
@@ -54,12 +51,8 @@ def store_errors(name: str, failure: Callable[[str], Exception]) -> Iterator[Non
             "source-changed",
             f"{name}: the object changed while it was read: {first_line(error)}; open it again",
         ) from error
-    except (exceptions.BaseError, OSError) as error:
-        raise failure(f"{name}: {first_line(error)}") from error
-    except ValueError as error:
-        raise bad_url(name, first_line(error)) from error
     except Exception as error:
-        # Clients of stores raise exceptions of many types.
+        # Besides its own, obstore raises ValueError and others for what servers send.
         raise failure(f"{name}: {first_line(error)}") from error
 
 

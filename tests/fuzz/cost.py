@@ -14,7 +14,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "formats"), str(ROOT / "tests" / "fuzz")]
+TESTS = ROOT / "tests"
+sys.path[:0] = [str(ROOT), *(str(TESTS / name) for name in ("codec", "formats", "fuzz"))]
 
 import hostile_files as hostile  # noqa: E402
 from seeds import corpus  # noqa: E402

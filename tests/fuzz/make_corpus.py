@@ -16,7 +16,8 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
 CORPUS = Path(__file__).parent / "corpus"
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "formats"), str(ROOT / "tests" / "fuzz")]
+TESTS = ROOT / "tests"
+sys.path[:0] = [str(ROOT), *(str(TESTS / name) for name in ("codec", "formats", "fuzz"))]
 
 import hostile_files as hostile  # noqa: E402
 import torch_files  # noqa: E402

@@ -11,7 +11,8 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "formats"), str(ROOT / "tests" / "fuzz")]
+TESTS = ROOT / "tests"
+sys.path[:0] = [str(ROOT), *(str(TESTS / name) for name in ("codec", "formats", "fuzz"))]
 
 _MAX_INPUT_BYTES = 1 << 16
 _MEMORY_MIB = 1024

@@ -7,13 +7,17 @@ what it costs.
 
 import struct
 import tempfile
+import threading
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import http_scripts
 import numpy as np
+from fault_server import serving
 
+from cogsplat import decode as decode_url
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatError, CogsplatWarning
 from cogsplat.codec.splats import Splats
@@ -21,6 +25,7 @@ from cogsplat.codec.streams import decoding_tiers
 from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.formats.cameras.colmap_points import read_points
 from cogsplat.formats.cogs.reader import open_cogs
+from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.formats.scenes.registry import FORMATS, read_scene, scene_bytes
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import BytesSource
@@ -176,6 +181,51 @@ def _cogs(path: Path) -> None:
             assert values.tobytes() == expected.tobytes(), name
 
 
+_HTTP_SECONDS = 60
+
+# Waits are short, and a request is repeated twice; a scene is 2 to 12 requests.
+_HTTP = {"idle_seconds": 0.1, "connect_seconds": 0.2, "pause_seconds": 0.001, "retries": 2}
+_HTTP_REQUESTS = 400
+_HTTP_SENT_BYTES = 64 << 20
+
+
+def _http(path: Path) -> None:
+    """Read a scene from the server of a script: right splats or a refusal, within bounds."""
+    script = http_scripts.parsed(path.read_bytes())
+    via = http_scripts.via_of(script)
+    outcome: list[Splats | BaseException] = []
+    server = http_scripts.server_of(script)
+    with serving(server):
+        store = {"endpoint": f"http://127.0.0.1:{server.port}", "skip_signature": "true"}
+        network = NetworkOptions(
+            **_HTTP, longest_wait_seconds=0.01, options_of_store=store | {"region": "us-east-1"}
+        )
+        url = {"s3": "s3://bucket/scene.cogs", "folder": server.url("scene/")}.get(
+            via, server.url()
+        )
+
+        def read() -> None:
+            try:
+                outcome.append(decode_url(url, network=network, limits=LIMITS))
+            except BaseException as error:
+                outcome.append(error)
+
+        # A reader that waits for ever is a finding, not the end of the search.
+        reader = threading.Thread(target=read, daemon=True)
+        reader.start()
+        reader.join(_HTTP_SECONDS)
+        assert outcome, f"no end after {_HTTP_SECONDS} s"
+    assert len(server.asked) <= _HTTP_REQUESTS, len(server.asked)
+    assert server.sent <= _HTTP_SENT_BYTES, server.sent
+    if isinstance(outcome[0], BaseException):
+        raise outcome[0]
+    # The server may also have sent the other file, as a whole.
+    expected = (http_scripts.decoded_file(via), http_scripts.decoded_file("other"))
+    assert any(
+        len(outcome[0]) == len(splats) and same_bits(outcome[0], splats) for splats in expected
+    )
+
+
 _SCENES = tuple(
     Target(
         extension[1:].replace(".", "_"),
@@ -200,6 +250,7 @@ TARGETS: dict[str, Target] = {
         Target("points_bin", ("points3D.bin",), _points),
         Target("points_txt", ("points3D.txt",), _points),
         Target("mask", ("v.png",), _mask),
+        Target("http", ("answers.json",), _http),
     )
 }
 """By name; a folder of the corpus each."""

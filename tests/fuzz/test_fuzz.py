@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from http_scripts import made_script, parsed, via_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mutations import mutated
@@ -53,6 +54,16 @@ REFUSALS = {
     ("pt", "large_frame"): "torch-file",
     ("mask", "text_that_inflates"): "mask",
     ("mask", "eps"): "mask",
+    ("http", "byte_a_range"): "connection-broken",
+    ("http", "drip"): "network-timeout",
+    ("http", "object_of_the_year_10000"): "connection-broken",
+    ("http", "manifest_without_end"): "",
+    ("http", "body_without_end"): "",
+    ("http", "letters_without_end"): "not-cogs",
+    ("http", "redirect_to_no_host"): "redirect-refused",
+    ("http", "retry_in_an_absurd_zone"): "",
+    ("http", "whole_file_that_breaks_then_ranges"): "",
+    ("http", "whole_and_ranges_in_turn"): "",
 }
 
 every_target = pytest.mark.parametrize("target", TARGETS.values(), ids=TARGETS.keys())
@@ -83,6 +94,23 @@ def test_mutations_are_refused_or_read(target: Target) -> None:
     rng = random.Random(1)
     for seed in range(MUTATIONS):
         run_once(target, mutated(rng.choice(files), seed))
+
+
+def test_scripted_servers_are_refused_or_read() -> None:
+    """Responses with a few faults each, which most mutations of the corpus do not make."""
+    codes = set()
+    for seed in range(MUTATIONS):
+        error = run_once(TARGETS["http"], made_script(seed))
+        codes.add(error.code if error else "")
+    # Neither all refused nor all read.
+    assert codes >= {"", "answer-range"}
+
+
+def test_scripts_of_servers_are_the_same_for_the_same_seed() -> None:
+    scripts = [made_script(seed) for seed in range(30)]
+    assert scripts == [made_script(seed) for seed in range(30)]
+    assert len(set(scripts)) > 20
+    assert {via_of(parsed(script)) for script in scripts} == {"file", "folder", "s3"}
 
 
 @settings(max_examples=60, deadline=None)

@@ -171,6 +171,25 @@ def test_a_body_without_a_length_that_breaks_is_asked_for_again(data: bytes) -> 
         assert outcome_of(server) == "preamble-truncated"
 
 
+def test_a_server_that_sends_the_whole_file_and_then_ranges_is_read(data: bytes) -> None:
+    async def cut(exchange: Exchange) -> None:
+        exchange.head(200, {"Content-Length": str(len(data))})
+        exchange.writer.write(data[:90_000])
+        await exchange.writer.drain()
+        await asyncio.sleep(0.02)
+        exchange.break_off()
+
+    with serving(FaultServer(data, [cut])) as server:
+        assert outcome_of(server) == "works"
+    assert [asked.first for asked in server.asked] == [0, 90_000]
+    with serving(FaultServer(data, [right, cut])) as server:
+        assert outcome_of(server) == "works"
+    # The same with bodies of which nothing is right.
+    bad = raw(b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n-1\r\nabc")
+    with serving(FaultServer(data, [right, bad])) as server:
+        assert outcome_of(server) == "works"
+
+
 def test_a_stated_length_beyond_all_disks_takes_no_more_than_is_read(data: bytes) -> None:
     fault = endless(Content_Length="9" * 18)
     with serving(FaultServer(data, always=fault)) as server:
@@ -278,6 +297,11 @@ def test_redirects_that_lead_nowhere_are_refused(location: str, data: bytes) -> 
         {"Retry-After": "1", "Date": "Mon, 01 Jan 0001 00:00:00 +2359"},
         {"Retry-After": "9" * 400},
         {"Retry-After": "\x80"},
+        {"Retry-After": "Sun, 22 Nov 2026 12:00:30 -99999999999"},
+        {
+            "Retry-After": "Fri, 31 Dec 9999 23:59:59 GMT",
+            "Date": "Sun, 22 Nov 2026 12:00:30 -9999999",
+        },
     ],
 )
 def test_absurd_times_to_retry_are_coded(headers: dict[str, str], data: bytes) -> None:
