@@ -167,6 +167,8 @@ def check_output(path: StrPath, *, force: bool, inputs: Iterable[StrPath] = ()) 
     """
     with storage_errors(path):
         target = Path(os.path.realpath(path))
+        # A process may have been killed between its rename and the removal of its temporary.
+        _remove_stale(target.parent)
         mode = _mode_of(target)
         if mode is not None:
             require_regular(Path(path), mode)
