@@ -105,11 +105,12 @@ def upload(
             upload_folder(plan, source, target, concurrency=concurrency, progress=stages)
     unused = UnusedObjects()
     if delete:
-        unused = find_unused(target, older_than=timedelta(hours=older_than))
+        age = timedelta(hours=older_than)
+        unused = find_unused(target, older_than=age)
         if unused.names and not dry_run:
             if not yes:
                 _confirm(unused, target.name, as_json=as_json)
-            delete_unused(unused, target)
+            unused = delete_unused(unused, target, older_than=age)
     if as_json:
         print_json(
             {

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final
@@ -68,20 +68,27 @@ class UnusedObjects:
 
     Parameters
     ----------
-    names : list of str
-        Names of the unused objects that are old enough to delete.
-    size_bytes : int
-        Their total size, bytes.
+    sizes : dict of str to int
+        Size of each unused object that is old enough to delete, bytes, by name.
     manifests : list of str
         Names of the bucket's manifests.
     num_recent : int
         Unused objects that are too new to delete.
     """
 
-    names: list[str] = field(default_factory=list)
-    size_bytes: int = 0
+    sizes: dict[str, int] = field(default_factory=dict)
     manifests: list[str] = field(default_factory=list)
     num_recent: int = 0
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the unused objects that are old enough to delete."""
+        return [*self.sizes]
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes of these objects."""
+        return sum(self.sizes.values())
 
 
 def plan_upload(source: FolderSource, folder: Path, bucket: Bucket) -> UploadPlan:
@@ -102,15 +109,20 @@ def plan_upload(source: FolderSource, folder: Path, bucket: Bucket) -> UploadPla
         See `Bucket`.
     """
     manifest = manifest_path(folder)
-    existing = {entry.name: entry.size for entry in bucket.objects(SEGMENT_FOLDER)}
-    # An object of another size is left over from an interrupted upload.
-    missing = {name: size for name, size in source.objects().items() if existing.get(name) != size}
+    missing = _missing_objects(source, bucket)
     return UploadPlan(
         manifest,
         missing,
         len(source.objects()) - len(missing),
         bucket.read(manifest.name) != _read_file(manifest),
     )
+
+
+def _missing_objects(source: FolderSource, bucket: Bucket) -> dict[str, int]:
+    """Return the sizes of the objects of a folder that a bucket lacks, by name."""
+    existing = {entry.name: entry.size for entry in bucket.objects(SEGMENT_FOLDER)}
+    # An object of another size is left over from an interrupted upload.
+    return {name: size for name, size in source.objects().items() if existing.get(name) != size}
 
 
 def upload_folder(
@@ -124,7 +136,8 @@ def upload_folder(
     """Upload the objects of a plan, then the manifest.
 
     The manifest comes last, so that it never references a missing object. A repeated upload with a
-    new plan skips the objects that were written.
+    new plan skips the objects that were written. Objects that a concurrent `delete_unused` removes
+    are written again, before the manifest and after it: later deletions see the manifest.
 
     Parameters
     ----------
@@ -155,18 +168,24 @@ def upload_folder(
         bucket.write(name, data, OBJECT_HEADERS)
 
     total = len(plan.objects) + plan.manifest_changes
-    pool = ThreadPoolExecutor(concurrency)
-    try:
-        futures = [pool.submit(upload_object, name) for name in plan.objects]
-        for done, future in enumerate(as_completed(futures), start=1):
-            future.result()
-            progress("upload", done, total)
-    finally:
-        # After a failure, do not start further writes.
-        pool.shutdown(cancel_futures=True)
+
+    def upload_objects(names: Iterable[str]) -> None:
+        pool = ThreadPoolExecutor(concurrency)
+        try:
+            futures = [pool.submit(upload_object, name) for name in names]
+            for done, future in enumerate(as_completed(futures), start=1):
+                future.result()
+                progress("upload", min(done, total), total)
+        finally:
+            # After a failure, do not start further writes.
+            pool.shutdown(cancel_futures=True)
+
+    upload_objects(plan.objects)
+    upload_objects(_missing_objects(source, bucket))
     if plan.manifest_changes:
         bucket.write(plan.manifest.name, _read_file(plan.manifest), MANIFEST_HEADERS)
         progress("upload", total, total)
+        upload_objects(_missing_objects(source, bucket))
 
 
 def find_unused(bucket: Bucket, *, older_than: timedelta) -> UnusedObjects:
@@ -206,18 +225,44 @@ def find_unused(bucket: Bucket, *, older_than: timedelta) -> UnusedObjects:
     latest = datetime.now(UTC) - older_than
     old = [entry for entry in unused if entry.modified <= latest]
     return UnusedObjects(
-        [entry.name for entry in old],
-        sum(entry.size for entry in old),
+        {entry.name: entry.size for entry in old},
         manifests,
         len(unused) - len(old),
     )
 
 
-def delete_unused(unused: UnusedObjects, bucket: Bucket) -> None:
-    """Delete the objects found by `find_unused`; raises like `Bucket`."""
-    names: Sequence[str] = unused.names
-    if names:
-        bucket.delete(names)
+def delete_unused(unused: UnusedObjects, bucket: Bucket, *, older_than: timedelta) -> UnusedObjects:
+    """Delete the objects found by `find_unused` that are unused still.
+
+    The manifests are read again: since they were read first, which may be minutes ago if the user
+    was asked, another upload may have written one that references some of these objects.
+
+    Parameters
+    ----------
+    unused : UnusedObjects
+        Objects that may be deleted.
+    bucket : Bucket
+        Bucket that holds them.
+    older_than : timedelta
+        Minimum age, as in `find_unused`.
+
+    Returns
+    -------
+    UnusedObjects
+        Deleted objects.
+
+    Raises
+    ------
+    CogsplatError
+        See `find_unused`.
+    """
+    if not unused.names:
+        return unused
+    still = find_unused(bucket, older_than=older_than)
+    sizes = {name: size for name, size in still.sizes.items() if name in unused.sizes}
+    if sizes:
+        bucket.delete([*sizes])
+    return replace(still, sizes=sizes)
 
 
 def _object_names(manifest: bytes, where: str) -> set[str]:

@@ -1,6 +1,6 @@
 """Uploads into a bucket in memory: what is sent, in what order, what is deleted, what goes on."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from datetime import timedelta
 from pathlib import Path
@@ -110,7 +110,7 @@ def test_only_segments_that_no_manifest_needs_are_deleted(
     assert (recent.names, recent.num_recent) == ([], 1)
     found = find_unused(bucket, older_than=NOW)
     assert (found.names, found.size_bytes, found.manifests) == ([stray], 4, ["manifest.cogsm"])
-    delete_unused(found, bucket)
+    delete_unused(found, bucket, older_than=NOW)
     assert bucket.read(stray) is None
     assert bucket.read("segments/notes.txt") == b"mine"
     # A second version needs its own; the first version's stay.
@@ -123,8 +123,76 @@ def test_only_segments_that_no_manifest_needs_are_deleted(
     bucket.delete(["manifest.cogsm"])
     unused = find_unused(bucket, older_than=NOW)
     assert unused.names
-    delete_unused(unused, bucket)
+    delete_unused(unused, bucket, older_than=NOW)
     assert put(folder / "second.cogsm", bucket) == 0
+
+
+class Interleaved(Recorded):
+    """A bucket in which something else happens before a manifest is written."""
+
+    def __init__(self, store: MemoryStore, happens: Callable[[], object]) -> None:
+        super().__init__(store)
+        self.happens = happens
+
+    def write(self, name: str, data: bytes, headers: Mapping[str, str]) -> None:
+        if name.endswith(".cogsm"):
+            self.happens()
+        super().write(name, data, headers)
+
+
+@pytest.fixture
+def unused_bucket(folder: Path, small: SmallScene, tmp_path: Path) -> MemoryStore:
+    """The objects of `folder` without its manifest, as after its deletion, and another scene."""
+    store = MemoryStore()
+    bucket = Recorded(store)
+    put(folder, bucket)
+    bucket.delete(["manifest.cogsm"])
+    other = tmp_path / "other.cogs"
+    cogsplat.encode(cogsplat.read(small.ply), other, quality=30.0, preset="fast")
+    cogsplat.unpack(other, tmp_path / "other")
+    (tmp_path / "other" / "manifest.cogsm").rename(tmp_path / "other" / "other.cogsm")
+    put(tmp_path / "other" / "other.cogsm", bucket)
+    assert find_unused(bucket, older_than=NOW).names
+    return store
+
+
+def is_complete(folder: Path, bucket: Bucket) -> bool:
+    return all(bucket.read(f"segments/{path.name}") for path in folder.glob("segments/*"))
+
+
+def test_objects_that_an_upload_reuses_meanwhile_are_not_deleted(
+    folder: Path, unused_bucket: MemoryStore
+) -> None:
+    """Found unused, then named by the manifest of an upload, then to be deleted."""
+    bucket = Recorded(unused_bucket)
+    found = find_unused(bucket, older_than=NOW)
+    assert put(folder, bucket) == 0
+    assert delete_unused(found, bucket, older_than=NOW).names == []
+    assert is_complete(folder, bucket)
+
+
+def test_objects_deleted_between_plan_and_upload_are_written_again(
+    folder: Path, unused_bucket: MemoryStore
+) -> None:
+    bucket = Recorded(unused_bucket)
+    with closing(FolderSource(folder)) as source:
+        plan = plan_upload(source, folder, bucket)
+        assert not plan.objects
+        found = find_unused(bucket, older_than=NOW)
+        assert delete_unused(found, bucket, older_than=NOW).names == found.names
+        upload_folder(plan, source, bucket)
+    assert is_complete(folder, bucket)
+    assert bucket.written[-1][0] == "manifest.cogsm"
+
+
+def test_objects_deleted_just_before_the_manifest_are_written_again(
+    folder: Path, unused_bucket: MemoryStore
+) -> None:
+    other = Recorded(unused_bucket)
+    found = find_unused(other, older_than=NOW)
+    bucket = Interleaved(unused_bucket, lambda: delete_unused(found, other, older_than=NOW))
+    put(folder, bucket)
+    assert is_complete(folder, bucket)
 
 
 @pytest.mark.parametrize("manifest", [None, b"", b"no manifest"])
