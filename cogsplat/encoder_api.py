@@ -205,9 +205,7 @@ def tune(
     config = config or TuneConfig()
     splats = _splats(scene).without_extras()
     given = None if cameras is None else _views(cameras)
-    views = choose_tuning_views(
-        splats, given, test_views=given or (), threads=config.train.threads, progress=progress
-    )
+    views = choose_tuning_views(splats, given, threads=config.train.threads, progress=progress)
     request = TuneRequest(views, _target(target, scene), config)
     metadata = FileMetadata(request.first_view)
     tuned = tuning.tune(splats, request, size_of=metadata.file_bytes, progress=progress)
@@ -274,7 +272,7 @@ def layers(
 def compare(
     reference: Splats | _Path,
     other: Splats | _Path,
-    cameras: Sequence[Camera] | _Path,
+    cameras: Sequence[Camera] | _Path | None = None,
     *,
     threads: int = 0,
     progress: Progress = silent,
@@ -285,13 +283,14 @@ def compare(
     ----------
     reference, other : Splats or path
         Scenes in memory, or files of any known format.
-    cameras : sequence of Camera or path
-        Views to render, or a file for `read_cameras`. For each, two more views off the capture
-        path are measured: one moved back, one rotated.
+    cameras : sequence of Camera or path, optional
+        Test views, or a file for `read_cameras`. Without them, the test views that `encode` plans
+        for `reference`. Some are measured close up as well. Two views off the capture path are
+        measured for each: one moved back, one rotated.
     threads : int
         Number of threads, 0 for all cores.
     progress : Progress
-        Called with the stages ``test``, the given views, and ``roam``, the others.
+        Called with the stages ``plan views``, ``test``, ``close`` and ``roam``.
 
     Examples
     --------
@@ -302,9 +301,15 @@ def compare(
     """
     from .codec.scoring import view_quality
 
-    return view_quality.compare(
-        _splats(reference), _splats(other), _views(cameras), threads=threads, progress=progress
-    )
+    splats = _splats(reference)
+    views: Sequence[Camera]
+    if cameras is None:
+        from .codec.views.planner import ViewPlanConfig, plan
+
+        views = plan(splats, ViewPlanConfig(threads=threads), progress=progress).test_views
+    else:
+        views = _views(cameras)
+    return view_quality.compare(splats, _splats(other), views, threads=threads, progress=progress)
 
 
 def render(

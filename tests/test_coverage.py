@@ -40,7 +40,13 @@ def test_no_view_of_a_scene_without_cameras_falls_far_below_the_others(
     assert made.coverage >= 0.98
     found = measured_quality(scene, cogsplat.decode(tmp_path / "scene.cogs"))
     assert np.mean(found) - min(found) < 6.0
-    # The scene has 24 test views and the encoder 20: their means differ by up to 0.5 dB.
     assert np.mean(made.test_psnr_db) == pytest.approx(np.mean(found), abs=1.0)
+    # `compare` measures in the views of the prediction.
+    compared = cogsplat.compare(scene.splats, tmp_path / "scene.cogs")
+    told = [quality.psnr_db for quality in compared.test]
+    assert told == pytest.approx(made.test_psnr_db, abs=0.05)
+    assert [quality.psnr_db for quality in compared.close] == pytest.approx(
+        made.close_psnr_db, abs=0.05
+    )
     # The nominal quality.
     assert np.mean(found) == pytest.approx(40.0, abs=2.0)

@@ -160,10 +160,15 @@ class EncodeReport:
         in a picture. Planned views: share of visible splats shown at least a quarter as clearly as
         from the best candidate place.
     test_views : str
-        Origin of the test views: ``given``, ``planned`` or ``none``. Given test views are scored as
-        well, unless the request has its own.
+        Origin of the test views: ``given`` by the request, ``left-out`` of the scored cameras,
+        ``scored`` where the cameras are too few or overlap too little to leave any out,
+        ``planned`` or ``none``.
     test_psnr_db : tuple of float
         PSNR of the whole scene in each test view, dB; empty without a prediction.
+    test_distances : tuple of float
+        Distance of each test view from what it shows, scene units.
+    close_psnr_db, close_distances : tuple of float
+        The same of the close views (`close_views.view_distances`) of some test views.
     """
 
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -176,6 +181,9 @@ class EncodeReport:
     coverage: float = 0.0
     test_views: str = "none"
     test_psnr_db: tuple[float, ...] = ()
+    test_distances: tuple[float, ...] = ()
+    close_psnr_db: tuple[float, ...] = ()
+    close_distances: tuple[float, ...] = ()
 
     def __repr__(self) -> str:
         facts = "; ".join(f"{name} {value}" for name, value in self._facts())
@@ -194,6 +202,9 @@ class EncodeReport:
         if self.test_psnr_db:
             mean = sum(self.test_psnr_db) / len(self.test_psnr_db)
             facts.append(("PSNR", f"{mean:.2f} dB, lowest {min(self.test_psnr_db):.2f} dB"))
+        if self.close_psnr_db:
+            mean = sum(self.close_psnr_db) / len(self.close_psnr_db)
+            facts.append(("close up", f"{mean:.2f} dB, lowest {min(self.close_psnr_db):.2f} dB"))
         facts.append(("scored views", f"{self.scored_views} {self.views}"))
         return [*facts, ("time", f"{sum(self.seconds.values()):.1f} s")]
 

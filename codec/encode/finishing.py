@@ -15,7 +15,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.scoring.contribution import MAX_VIEW_PARALLEL_SPLATS
 from cogsplat.codec.scoring.reference_views import ReferenceViews
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.views.view_sets import sample_evenly
+from cogsplat.codec.views.close_views import close_views, view_distances
 
 from .compensation_fit import compensate_prefixes, placeholder_compensation
 from .config import Target
@@ -50,11 +50,11 @@ class Finisher:
         Scene that quality is measured against: the one that is encoded, or the one that it was
         trained from.
     preset : Preset
-        Number of test views and effort of the compensation fit.
+        Effort of prediction and of the compensation fit.
     references : ReferenceViews or None
         Pictures to fit compensation to; None for a file without compensation.
     test_views : sequence of Camera
-        Views to predict quality in, thinned to those of the preset; empty for no prediction.
+        Views to predict quality in; empty for no prediction.
     table_views : sequence of Camera
         Views for a view table; empty for a file without one.
     preview : PreviewMaker or None
@@ -82,9 +82,13 @@ class Finisher:
     @cached_property
     def evaluator(self) -> PrefixEvaluator:
         """Evaluator with renders of the source in the test views, for search and prediction."""
+        return self._evaluator(self.test_views)
+
+    def _evaluator(self, views: Sequence[Camera]) -> PrefixEvaluator:
+        """Return an evaluator with renders of the source in some views."""
         return PrefixEvaluator(
             self.source,
-            sample_evenly(self.test_views, self.preset.test_views),
+            views,
             self.prepared.config.threads,
             views_at_once=not self._in_files and len(self.source) <= MAX_VIEW_PARALLEL_SPLATS,
             executor=self.executor,
@@ -192,7 +196,24 @@ class Finisher:
         if self.test_views and len(encoded.chunks):
             most = self.preset.prediction_views
             encoded = predict_quality(encoded, self.evaluator, most_views=most, progress=progress)
+            encoded = self._measure_close(encoded)
         return encoded
+
+    def _measure_close(self, encoded: EncodedScene) -> EncodedScene:
+        """Measure the PSNR of a finished scene in close views into its report."""
+        found = view_distances(self.source, self.test_views, threads=self.prepared.config.threads)
+        close = close_views(found)
+        values: tuple[float, ...] = ()
+        if close:
+            evaluator = self._evaluator([view.camera for view in close])
+            values = tuple(evaluator.views_db(encoded.prefix_splats(len(encoded.chunks))))
+        report = replace(
+            encoded.report,
+            test_distances=tuple(view.distance for view in found),
+            close_psnr_db=values,
+            close_distances=tuple(view.distance for view in close),
+        )
+        return replace(encoded, report=report)
 
     def file_bytes(self, encoded: EncodedScene) -> int:
         """Return the size of the file after `finish`, bytes, before compensation is fitted.

@@ -111,7 +111,7 @@ def encode(
         splats,
         request.effort,
         references=references if request.config.compensates else None,
-        test_views=scored.test_views or scored.views,
+        test_views=scored.test_views,
         # A preset that scores few of the given cameras still describes all of them.
         table_views=(request.cameras or scored.views) if with_table else (),
         preview=preview if request.config.preview is not None else None,
@@ -197,6 +197,9 @@ def _report(scored: ScoredViews, hit: SearchResult, timed: TimedProgress) -> Enc
         quality_db=hit.quality_db,
         trials=hit.trials,
         test_psnr_db=hit.encoded.report.test_psnr_db,
+        test_distances=hit.encoded.report.test_distances,
+        close_psnr_db=hit.encoded.report.close_psnr_db,
+        close_distances=hit.encoded.report.close_distances,
     )
 
 

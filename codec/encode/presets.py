@@ -39,9 +39,6 @@ class Preset:
         `ScoreConfig.sensitivity_every` of the profile `transform`.
     prediction_views : int
         Views at most in which the quality of prefixes is predicted.
-    test_views : int
-        Views at most in which the whole scene is measured and the nominal quality corrected. A mean
-        over few views depends on the choice of views.
     reference_views : int
         Ground-truth renders at most for the order by marginal gain and for compensation; never
         more than `reference_views.MAX_VIEWS`.
@@ -66,7 +63,6 @@ class Preset:
     jitter_copies: int
     sensitivity_every: int
     prediction_views: int
-    test_views: int = 32
     reference_views: int = 1024
     reference_share: float = 1.0
     reference_jitter: bool = True
@@ -180,7 +176,6 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
             jitter_copies=1,
             sensitivity_every=2,
             prediction_views=4,
-            test_views=20,
             reference_views=24,
             reference_share=0.25,
             reference_jitter=False,

@@ -15,7 +15,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.scoring.contribution import ScoreConfig, Scores, score
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.planner import ViewPlan, plan
-from cogsplat.codec.views.view_sets import sample_evenly
+from cogsplat.codec.views.view_sets import TEST_VIEWS, leave_out, sample_evenly
 from cogsplat.codec.workspace import IN_MEMORY, Workspace
 
 from .encoded import EncodeReport
@@ -45,7 +45,7 @@ class ScoredViews:
     views : sequence of Camera
         Scoring views; empty where there are none.
     test_views : sequence of Camera
-        Views to measure quality in; empty for some of `views`.
+        Views to measure quality in; empty for no prediction.
     jitter : bool
         Whether jittered copies of the views were scored as well.
     report : EncodeReport
@@ -78,25 +78,36 @@ def score_scene(splats: Splats, request: EncodeRequest, progress: Progress) -> S
     """
     if request.cameras is None and request.scores is None and len(splats):
         return _score_planned(splats, request, progress)
-    views, scores = list(request.cameras or ()), request.scores
+    given = list(request.cameras or ())
+    views, scores = given, request.scores
     if scores is None and len(splats):
         # An empty list of cameras is refused here; only None plans views.
         views, scores = score_given(
             splats,
-            views,
+            given,
             request.effort,
             request.scoring,
+            left_out=() if request.test_views else leave_out(given)[1],
             workspace=request.workspace,
             executor=request.executor,
             progress=progress,
         )
-    report = EncodeReport(
-        views="given" if views else "none",
-        test_views="given" if request.test_views or views else "none",
-    )
+    tests, origin = _test_views(request, views)
+    report = EncodeReport(views="given" if views else "none", test_views=origin)
     if views and scores is not None and len(splats):
         report = replace(report, coverage=float((scores.covered > 0).mean()))
-    return ScoredViews(scores, views, request.test_views, request.scoring.jitter, report)
+    return ScoredViews(scores, views, tests, request.scoring.jitter, report)
+
+
+def _test_views(request: EncodeRequest, scored: Sequence[Camera]) -> tuple[Sequence[Camera], str]:
+    """Return the test views of given cameras, and their origin (`EncodeReport.test_views`)."""
+    if request.test_views:
+        return sample_evenly(request.test_views, TEST_VIEWS), "given"
+    known = {id(view) for view in scored}
+    left_out = [view for view in request.cameras or () if id(view) not in known]
+    if left_out:
+        return sample_evenly(left_out, TEST_VIEWS), "left-out"
+    return sample_evenly(scored, TEST_VIEWS), "scored" if scored else "none"
 
 
 def _score_planned(splats: Splats, request: EncodeRequest, progress: Progress) -> ScoredViews:
@@ -174,6 +185,7 @@ def score_given(
     preset: Preset,
     config: ScoreConfig,
     *,
+    left_out: Sequence[Camera] = (),
     workspace: Workspace = IN_MEMORY,
     executor: Executor | None = None,
     progress: Progress = silent,
@@ -181,7 +193,8 @@ def score_given(
     """Score a scene in the preset's share of the given views, or in more where they overlap little.
 
     Where single cameras show much that no other shows, as in rooms with walls between them, the
-    number of views is multiplied by four until they overlap or all are scored.
+    number of views is multiplied by four until they overlap or all are scored. The views that were
+    left out to measure quality in are scored last: they may be the only ones of a room.
 
     Parameters
     ----------
@@ -193,6 +206,8 @@ def score_given(
         Number of views to begin with.
     config : ScoreConfig
         Scoring settings.
+    left_out : sequence of Camera
+        Some of the given views, scored only where the others overlap little.
     workspace : Workspace
         Allocator of the scores.
     executor : Executor, optional
@@ -210,7 +225,9 @@ def score_given(
     DataError
         ``no-cameras``, ``cameras-see-nothing``.
     """
-    views = preset.views(cameras)
+    spared = {id(view) for view in left_out}
+    usual = [view for view in cameras if id(view) not in spared]
+    views = preset.views(usual)
     while True:
         scores = score(
             splats, views, config, workspace=workspace, executor=executor, progress=progress
@@ -220,4 +237,7 @@ def score_given(
             or single_camera_share(scores, config) <= _SINGLE_CAMERA_LIMIT
         ):
             return views, scores
-        views = sample_evenly(cameras, min(_RETRY_FACTOR * len(views), len(cameras)))
+        if len(views) < len(usual):
+            views = sample_evenly(usual, min(_RETRY_FACTOR * len(views), len(usual)))
+        else:
+            views = list(cameras)

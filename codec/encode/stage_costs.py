@@ -18,6 +18,7 @@ from cogsplat.codec.order.gain_effort import GainEffort
 from cogsplat.codec.order.orders import split_name
 from cogsplat.codec.progress import StageCost
 from cogsplat.codec.scoring.chunk_contributions import MAX_PIXELS
+from cogsplat.codec.views.view_sets import TEST_VIEWS
 
 from .presets import DEFAULT_PRESET, PRESETS, Preset
 from .request import EncodeRequest
@@ -107,9 +108,7 @@ def stage_costs(splats: int, request: EncodeRequest, *, scored: bool = False) ->
         costs += [StageCost("codebooks", books)] if books else []
         costs += [StageCost("quantisers", quantisers), StageCost("chunks", chunks)]
     else:
-        looked = (
-            min(preset.test_views, views) if target is None or target.psnr_db is not None else 0
-        )
+        looked = min(TEST_VIEWS, views) if target is None or target.psnr_db is not None else 0
         trial = books + quantisers + chunks + looked * _ONE_RENDER * prediction
         trials = _NOMINAL_TRIALS if target is None else _TRIALS
         costs.append(StageCost("search", trial * trials, inner="chunks"))

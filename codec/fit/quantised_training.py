@@ -23,7 +23,7 @@ from cogsplat.codec.rate.allocation import lagrangian
 from cogsplat.codec.scoring.contribution import score
 from cogsplat.codec.scoring.reference_views import render_references
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.views.view_sets import sample_evenly
+from cogsplat.codec.views.view_sets import TEST_VIEWS, sample_evenly
 
 from .checkpoint_arrays import CheckpointArrays
 from .prefix_loss import PrefixLoss
@@ -129,12 +129,13 @@ class QuantisedTraining:
             source,
             preset,
             references=references,
-            test_views=request.views.test_views or cameras,
+            test_views=request.views.test_views or sample_evenly(cameras, TEST_VIEWS),
             preview=preview,
             size_of=size_of,
             progress=progress,
         )
         self._scored_views = len(views)
+        self._test_views = request.views.origin
         # Codebooks of the last encode: k-means of the profile `vq` starts from them next time.
         self._codebooks: Sequence[EncodedCodebook] = ()
 
@@ -351,7 +352,7 @@ class QuantisedTraining:
         report = replace(
             encoded.report,
             views="given",
-            test_views="given",
+            test_views=self._test_views,
             scored_views=self._scored_views,
             coverage=float((self._prepared.scores.covered > 0).mean()),
         )

@@ -35,10 +35,6 @@ jittered copies are added to them."""
 _MIN_NEIGHBOURS, _MAX_NEIGHBOURS = 2, 5
 # Number of in-between views, counted per end, that the neighbour count aims at.
 _NEIGHBOUR_BUDGET: Final = 256
-# Every n-th in-between view can be held out for measuring. Only pairs of cameras with viewing
-# directions of at least this cosine count: a view halfway between others may lie inside an object.
-_HOLD_OUT_EVERY: Final = 6
-_MIN_COSINE: Final = 0.8
 
 # Downscaling of covering views, per axis. They are close-ups that splats fill entirely, and losses
 # are summed over pixels: at full size they would dominate.
@@ -129,28 +125,6 @@ def _neighbouring_cameras(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
     return pairs
 
 
-def held_out_views(cameras: Sequence[Camera]) -> list[Camera]:
-    """Return test views halfway between cameras, to be held out of training.
-
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        Cameras in the frame of the means. Pass the same cameras to `make_training_views`.
-
-    Returns
-    -------
-    list of Camera
-        Argument `held_out` of `make_training_views`. Empty where no two cameras look the same way.
-    """
-    given = sample_evenly(cameras, MAX_VIEWS)
-    similar = [
-        (given[one], given[other])
-        for one, other in _neighbouring_cameras(given)
-        if float(given[one].rotation[2] @ given[other].rotation[2]) >= _MIN_COSINE
-    ]
-    return [_interpolate(*pair) for pair in similar[::_HOLD_OUT_EVERY]]
-
-
 def _interpolate(camera: Camera, other: Camera) -> Camera:
     """Return a camera halfway between two poses, with the intrinsics of the first."""
     left, _, right = np.linalg.svd(camera.rotation + other.rotation)
@@ -177,7 +151,6 @@ def make_training_views(
     photos: Sequence[F32] | None = None,
     copies: bool = True,
     covering: Sequence[Camera] = (),
-    held_out: Sequence[Camera] = (),
     background: Background = (0.0, 0.0, 0.0),
     max_pixels: int = MAX_PIXELS,
     threads: int = 0,
@@ -205,8 +178,6 @@ def make_training_views(
         training keeps these regions; used like jittered copies. Used like given cameras, they made
         a third of the views of one figure show its underside, and views around it lost 1 dB at the
         same size.
-    held_out : sequence of Camera
-        Views from `held_out_views`; training leaves them out.
     background : tuple of float
         RGB behind the splats.
     max_pixels : int
@@ -247,8 +218,7 @@ def make_training_views(
     given = [cameras[number] for number in chosen]
     between, off_path = [], []
     if copies:
-        names = {camera.name for camera in held_out}
-        between = [camera for camera in _interpolated_cameras(given) if camera.name not in names]
+        between = _interpolated_cameras(given)
         off_path = [*jitter(source, given), *jitter(source, between, 1)]
     off_path += covering
     views = [*given, *between, *off_path]

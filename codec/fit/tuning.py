@@ -205,9 +205,7 @@ class _TuningRun:
             device=request.device,
             progress=progress,
         )
-        self._views = make_views(
-            views.cameras, photos=request.photos, covering=views.covering, held_out=views.held_out
-        )
+        self._views = make_views(views.cameras, photos=request.photos, covering=views.covering)
         self._measured = self._views
         if views.test_views:
             self._measured = make_views(views.test_views, copies=False)

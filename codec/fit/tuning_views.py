@@ -1,4 +1,4 @@
-"""Views of a tuning run: training views, covering views, held-out views and test views."""
+"""Views of a tuning run: training views, covering views and test views."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.planner import ViewPlanConfig, plan
-
-from .training_views import held_out_views
+from cogsplat.codec.views.view_sets import TEST_VIEWS, leave_out, sample_evenly
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,27 +22,28 @@ class TuningViews:
         Views that the scene is trained and scored in.
     covering : sequence of Camera
         Views of regions that `cameras` hardly show.
-    held_out : sequence of Camera
-        Views between cameras that training leaves out.
     test_views : sequence of Camera
-        Views that PSNR is measured in: held-out views where there are any. Empty for some of
-        `cameras`.
-    planned : bool
-        Whether the views were planned because no cameras were given.
+        Views that PSNR is measured in; empty for some of `cameras`.
+    origin : str
+        Origin of the test views: ``left-out`` of the given cameras, ``scored`` where there are too
+        few to leave some out, ``planned``.
     """
 
     cameras: Sequence[Camera]
     covering: Sequence[Camera] = ()
-    held_out: Sequence[Camera] = ()
     test_views: Sequence[Camera] = ()
-    planned: bool = False
+    origin: str = "scored"
+
+    @property
+    def planned(self) -> bool:
+        """Whether the views were planned because no cameras were given."""
+        return self.origin == "planned"
 
 
 def choose_tuning_views(
     splats: Splats,
     cameras: Sequence[Camera] | None,
     *,
-    test_views: Sequence[Camera] = (),
     threads: int = 0,
     progress: Progress = silent,
 ) -> TuningViews:
@@ -54,10 +54,7 @@ def choose_tuning_views(
     splats : Splats
         Scene to tune.
     cameras : sequence of Camera or None
-        Given cameras; None plans views.
-    test_views : sequence of Camera
-        Fallback for the test views, where no view between given cameras can be held out. By
-        default, a subset of the cameras.
+        Given cameras, of which some are left out to measure in; None plans views.
     threads : int
         Number of threads, 0 for all cores.
     progress : Progress
@@ -73,8 +70,9 @@ def choose_tuning_views(
         ``empty-scene``: no view can be planned.
     """
     if cameras is not None:
-        held_out = held_out_views(cameras)
-        return TuningViews(cameras, (), held_out, held_out or test_views)
+        used, left_out = leave_out(cameras)
+        origin = "left-out" if left_out else "scored"
+        return TuningViews(used, (), sample_evenly(left_out, TEST_VIEWS), origin)
     # Quality in training views would be too optimistic: planned test views are separate.
     found = plan(splats, ViewPlanConfig(threads=threads), progress=progress)
-    return TuningViews(found.views, found.covering_views, (), found.test_views, planned=True)
+    return TuningViews(found.views, found.covering_views, found.test_views, "planned")

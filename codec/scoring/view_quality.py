@@ -1,9 +1,9 @@
-"""PSNR and SSIM between renders of two scenes, in test views and roaming views."""
+"""PSNR and SSIM between renders of two scenes, in test, close and roaming views."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 
 import numpy as np
@@ -14,6 +14,7 @@ from cogsplat.codec.metrics import psnr, ssim
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
+from cogsplat.codec.views.close_views import ViewDistance, close_views, view_distances
 from cogsplat.codec.views.view_sets import roam
 
 # Side of SSIM's window (Wang et al. 2004), px.
@@ -32,11 +33,14 @@ class ViewQuality:
         PSNR, dB; 100 for identical images.
     ssim : float
         SSIM.
+    distance : float or None
+        Distance of the camera from what it shows, scene units; None where it was not measured.
     """
 
     view: str
     psnr_db: float
     ssim: float
+    distance: float | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -47,17 +51,22 @@ class Comparison:
     ----------
     test : tuple of ViewQuality
         Quality in the given cameras.
+    close : tuple of ViewQuality
+        Quality in close views of some cameras (`close_views.view_distances`).
     roaming : tuple of ViewQuality
         Quality in views off the capture path, derived from the cameras (`view_sets.roam`).
     """
 
     test: tuple[ViewQuality, ...]
+    close: tuple[ViewQuality, ...]
     roaming: tuple[ViewQuality, ...]
 
     def __repr__(self) -> str:
         worst = f"lowest {self.worst.psnr_db:.2f} dB in {self.worst.view!r}"
         test = f"{mean_psnr_db(self.test):.2f} dB, SSIM {mean_ssim(self.test):.4f}"
-        return f"Comparison({test}, {worst}; roaming {mean_psnr_db(self.roaming):.2f} dB)"
+        close = f"close {mean_psnr_db(self.close):.2f} dB; " if self.close else ""
+        roaming = f"roaming {mean_psnr_db(self.roaming):.2f} dB"
+        return f"Comparison({test}, {worst}; {close}{roaming})"
 
     def _repr_html_(self) -> str:
         """Return an HTML table of the test views for notebooks."""
@@ -176,17 +185,20 @@ def compare(
     *,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ssim_border: str = "valid",
+    close: bool = True,
     threads: int = 0,
     progress: Progress = silent,
 ) -> Comparison:
-    """Measure PSNR and SSIM between two scenes in test views and in roaming views.
+    """Measure PSNR and SSIM between two scenes in test, close and roaming views.
 
     Parameters
     ----------
     reference, other, cameras, background, ssim_border, threads
         See `view_qualities`.
+    close : bool
+        Whether to measure in close views as well, and the distance of every test view.
     progress : Progress
-        Called with the stages ``test`` and ``roam``.
+        Called with the stages ``test``, ``close`` and ``roam``.
 
     Returns
     -------
@@ -198,8 +210,14 @@ def compare(
     DataError
         See `view_qualities`.
     """
-    sets = {"test": list(cameras), "roam": roam(reference, cameras)}
-    test, roaming = (
+    distances = view_distances(reference, cameras, threads=threads) if close else []
+    near = close_views(distances)
+    sets = {
+        "test": list(cameras),
+        "close": [view.camera for view in near],
+        "roam": roam(reference, cameras),
+    }
+    test, closer, roaming = (
         view_qualities(
             reference,
             other,
@@ -210,6 +228,20 @@ def compare(
             progress=progress,
             stage=stage,
         )
+        if views or stage == "test"
+        else ()
         for stage, views in sets.items()
     )
-    return Comparison(test, roaming)
+    return Comparison(_at(test, distances), _at(closer, near), roaming)
+
+
+def _at(
+    qualities: tuple[ViewQuality, ...], views: Sequence[ViewDistance]
+) -> tuple[ViewQuality, ...]:
+    """Return qualities with the distances of their views, where these were measured."""
+    if not views:
+        return qualities
+    return tuple(
+        replace(quality, distance=view.distance)
+        for quality, view in zip(qualities, views, strict=True)
+    )

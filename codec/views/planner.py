@@ -37,6 +37,7 @@ from .occlusion import Occluders
 from .orbit import OrbitTarget, bounding_ball, bounding_box, orbit, orbit_target, turntable
 from .pose import Lens, Pose, down_direction, level_axes
 from .subsample import Subsample, subsample
+from .view_sets import TEST_VIEWS
 
 F64 = NDArray[np.float64]
 
@@ -103,9 +104,8 @@ _SATURATION: Final = 0.1
 _ISOLATED_OCCLUSION: Final = 0.12
 _COMPACT: Final = 3.0
 _ORBIT_TRIES: Final = 24
-# Number of test views, and their size relative to the scoring views: a small picture averages away
-# errors that a viewer sees.
-_TEST_VIEWS: Final = 32
+# Size of the test views relative to the scoring views: a small picture averages away errors that a
+# viewer sees.
 _TEST_VIEW_SCALE: Final = 1.2
 # Test views are chosen from 8 times as many poses. Their pitch differs from the usual one by at
 # most 30°, and no splat is nearer than 0.2 median vicinity radii. Of these poses the half stays in
@@ -331,7 +331,6 @@ class _Planner:
         self._isolated = False
         # Covered share of the visible splats; set by `_cover`.
         self.coverage = 1.0
-        self._proposed = 0
         self._candidates: list[Candidate] = []
         # Whether each candidate's position is inside something, and the weight of either side.
         self._inside: list[bool] = []
@@ -348,8 +347,9 @@ class _Planner:
         total = (_FIRST_ROUND + _SECOND_ROUND) * views
         self._progress("plan views", 0, total)
         chosen: list[int] = []
-        self._draw_candidates(self._propose(_FIRST_ROUND * views, counts))
-        self._progress("plan views", _FIRST_ROUND * views, total)
+        first = _FIRST_ROUND * views
+        self._draw_candidates(self._propose(np.arange(first), counts))
+        self._progress("plan views", first, total)
         self._weigh_sides()
         around = self._orbit_poses()
         # Splats that the orbit shows need no covering views.
@@ -359,7 +359,7 @@ class _Planner:
         views -= len(around)
         self._choose(chosen, round(_FIRST_SHARE * views))
         badly_shown = counts / (1.0 + self._exposure / _SATURATION)
-        self._draw_candidates(self._propose(_SECOND_ROUND * self._config.views, badly_shown))
+        self._draw_candidates(self._propose(np.arange(first, total), badly_shown))
         self._progress("plan views", total, total)
         self._choose(chosen, views)
         chosen += self._cover(chosen, orbiting)
@@ -402,10 +402,12 @@ class _Planner:
         means, counts = self._means, self._scene.counts
         if self._isolated:
             whole = bounding_ball(means, counts)
-            return turntable(whole, _TEST_VIEWS, self.down, self._config.near_plane)
-        count = _TEST_POSE_FACTOR * _TEST_VIEWS
-        # `_propose` continues its sequence: these poses differ from all candidates.
-        drawn = self._poses_in_box(count) if self._from_inside else self._propose(count, counts)
+            return turntable(whole, TEST_VIEWS, self.down, self._config.near_plane)
+        count = _TEST_POSE_FACTOR * TEST_VIEWS
+        # Negative numbers of the sequence: no candidate has one of these poses, and they are the
+        # same for any number of views.
+        numbers = np.arange(-count, 0)
+        drawn = self._poses_in_box(count) if self._from_inside else self._propose(numbers, counts)
         places = np.array([pose.position for pose in drawn])
         around = self._coarse.occlusion(places, np.full(len(drawn), np.inf))
         near, room = (
@@ -420,7 +422,7 @@ class _Planner:
             fits &= room <= np.median(room[fits])
         # Poses that miss a condition fill up the list: the side weighs most, then pitch, clearance.
         unfit = np.lexsort((np.arange(len(drawn)), ~fits, near > 0.0, ~level, ~right_side))
-        fitting = sorted(unfit[:_TEST_VIEWS].tolist())
+        fitting = sorted(unfit[:TEST_VIEWS].tolist())
         return [drawn[row] for row in fitting]
 
     def _poses_in_box(self, count: int) -> list[Pose]:
@@ -457,24 +459,23 @@ class _Planner:
         self._vicinity_radius = float(np.median(radii))
         return float(np.median(sizes[samples] / (_VIEW_FILLING_RADII * radii)))
 
-    def _propose(self, count: int, weights: F64) -> list[Pose]:
+    def _propose(self, numbers: NDArray[np.int64], weights: F64) -> list[Pose]:
         """Return poses that look at sampled splats from viewing distance, or nearer if blocked.
 
         Parameters
         ----------
-        count : int
-            Number of sampled splats.
+        numbers : (n,) int64
+            Numbers of the directions in the low-discrepancy sequence, one for each sampled splat.
         weights : (M,) float64
             Sampling weight of each splat.
 
         Returns
         -------
         list of Pose
-            At most `count` poses; positions enclosed by splats are left out.
+            At most n poses; positions enclosed by splats are left out.
         """
-        rows = _systematic(weights, count)
-        points = sequence(self._proposed + np.arange(count), STEPS_2D)
-        self._proposed += count
+        rows = _systematic(weights, len(numbers))
+        points = sequence(numbers, STEPS_2D)
         height, azimuth = 2.0 * points[:, 0] - 1.0, 2.0 * np.pi * points[:, 1]
         ring = np.sqrt(1.0 - height * height)
         back = np.stack([ring * np.cos(azimuth), height, ring * np.sin(azimuth)], axis=1)

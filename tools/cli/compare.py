@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.progress import StageCost
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.view_sets import LEFT_OUT_EVERY
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.measuring_costs import comparison_costs, objects_cost
 from cogsplat.tools.evaluation.object_quality import ObjectQuality
@@ -48,6 +50,9 @@ from cogsplat.tools.workflow.inputs import (
 )
 from cogsplat.tools.workflow.output_files import check_outputs
 
+if TYPE_CHECKING:
+    from cogsplat.codec.scoring.view_quality import ViewQuality
+
 
 @click.command(
     epilog="\b\nExample:\n"
@@ -56,7 +61,10 @@ from cogsplat.tools.workflow.output_files import check_outputs
 )
 @click.argument("reference", type=INPUT, metavar="A")
 @click.argument("other", type=INPUT, metavar="B")
-@cameras_option("Without it, all of eval_cameras.json in A's folder, else planned views.")
+@cameras_option(
+    "Without it, all of eval_cameras.json in A's folder, else the test views that `encode` plans "
+    "for A."
+)
 @eval_every_option(8, "compare in it alone; 0 compares in all.")
 @click.option(
     "--by-object",
@@ -102,10 +110,10 @@ def compare(
 ) -> None:
     """Measure PSNR and SSIM between A and B, or a part of B.
 
-    Three figures each: the mean over test cameras, the worst test camera, and the mean over roaming
-    views, which step back from these cameras and turn away.
+    Both are measured in test views; close up, at 40 % of a test view's distance from what it shows;
+    and in roaming views, which step back from the test views and turn away.
     """
-    from cogsplat.codec.scoring import view_quality
+    from cogsplat.codec.scoring.view_quality import compare as compare_scenes
     from cogsplat.tools.evaluation import object_quality
 
     if difference is not None:
@@ -123,7 +131,7 @@ def compare(
         if by_object:
             costs.append(StageCost("objects", objects_cost(len(first.splats), views, 1)))
         stages.plan(costs)
-        found = view_quality.compare(
+        found = compare_scenes(
             first.splats,
             second.splats,
             views,
@@ -148,16 +156,8 @@ def compare(
                 _draw_difference(
                     first.splats, second.splats, worst, background, difference, force, threads
                 )
-    rows = {
-        "test": (
-            view_quality.mean_psnr_db(found.test),
-            view_quality.mean_ssim(found.test),
-        ),
-        "worst": (found.worst.psnr_db, found.worst.ssim),
-        "roam": (view_quality.mean_psnr_db(found.roaming), view_quality.mean_ssim(found.roaming)),
-    }
+    sets = {"test": found.test, "close": found.close, "roam": found.roaming}
     if as_json:
-        figures = {name: {"psnr_db": p, "ssim": s} for name, (p, s) in rows.items()}
         print_json(
             {
                 "reference": _scene_report(reference, first),
@@ -165,12 +165,10 @@ def compare(
                 "test_views": {"from": what, "count": len(views)},
                 "background": list(background),
                 "ssim_border": ssim_border,
-                "test": {**figures["test"], "views": len(found.test)},
-                "worst": {**figures["worst"], "view": found.worst.view},
-                "roam": {**figures["roam"], "views": len(found.roaming)},
+                **{name: _figures(qualities) for name, qualities in sets.items()},
                 "per_view": {
-                    "test": [asdict(quality) for quality in found.test],
-                    "roam": [asdict(quality) for quality in found.roaming],
+                    name: [asdict(quality) for quality in qualities]
+                    for name, qualities in sets.items()
                 },
                 **({} if own is None else {"by_object": [asdict(quality) for quality in own]}),
                 **({} if difference is None else {"difference": display_name(difference)}),
@@ -185,12 +183,7 @@ def compare(
         ("note", _scored_note(eval_every) if cameras is not None else ""),
     )
     print_line("")
-    notes = [
-        count_text(len(found.test), "view"),
-        found.worst.view,
-        count_text(len(found.roaming), "view"),
-    ]
-    _print_figures(rows, notes)
+    _print_figures(sets)
     if own is not None:
         print_line("")
         _print_objects(own)
@@ -201,13 +194,12 @@ def compare(
 
 
 def _scored_note(every: int) -> str:
-    """Return which of the given cameras are test views, and whether B's encoder scored them."""
+    """Return which of the given cameras are test views, and whether B's encoder left them out."""
     if not every:
-        return "all cameras; a file does not record which of them its encoder scored"
-    return (
-        f"one camera in {every}, held out only if B was encoded with --eval-every {every}: a file "
-        "does not record it"
-    )
+        return "all cameras, those that the encoder scored among them"
+    if every == LEFT_OUT_EVERY:
+        return f"one camera in {every}: those that `encode` and `tune` leave out to measure in"
+    return f"one camera in {every}; `encode` and `tune` leave out one in {LEFT_OUT_EVERY}"
 
 
 def _scene_report(path: Path, scene: LoadedScene) -> dict[str, object]:
@@ -222,16 +214,42 @@ def _scene_report(path: Path, scene: LoadedScene) -> dict[str, object]:
     }
 
 
-def _print_figures(rows: dict[str, tuple[float, float]], notes: Sequence[str]) -> None:
-    """Print a table of PSNR and SSIM.
+def _figures(qualities: Sequence[ViewQuality]) -> dict[str, object]:
+    """Return the JSON object of a set of views; without figures for an empty set."""
+    if not qualities:
+        return {"views": 0}
+    from cogsplat.codec.scoring.view_quality import mean_psnr_db, mean_ssim
 
-    `rows` has both by name, such as ``worst``; `notes` has a text per row, such as ``12 views``.
-    """
-    cells = [
-        (name, note, f"{psnr_db:.2f}", f"{ssim:.4f}")
-        for (name, (psnr_db, ssim)), note in zip(rows.items(), notes, strict=True)
-    ]
-    print_table(("", "", "PSNR dB", "SSIM"), cells, left=2)
+    worst = min(qualities, key=lambda quality: quality.psnr_db)
+    return {
+        "psnr_db": mean_psnr_db(qualities),
+        "ssim": mean_ssim(qualities),
+        "views": len(qualities),
+        "worst": asdict(worst),
+    }
+
+
+def _print_figures(sets: Mapping[str, Sequence[ViewQuality]]) -> None:
+    """Print mean PSNR and SSIM of each set of views, and its worst view."""
+    from cogsplat.codec.scoring.view_quality import mean_psnr_db, mean_ssim
+
+    cells = []
+    for name, qualities in sets.items():
+        if not qualities:
+            continue
+        worst = min(qualities, key=lambda quality: quality.psnr_db)
+        where = "" if worst.distance is None else f", {worst.distance:.3g} away"
+        cells.append(
+            (
+                name,
+                count_text(len(qualities), "view"),
+                f"{mean_psnr_db(qualities):.2f}",
+                f"{mean_ssim(qualities):.4f}",
+                f"{worst.psnr_db:.2f}",
+                f"{worst.view}{where}",
+            )
+        )
+    print_table(("", "", "PSNR dB", "SSIM", "worst dB", ""), cells, left=2)
 
 
 def _print_objects(qualities: Sequence[ObjectQuality]) -> None:

@@ -70,6 +70,7 @@ from cogsplat.tools.workflow.inputs import (
     scoring_cameras,
 )
 from cogsplat.tools.workflow.order_options import order_options
+from cogsplat.tools.workflow.predicted_quality import predicted_facts, prediction_report
 from cogsplat.tools.workflow.scene_edits import edit_options
 
 from .encode_options import EncodeOptions
@@ -408,7 +409,7 @@ def _print_summary(new: _NewFile) -> None:
         ("splats", f"{kept:,} of {rows_in:,} ({gone}), {size / max(kept, 1):.2f} B each"),
         ("chunks", f"{file.num_chunks}, SH degree {file.root.sh_degree}"),
         ("codebooks", f"{', '.join(books)} rows" if books else ""),
-        ("predicted", _predicted(made)),
+        *predicted_facts(made),
         ("scored", _scored(made)),
         ("time", stages.summary()),
         ("report", str(options.report) if options.report else ""),
@@ -428,23 +429,10 @@ def _scored(made: EncodeReport) -> str:
     )
 
 
-def _predicted(made: EncodeReport) -> str:
-    """Return the predicted PSNR of the whole scene as text: mean and worst view."""
-    values = made.test_psnr_db
-    if not values:
-        return ""
-    mean = sum(values) / len(values)
-    whose = "planned around the scene" if made.test_views == "planned" else "of those given"
-    return f"{mean:.2f} dB, the mean of {len(values)} views {whose}; the worst {min(values):.2f} dB"
-
-
-def _prediction(made: EncodeReport) -> dict[str, object]:
-    """Return the JSON keys about scored views and predicted PSNR."""
-    values = made.test_psnr_db
+def _views_report(made: EncodeReport) -> dict[str, object]:
+    """Return the JSON keys of the predicted PSNR and of the scored views."""
     return {
-        "predicted_psnr_db": round(sum(values) / len(values), 3) if values else None,
-        "predicted_worst_psnr_db": round(min(values), 3) if values else None,
-        "test_views": {"from": made.test_views, "count": len(values)},
+        **prediction_report(made),
         "scored_views": made.scored_views,
         "scored_views_from": made.views,
         "coverage": None if made.views == "none" else round(made.coverage, 4),
@@ -466,7 +454,7 @@ def _report(
             {"attribute": book.attribute, "rows": book.rows} for book in file.root.codebooks
         ],
         "profile": config.profile,
-        **_prediction(made),
+        **_views_report(made),
         "order": config.order,
         "quality_db": None if config.profile == "near-lossless" else round(made.quality_db, 3),
         "trials": made.trials,

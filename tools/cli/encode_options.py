@@ -19,7 +19,7 @@ from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.terminal.output_names import COGS, HTML, check_name
 from cogsplat.tools.terminal.usage import usage_errors
 from cogsplat.tools.terminal.values import Colour
-from cogsplat.tools.workflow.inputs import load_cameras, target_cameras
+from cogsplat.tools.workflow.inputs import load_cameras
 from cogsplat.tools.workflow.order_options import OrderChoice
 from cogsplat.tools.workflow.output_files import check_outputs
 from cogsplat.tools.workflow.scene_edits import SceneEdits
@@ -163,7 +163,6 @@ class EncodeOptions:
                 config=config,
                 score_config=replace(scoring, device=self.device),
                 target=target,
-                test_views=target_cameras(given, self.eval_every) if given else (),
                 stored_cameras=given if self.store_cameras else (),
                 workspace=workspace,
                 memory_bytes=None,

@@ -50,12 +50,11 @@ from cogsplat.tools.terminal.values import Colour, FiniteNumber, byte_count
 from cogsplat.tools.workflow.inputs import (
     LoadedScene,
     drop_invalid_splats,
-    load_cameras,
     read_any,
     scoring_cameras,
-    target_cameras,
 )
 from cogsplat.tools.workflow.output_files import check_outputs
+from cogsplat.tools.workflow.predicted_quality import predicted_facts, prediction_report
 from cogsplat.tools.workflow.tune_checkpoint import (
     CHECKPOINT,
     fingerprint,
@@ -262,10 +261,7 @@ class TuneOptions:
             if size_bytes < 1:
                 raise click.UsageError("--target-size of 0 bytes, expected at least 1")
             target = Target(size_bytes=size_bytes)
-        tests = target_cameras(load_cameras(self.cameras), self.eval_every) if self.cameras else ()
-        views = choose_tuning_views(
-            splats, given, test_views=tests, threads=self.threads, progress=progress
-        )
+        views = choose_tuning_views(splats, given, threads=self.threads, progress=progress)
         photos = None
         if self.images is not None:
             photos = read_ground_truth(self.images, views.cameras)
@@ -323,8 +319,7 @@ def _tune(options: TuneOptions) -> None:
             size = metadata.save(made.encoded, options.out, force=options.force)
             if options.ply is not None:
                 cogsplat.write(made.splats, options.ply, force=options.force, format_name="ply")
-    whose = "planned" if request.views.planned else "given"
-    _print_summary(options, given, made.encoded, size, whose, stages)
+    _print_summary(options, given, made.encoded, size, stages)
 
 
 def _print_milestone(milestone: Milestone) -> None:
@@ -342,12 +337,9 @@ def _print_summary(
     given: LoadedScene,
     made: EncodedScene,
     size: int,
-    whose: str,
     stages: Stages,
 ) -> None:
-    """Print the summary of the new file, or its JSON object; `whose` is the views' origin."""
-    values = made.report.test_psnr_db
-    mean = sum(values) / len(values)
+    """Print the summary of the new file, or its JSON object."""
     ratio = given.file_bytes / size
     if options.as_json:
         print_json(
@@ -360,9 +352,7 @@ def _print_summary(
                 "source_bytes": given.file_bytes,
                 "source_splats": given.file_splats,
                 "ratio": round(ratio, 3),
-                "predicted_psnr_db": round(mean, 3),
-                "predicted_worst_psnr_db": round(min(values), 3),
-                "test_views": {"from": whose, "count": len(values)},
+                **prediction_report(made.report),
                 "seconds": stages.rounded_seconds(),
                 "cpu_seconds": stages.rounded_cpu_seconds(),
             }
@@ -376,10 +366,6 @@ def _print_summary(
                 "splats",
                 f"{made.splats:,} of {given.file_splats:,}, {size / made.splats:.2f} B each",
             ),
-            (
-                "measured",
-                f"{mean:.2f} dB, the mean of {len(values)} views {whose}; the worst "
-                f"{min(values):.2f} dB",
-            ),
+            *predicted_facts(made.report),
             ("time", stages.summary()),
         )

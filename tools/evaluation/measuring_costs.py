@@ -12,6 +12,7 @@ from typing import Final
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.progress import StageCost
+from cogsplat.codec.views.view_sets import CLOSE_VIEWS
 
 # Cost of PSNR and SSIM per pixel.
 _METRICS_COST: Final = 8.5e-7
@@ -30,7 +31,12 @@ def comparison_costs(splats: int, cameras: Sequence[Camera]) -> list[StageCost]:
         Test views, at least one.
     """
     once = versions_cost(splats, cameras, 1, renders=2) / (1 + _ROAMING_VIEWS)
-    return [StageCost("test", once), StageCost("roam", _ROAMING_VIEWS * once)]
+    close = min(1.0, CLOSE_VIEWS / len(cameras)) * once
+    return [
+        StageCost("test", once),
+        StageCost("close", close),
+        StageCost("roam", _ROAMING_VIEWS * once),
+    ]
 
 
 def versions_cost(

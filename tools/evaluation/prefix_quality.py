@@ -151,7 +151,7 @@ def measure(
     for fraction in PREFIX_FRACTIONS:
         prefix = decode_fraction(path, fraction, threads=threads)
         compared = view_quality.compare(
-            source, prefix, cameras, background=background, threads=threads
+            source, prefix, cameras, background=background, close=False, threads=threads
         )
         found.append(
             PrefixQuality(

@@ -34,12 +34,6 @@ if TYPE_CHECKING:
 EVAL_CAMERAS: Final = "eval_cameras.json"
 """Name of the file of test views in the folder of a scene; splats are not scored in them."""
 
-EVAL_EVERY: Final = 8
-"""Default of ``--eval-every`` in commands that measure."""
-
-# Fewer cameras than this give no stable mean PSNR.
-_FEWEST_TARGET_CAMERAS: Final = 4
-
 # Three float32 images of this many pixels take 4.5 GiB.
 _MAX_VIEW_PIXELS: Final = 1 << 27
 
@@ -354,34 +348,6 @@ def scoring_cameras(path: Path | None, every: int) -> list[Camera] | None:
     return train
 
 
-def target_cameras(cameras: Sequence[Camera], every: int) -> list[Camera]:
-    """Return the cameras in which a target PSNR is measured: neighbours of the held-out cameras.
-
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        All cameras in file order.
-    every : int
-        Interval of the held-out cameras; 0 for none, which returns every eighth camera, the
-        default of `compare`.
-
-    Returns
-    -------
-    list of Camera
-        Neighbours in the file, none of them held out. All cameras that are not held out, if there
-        are fewer than four neighbours.
-    """
-    if every:
-        allowed, _ = hold_out(cameras, every)
-        last = len(cameras) - 1
-        beside = {row + side for row in range(0, len(cameras), every) for side in (-1, 1)}
-        found = [cameras[row] for row in sorted(beside) if 0 <= row <= last and row % every]
-    else:
-        allowed = list(cameras)
-        _, found = hold_out(cameras, EVAL_EVERY)
-    return found if len(found) >= _FEWEST_TARGET_CAMERAS else allowed
-
-
 def plan_views(splats: Splats, *, threads: int = 0, progress: Progress = silent) -> ViewPlan:
     """Plan the views to score in and the test views of a scene without cameras.
 
@@ -419,13 +385,14 @@ def evaluation_cameras(
         File of the scene. Without `path`, all cameras of ``eval_cameras.json`` in its folder are
         the test views.
     splats : Splats
-        Scene, for which views are planned if there are no cameras at all.
+        Scene, for which test views are planned if there are no cameras at all: those that an
+        encode without cameras predicts quality in.
     path : Path or None
         File of cameras.
     every : int
         Interval of the test views among the cameras of `path` or the planned views; 0 for all.
     planned : sequence of Camera, optional
-        Planned views, if known.
+        Planned scoring views to hold out test views from, instead of planned test views.
     threads : int
         Number of threads that plan views; 0 for all cores.
     progress : Progress
@@ -437,7 +404,9 @@ def evaluation_cameras(
         what = f"cameras of {path}"
     elif beside.is_file():
         return load_cameras(beside), f"cameras of {beside}"
+    elif planned is None:
+        tests = plan_views(splats, threads=threads, progress=progress).test_views
+        return tests, "views planned around the scene"
     else:
-        what = "virtual views"
-        cameras = planned or plan_cameras(splats, threads=threads, progress=progress)
+        cameras, what = planned, "planned views"
     return (hold_out(cameras, every)[1] if every else cameras), what

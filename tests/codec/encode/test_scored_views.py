@@ -11,10 +11,12 @@ from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.pipeline import encode
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.request import EncodeRequest
-from cogsplat.codec.encode.scored_views import score_given, single_camera_share
+from cogsplat.codec.encode.scored_views import score_given, score_scene, single_camera_share
 from cogsplat.codec.errors import DataError
+from cogsplat.codec.progress import silent
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.view_sets import CLOSE_VIEWS
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 PLAIN = ScoreConfig(jitter=False)
@@ -91,3 +93,36 @@ def test_no_views_are_refused() -> None:
     with pytest.raises(DataError) as error:
         score_given(synth(100), [], FAST, PLAIN)
     assert error.value.code == "no-cameras"
+
+
+def test_quality_is_predicted_in_cameras_that_were_not_scored() -> None:
+    splats, cameras = synth(400, sh_degree=0), synth_cameras(17, 40, 30)
+    config = EncodeConfig(compensate=False, order="contribution")
+    request = EncodeRequest(config=config, cameras=cameras, score_config=PLAIN)
+    found = score_scene(splats, request, silent)
+    assert found.report.test_views == "left-out"
+    assert [view.name for view in found.test_views] == [cameras[k].name for k in (0, 8, 16)]
+    assert not {view.name for view in found.views} & {view.name for view in found.test_views}
+    # A preset that scores few of many leaves out more, and the predicted figures are theirs.
+    made = encode(splats, replace(request, preset="fast"))
+    assert made.report.test_views == "left-out"
+    assert made.report.scored_views + len(made.report.test_psnr_db) == len(cameras)
+    assert len(made.report.test_distances) == len(made.report.test_psnr_db)
+    assert 0 < len(made.report.close_psnr_db) <= CLOSE_VIEWS
+    assert max(made.report.close_distances) < max(made.report.test_distances)
+
+
+def test_given_test_views_leave_all_cameras_to_be_scored() -> None:
+    splats, cameras = synth(400, sh_degree=0), synth_cameras(17, 40, 30)
+    request = EncodeRequest(cameras=cameras[1:], test_views=cameras[:1], score_config=PLAIN)
+    found = score_scene(splats, request, silent)
+    assert (found.report.test_views, len(found.views)) == ("given", 16)
+    assert list(found.test_views) == cameras[:1]
+
+
+def test_few_cameras_are_all_scored_and_measured_in() -> None:
+    splats, cameras = synth(400, sh_degree=0), synth_cameras(8, 40, 30)
+    request = EncodeRequest(cameras=cameras, score_config=PLAIN)
+    found = score_scene(splats, request, silent)
+    assert found.report.test_views == "scored"
+    assert list(found.test_views) == list(found.views) == cameras

@@ -5,7 +5,7 @@ import oracle
 import pytest
 
 from cogsplat.codec.errors import DataError
-from cogsplat.codec.fit.training_views import MAX_VIEWS, held_out_views, make_training_views
+from cogsplat.codec.fit.training_views import make_training_views
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import SceneInfo
 
@@ -40,27 +40,6 @@ def test_interpolated_cameras_are_halfway():
     three = make_training_views(splats, [one, middle, other])
     assert (three.num_given, three.num_on_path) == (3, 6)
     assert len({camera.name for camera in three.cameras}) == len(three)
-
-
-def test_held_out_views_are_not_trained_on():
-    splats = oracle.scene(5)
-    cameras = [oracle.camera(angle) for angle in np.linspace(0.0, 1.2, 8)]
-    held_out = held_out_views(cameras)
-    assert 1 <= len(held_out) < len(cameras)
-    whole, without = (
-        make_training_views(splats, cameras, held_out=views) for views in ((), held_out)
-    )
-    names = {camera.name for camera in without.cameras}
-    assert not names & {camera.name for camera in held_out}
-    assert {camera.name for camera in whole.cameras[: whole.num_on_path]} == {
-        camera.name for camera in [*without.cameras[: without.num_on_path], *held_out]
-    }
-    # Held-out views have no jittered copies either.
-    assert len(whole) - len(without) == 2 * len(held_out)
-    # Cameras that face each other are not interpolated.
-    assert held_out_views([oracle.camera(0.0), oracle.camera(np.pi)]) == []
-    assert held_out_views([oracle.camera()]) == []
-    assert len(held_out_views([oracle.camera(x) for x in np.linspace(0, 3, 200)])) <= MAX_VIEWS
 
 
 def test_covering_views_have_no_copies():

@@ -27,7 +27,7 @@ def test_invalid_settings_are_refused(settings, said):
 
 def test_photos_of_planned_views_are_refused():
     with pytest.raises(ValueError, match="photos for planned views"):
-        TuneRequest(TuningViews((), planned=True), photos=())
+        TuneRequest(TuningViews((), origin="planned"), photos=())
 
 
 def test_configurations_import_without_numba():

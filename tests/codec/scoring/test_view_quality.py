@@ -10,6 +10,7 @@ from cogsplat.codec.metrics import psnr, ssim
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.scoring import view_quality
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.close_views import close_views, view_distances
 from cogsplat.codec.views.view_sets import roam
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
@@ -36,7 +37,13 @@ def test_each_view_is_compared_as_rendered(scene: Splats) -> None:
 def test_roam_views_are_made_from_the_reference(scene: Splats) -> None:
     other = scene.take(slice(0, 700))
     found = view_quality.compare(scene, other, CAMERAS)
-    assert found.test == view_quality.view_qualities(scene, other, CAMERAS)
+    plain = [replace(quality, distance=None) for quality in found.test]
+    assert tuple(plain) == view_quality.view_qualities(scene, other, CAMERAS)
+    distances = view_distances(scene, CAMERAS)
+    assert [quality.distance for quality in found.test] == [view.distance for view in distances]
+    near = [view.camera for view in close_views(distances)]
+    plain = [replace(quality, distance=None) for quality in found.close]
+    assert tuple(plain) == view_quality.view_qualities(scene, other, near)
     assert found.roaming == view_quality.view_qualities(scene, other, roam(scene, CAMERAS))
     assert found.worst == min(found.test, key=lambda quality: quality.psnr_db)
 

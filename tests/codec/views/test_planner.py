@@ -8,6 +8,7 @@ import numpy as np
 import oracle
 import pytest
 from numpy.typing import NDArray
+from shapes import balls, box, sphere
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import Cancelled, DataError
@@ -15,37 +16,11 @@ from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.splats import SceneInfo, Splats, concatenate, empty
 from cogsplat.codec.views.planner import ViewPlanConfig, plan, plan_views
 from cogsplat.codec.views.pose import Pose
+from cogsplat.codec.views.view_sets import TEST_VIEWS
 from cogsplat.tools.lab.synthetic.terrace import synth
 
 SMALL = ViewPlanConfig(views=24, width=64, height=48)
 FLOOR = np.array([0.0, 0.85, 0.0])
-
-
-def balls(points: NDArray[np.float64], size: float) -> Splats:
-    """Return round, nearly opaque splats."""
-    splats = empty(0, len(points))
-    splats.means[:] = points
-    splats.scales[:] = math.log(size)
-    splats.opacities[:] = 4.0
-    return splats
-
-
-def sphere(radius: float, n: int = 1500, centre: Sequence[float] = (0.0, 0.0, 0.0)) -> Splats:
-    points = np.random.default_rng(1).normal(size=(n, 3))
-    points *= radius / np.linalg.norm(points, axis=1, keepdims=True)
-    return balls(points + np.asarray(centre), radius * math.sqrt(4.0 * math.pi / n))
-
-
-def box(half: Sequence[float], n: int, centre: Sequence[float] = (0.0, 0.0, 0.0)) -> Splats:
-    """Return the walls of a box, splats as dense on all of them."""
-    rng = np.random.default_rng(2)
-    sides = np.asarray(half, float)
-    areas = np.repeat(np.prod(sides) / sides, 2)
-    points = rng.uniform(-1.0, 1.0, (n, 3))
-    walls = rng.choice(6, n, p=areas / areas.sum())
-    points[np.arange(n), walls // 2] = np.where(walls % 2, 1.0, -1.0)
-    size = 0.8 * math.sqrt(4.0 * areas.sum() / n)
-    return balls(points * sides + np.asarray(centre), size)
 
 
 def places(cameras: list[Camera]) -> NDArray[np.float64]:
@@ -105,7 +80,7 @@ def test_an_object_is_seen_from_all_around_and_close(size: float) -> None:
 
 def test_test_views_show_the_whole_of_an_isolated_object() -> None:
     ball = plan(sphere(1.0), SMALL)
-    assert len(ball.test_views) == 32
+    assert len(ball.test_views) == TEST_VIEWS
     same(ball.views + ball.covering_views, plan_views(sphere(1.0), SMALL))
     assert (gaze(ball.test_views, (0.0, 0.0, 0.0)) > 0.99).all()
     assert_apart(ball.test_views, ball.views + ball.covering_views)

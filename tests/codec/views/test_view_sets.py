@@ -7,7 +7,7 @@ import pytest
 
 from cogsplat.codec.geometry.frustum import visible_depth
 from cogsplat.codec.splats import concatenate, empty
-from cogsplat.codec.views.view_sets import hold_out, jitter, roam
+from cogsplat.codec.views.view_sets import hold_out, jitter, leave_out, roam
 
 
 def _named(count):
@@ -27,6 +27,15 @@ def test_zero_holds_out_none_and_one_holds_out_all():
     assert hold_out(cameras, 1) == ([], cameras)
     with pytest.raises(ValueError, match="expected 0"):
         hold_out(cameras, -1)
+
+
+def test_every_eighth_camera_is_left_out_of_nine_and_more():
+    used, left_out = leave_out(list(range(17)))
+    assert left_out == [0, 8, 16]
+    assert sorted([*used, *left_out]) == list(range(17))
+    assert leave_out(list(range(9)))[1] == [0, 8]
+    assert leave_out(list(range(8))) == (list(range(8)), [])
+    assert leave_out([]) == ([], [])
 
 
 def test_visible_depth_is_the_median_over_means_in_the_picture():

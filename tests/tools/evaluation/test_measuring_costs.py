@@ -18,8 +18,8 @@ def test_costs_add_up_by_views_and_versions() -> None:
     assert versions_cost(1000, cameras * 2, 1) == pytest.approx(2 * once)
     assert versions_cost(9000, cameras, 1) > once
     assert versions_cost(1000, synth_cameras(4, 640, 480), 1) > 10 * once
-    test, roam = comparison_costs(1000, cameras)
-    assert (test.stage, roam.stage) == ("test", "roam")
+    test, close, roam = comparison_costs(1000, cameras)
+    assert (test.stage, close.stage, roam.stage) == ("test", "close", "roam")
     assert roam.cost == pytest.approx(2 * test.cost)
     # Two renders of each view in place of one.
     assert once < test.cost + roam.cost < 2 * once

@@ -465,6 +465,7 @@ def _measure(
         decoded,
         given.cameras,
         background=given.background,
+        close=False,
         threads=given.threads,
         progress=progress,
     )

@@ -151,14 +151,14 @@ def test_fitted_cameras_cut_nothing_and_distort_nothing(size: tuple[int, int]) -
 def test_scene_compared_with_itself_is_identical(run: Run, small: SmallScene) -> None:
     told = run("compare", small.ply, small.ply, "--cameras", small.cameras, "--json")
     assert (told.code, told.err) == (0, "")
-    for name in ("test", "worst", "roam"):
+    for name in ("test", "close", "roam"):
         figures = told.json[name]
         assert isinstance(figures, dict)
         assert figures["psnr_db"] == 100.0
         assert figures["ssim"] == pytest.approx(1.0)
 
 
-def test_compare_prints_test_views_worst_and_roam(run: Run, small: SmallScene) -> None:
+def test_compare_prints_test_close_and_roaming_views(run: Run, small: SmallScene) -> None:
     arguments = ["compare", small.ply, small.cogs, "--cameras", small.cameras, "--eval-every", 4]
     report = run(*arguments, "--json").json
     per_view, held, roam = report["per_view"], report["test"], report["roam"]
@@ -170,12 +170,19 @@ def test_compare_prints_test_views_worst_and_roam(run: Run, small: SmallScene) -
     assert (held["views"], roam["views"]) == (3, 6)
     assert held["psnr_db"] == pytest.approx(sum(view["psnr_db"] for view in views) / 3)
     worst = min(views, key=lambda view: view["psnr_db"])
-    assert report["worst"] == {key: worst[key] for key in ("psnr_db", "ssim", "view")}
+    assert held["worst"] == worst
+    close = report["close"]
+    assert isinstance(close, dict)
+    assert close["views"] == 3
+    for near, view in zip(per_view["close"], views, strict=True):
+        assert near["view"] == f"{view['view']}-close"
+        assert near["distance"] < view["distance"]
     told = run(*arguments, "--quiet")
     assert told.err == ""
     assert f"{held['psnr_db']:.2f}" in told.out
     assert worst["view"] in told.out
-    assert "one camera in 4, held out only if B was encoded with --eval-every 4" in told.out
+    assert "one camera in 4; `encode` and `tune` leave out one in 8" in told.out
+    assert f"{worst['distance']:.3g} away" in told.out
 
 
 def test_compare_takes_parts_and_backgrounds(run: Run, small: SmallScene) -> None:
@@ -198,7 +205,7 @@ def test_compare_measures_in_cameras_beside_the_scene(
     scene = tmp_path / "scene.ply"
     scene.write_bytes(small.ply.read_bytes())
     made_up = run("compare", scene, small.cogs, "--eval-every", 24, "--json").json
-    assert made_up["test_views"]["from"] == "virtual views"
+    assert made_up["test_views"]["from"] == "views planned around the scene"
     write_cameras_json(synth_cameras(3, 64, 48), tmp_path / "eval_cameras.json")
     told = run("compare", scene, small.cogs, "--json").json
     assert "eval_cameras.json" in str(told["test_views"])
