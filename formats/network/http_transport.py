@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import ssl
 from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager, contextmanager
+from contextlib import asynccontextmanager, contextmanager, suppress
 from functools import cache
 from http.cookiejar import CookieJar, DefaultCookiePolicy
 from types import ModuleType
@@ -94,8 +94,7 @@ class HttpTransport:
                 head, timely(self._parts(response), options.idle_seconds, self._name)
             )
         finally:
-            with self._library_errors():
-                await response.aclose()
+            await _close(response)
 
     async def _parts(self, response: httpx.Response) -> AsyncIterator[bytes]:
         """Yield the parts of a body as they arrive."""
@@ -112,12 +111,12 @@ class HttpTransport:
         response = await self._follow(first, end, bypass_caches)
         expired = response.status_code in (401, 403)
         if expired and self._options.sign is not None:
-            await self._close_response(response)
+            await _close(response)
             self._given = self._target = _parsed(self._options.sign())
             return await self._follow(first, end, bypass_caches)
         if response.status_code in (401, 403, 404, 410) and self._target != self._given:
             # The target of a redirect may be a signed URL that has expired.
-            await self._close_response(response)
+            await _close(response)
             self._target = self._given
             return await self._follow(first, end, bypass_caches)
         return response
@@ -137,7 +136,7 @@ class HttpTransport:
             if response.status_code not in _REDIRECTS or location is None:
                 self._target = url
                 return response
-            await self._close_response(response)
+            await _close(response)
             url = self._redirect_target(url, location)
         raise StorageError(
             "redirect-loop", f"{self._name}: more than {_MAX_REDIRECTS} redirects, expected a file"
@@ -162,11 +161,6 @@ class HttpTransport:
                 "expected https",
             )
         return target
-
-    async def _close_response(self, response: httpx.Response) -> None:
-        """Close a response whose body is not read."""
-        with self._library_errors():
-            await response.aclose()
 
     @contextmanager
     def _library_errors(self) -> Iterator[None]:
@@ -204,8 +198,7 @@ class HttpTransport:
     async def close(self) -> None:
         """Close the connections, unless another transport owns the client."""
         if self._own:
-            with self._library_errors():
-                await self._client.aclose()
+            await _close(self._client)
 
 
 def new_client(
@@ -219,28 +212,48 @@ def new_client(
         Timeouts, number of connections, and whether private addresses are allowed.
     transport : httpx.AsyncBaseTransport, optional
         Transport to use in place of the network.
+
+    Raises
+    ------
+    StorageError
+        ``network-settings``: proxies or certificates of the environment cannot be used.
     """
     library = _httpx()
     connections = options.in_flight + 2
-    if transport is None and not options.allow_private:
-        from .public_transport import PublicTransport
+    try:
+        if transport is None and not options.allow_private:
+            from .public_transport import PublicTransport
 
-        transport = PublicTransport(_certificates(), connections)
-    made: httpx.AsyncClient = library.AsyncClient(
-        http2=True,
-        timeout=library.Timeout(options.idle_seconds, connect=options.connect_seconds, pool=None),
-        limits=library.Limits(max_connections=connections),
-        verify=_certificates(),
-        cookies=no_cookies(),
-        event_hooks={"response": [_set_location_aside]},
-        transport=transport,
-    )
+            transport = PublicTransport(_certificates(), connections)
+        idle, connect = options.idle_seconds, options.connect_seconds
+        made: httpx.AsyncClient = library.AsyncClient(
+            http2=True,
+            timeout=library.Timeout(idle, connect=connect, pool=None),
+            limits=library.Limits(max_connections=connections),
+            verify=_certificates(),
+            cookies=no_cookies(),
+            event_hooks={"response": [_set_location_aside]},
+            transport=transport,
+        )
+    except Exception as error:
+        # Proxies and certificates of the environment fail with exceptions of many types.
+        raise StorageError(
+            "network-settings",
+            f"no HTTP client: {_fault_of(error)}, expected valid proxies "
+            "(HTTP_PROXY, HTTPS_PROXY, ALL_PROXY) and certificates (SSL_CERT_FILE, SSL_CERT_DIR)",
+        ) from error
     return made
 
 
 def no_cookies() -> CookieJar:
     """Return a jar that keeps no cookies, with which a server could fill memory and requests."""
     return CookieJar(DefaultCookiePolicy(allowed_domains=[]))
+
+
+async def _close(opened: httpx.Response | httpx.AsyncClient) -> None:
+    """Close a response or client. A connection that fails to close is gone as well."""
+    with suppress(Exception):
+        await opened.aclose()
 
 
 async def _set_location_aside(response: httpx.Response) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -10,6 +11,15 @@ from cogsplat.codec.finite_fields import require_finite
 
 KIB = 1 << 10
 MIB = 1 << 20
+
+_NOT_NEGATIVE = (
+    "retries", "gap_bytes", "pause_seconds", "longest_pause_seconds", "longest_wait_seconds",
+    "cache_bytes",
+)  # fmt: skip
+_POSITIVE = (
+    "in_flight", "request_bytes", "window_bytes", "unstated_bytes", "idle_seconds",
+    "connect_seconds",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -92,9 +102,13 @@ class NetworkOptions:
 
     def __post_init__(self) -> None:
         require_finite(self)
-        for name in ("retries", "gap_bytes", "pause_seconds"):
-            if getattr(self, name) < 0:
+        for name in _NOT_NEGATIVE:
+            # NaN is not in the range either.
+            if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} {getattr(self, name)}, expected 0 or more")
-        for name in ("in_flight", "request_bytes", "window_bytes", "idle_seconds"):
-            if getattr(self, name) <= 0:
+        for name in _POSITIVE:
+            if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} {getattr(self, name)}, expected more than 0")
+        for name, value in self.headers.items():
+            if not (name + value).isprintable():
+                raise ValueError(f"header {name!r} {value!r}, expected printable characters")

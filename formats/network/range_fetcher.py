@@ -155,6 +155,14 @@ class RangeFetcher:
             busy += time.monotonic() - self._busy_since
         return Traffic(self._requests, self._received, self._failures, busy)
 
+    def fail(self, error: BaseException) -> None:
+        """Store the error that ended the event loop, for all waiting and later readers."""
+        with self.arrival:
+            self.error = self.error or error
+            if self.whole is not None and self._stopping:
+                self.whole.close()
+            self.arrival.notify_all()
+
     # Called in the event loop.
 
     async def run(self) -> None:
@@ -169,15 +177,15 @@ class RangeFetcher:
                 await self._has_work.wait()
         except BaseException as error:
             # A bug in this class: without this, waiting readers would wait for ever.
-            self._fail(error)
+            self.fail(error)
             raise
         finally:
             tasks = list(self._in_flight.values())
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
+            self.fail(ValueError(f"{self._name}: is closed, expected it open"))
             await self._transport.close()
-            self._fail(ValueError(f"{self._name}: is closed, expected it open"))
 
     def _begin_requests(self) -> None:
         """Start requests for queued ranges, up to the limits of concurrency and memory."""
@@ -423,11 +431,3 @@ class RangeFetcher:
         request.end = self._options.unstated_bytes + 1 if self.size is None else self.size
         self.arrival.notify_all()
         return self.whole
-
-    def _fail(self, error: BaseException) -> None:
-        """Store the error that ended the event loop, for all waiting and later readers."""
-        with self.arrival:
-            self.error = self.error or error
-            if self.whole is not None and self._stopping:
-                self.whole.close()
-            self.arrival.notify_all()

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Final, TypeVarTuple, Unpack
 
 from cogsplat.codec.errors import Cancelled, CogsplatWarning
+from cogsplat.formats.storage.atomic import storage_error
 from cogsplat.formats.storage.source import Cancel, require_within
 
 from .network_options import KIB, NetworkOptions
@@ -298,8 +299,12 @@ class RangeSource:
 
     def _run(self) -> None:
         """Run the event loop of the requests, in the thread of this source."""
-        with asyncio.Runner(loop_factory=_EventLoop) as runner:
-            runner.run(self._fetcher.run())
+        try:
+            with asyncio.Runner(loop_factory=_EventLoop) as runner:
+                runner.run(self._fetcher.run())
+        except OSError as error:
+            # Without descriptors for the loop, readers would wait for ever.
+            self._fetcher.fail(storage_error(error, self.name))
 
     def _wait_for_size(self) -> int:
         """Wait for the first response and return the length of the file, bytes."""

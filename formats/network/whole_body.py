@@ -10,6 +10,8 @@ from cogsplat.formats.storage.atomic import storage_errors
 # Bytes kept in memory; a longer body goes to a temporary file.
 _IN_MEMORY: Final = 16 << 20
 
+_NAME: Final = "temporary file of a download"
+
 
 class WholeBody:
     """Received prefix of a file, in memory or, beyond 16 MiB, in a temporary file.
@@ -58,7 +60,7 @@ class WholeBody:
             ``disk-full``, ``permission``, ``io``: the temporary file cannot be written.
         """
         new = part[max(0, self.received - at) : None if size is None else max(0, size - at)]
-        with storage_errors(tempfile.gettempdir()):
+        with storage_errors(_NAME):
             self._file.seek(self.received)
             self._file.write(new)
         self.received += len(new)
@@ -66,7 +68,7 @@ class WholeBody:
 
     def bytes_at(self, first: int, end: int) -> bytes:
         """Return received bytes from `first` up to `end`."""
-        with storage_errors(tempfile.gettempdir()):
+        with storage_errors(_NAME):
             self._file.seek(first)
             return self._file.read(end - first)
 

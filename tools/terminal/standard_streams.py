@@ -13,13 +13,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Final
-from urllib.parse import urlsplit
 
 import click
 
 from cogsplat.formats.network.download import download
 from cogsplat.formats.network.object_output import ObjectOutput
-from cogsplat.formats.network.urls import HTTP_SCHEMES, is_url, redacted, scheme_of
+from cogsplat.formats.network.urls import HTTP_SCHEMES, is_url, redacted, scheme_of, split_url
 from cogsplat.formats.storage.atomic import storage_errors
 from cogsplat.formats.storage.scratch_folder import scratch_folder
 
@@ -255,7 +254,7 @@ class StandardStreams:
     def _path_for(self, url: str, folder: str) -> Path:
         """Return the path of a file in a new folder, named like the file of a URL."""
         # The name is kept because its extension names the format.
-        name = PurePosixPath(urlsplit(url).path).name or "scene"
+        name = PurePosixPath(split_url(url).path).name or "scene"
         (self._folder / folder).mkdir()
         path = self._folder / folder / name[-_LONGEST_NAME:]
         self.set_name(path, redacted(url))
@@ -338,7 +337,7 @@ class StandardStreams:
         for path, url in self._objects.items():
             # The files that the named file refers to are uploaded before it.
             beside = sorted(other for other in path.parent.iterdir() if other != path)
-            start = url[: len(url) - len(PurePosixPath(urlsplit(url).path).name)]
+            start = url[: len(url) - len(PurePosixPath(split_url(url).path).name)]
             for other in beside:
                 ObjectOutput(f"{start}{other.name}").write(other, force=self._force)
             if path.is_file():

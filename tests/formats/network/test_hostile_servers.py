@@ -2,6 +2,8 @@
 
 import asyncio
 import errno
+import subprocess
+import sys
 import tempfile
 import warnings
 from pathlib import Path
@@ -12,6 +14,7 @@ from fault_server import Exchange, Fault, FaultServer, broken_after, right, serv
 
 import cogsplat
 from cogsplat.codec.errors import CogsplatError, CogsplatWarning
+from cogsplat.formats.network import http_transport, range_source
 from cogsplat.formats.network.download import download
 from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.formats.network.open_url import open_url
@@ -396,3 +399,44 @@ def test_a_bucket_that_climbs_is_coded() -> None:
         with pytest.raises(cogsplat.StorageError) as caught:
             cogsplat.open(url, network=NetworkOptions(options_of_store=store, retries=0))
         assert caught.value.code in ("bad-url", "connection-broken")
+
+
+@pytest.mark.parametrize(
+    ("variable", "value"),
+    [
+        ("SSL_CERT_FILE", "/no/such/file.pem"),
+        ("HTTP_PROXY", "nonsense://h:1"),
+        ("ALL_PROXY", "socks5://127.0.0.1:1"),
+    ],
+)
+def test_environments_that_no_client_can_use_are_coded(
+    variable: str, value: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    http_transport._certificates.cache_clear()
+    monkeypatch.setenv(variable, value)
+    with pytest.raises(cogsplat.StorageError, match=variable) as caught:
+        cogsplat.open("http://127.0.0.1:1/a.cogs", network=NetworkOptions(retries=0))
+    assert caught.value.code == "network-settings"
+    http_transport._certificates.cache_clear()
+
+
+def test_a_process_without_descriptors_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    class NoLoop:
+        def __init__(self) -> None:
+            raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(range_source, "_EventLoop", NoLoop)
+    with pytest.raises(cogsplat.StorageError, match="Too many open files") as caught:
+        cogsplat.open("http://127.0.0.1:1/a.cogs")
+    assert caught.value.code == "io"
+
+
+def test_malformed_addresses_on_the_command_line_are_coded() -> None:
+    for url in ("http://[::1/a.cogs", "http://h:99999/a.ply", "s3://bucket/../a.ply"):
+        done = subprocess.run(
+            [sys.executable, "-m", "cogsplat.tools.main", "info", url],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 4, done.stderr
+        assert "Traceback" not in done.stderr
+        assert "[bad-url]" in done.stderr
