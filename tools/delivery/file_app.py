@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Awaitable, Callable, Mapping, MutableMapping
-from dataclasses import dataclass
 from http import HTTPStatus
-from io import BytesIO
-from pathlib import Path, PurePosixPath
-from typing import Any, BinaryIO, Final
+from pathlib import Path, PurePath, PurePosixPath
+from typing import Any, Final
 from urllib.parse import unquote_to_bytes
 
 from cogsplat.codec.errors import StorageError
-from cogsplat.formats.storage.atomic import open_for_read
 
 from .byte_range import RangeNotSatisfiableError, parse_range
+from .served_content import Content, bytes_content, file_content
 from .shaped_link import ShapedLink
 
 Message = MutableMapping[str, Any]
@@ -38,6 +35,9 @@ TYPES: Final = {
 
 _IMMUTABLE: Final = "public, max-age=31536000, immutable, no-transform"
 _REVALIDATED: Final = "no-cache, no-transform"
+
+READ_HEADERS: Final = frozenset({b"range", b"if-range", b"if-match", b"if-none-match"})
+"""Headers of requests that are read."""
 
 # Folder of the objects named by the hash of their content (SPEC 3.4), which never change.
 _OBJECT_FOLDER: Final = "segments"
@@ -63,23 +63,14 @@ class ConnectionLostError(ConnectionError):
     """A response breaks off, as on a bad link; the server then closes the connection."""
 
 
-@dataclass(frozen=True)
-class _Content:
-    """The content of a response: an open file, its size in bytes, and its strong ETag."""
-
-    file: BinaryIO
-    size: int
-    etag: str
-
-
 class FileApp:
     """ASGI application for the files of a folder, or for one file.
 
     Parameters
     ----------
     root : Path
-        A folder, or a file, which is served under its own name. Files whose names begin with a dot
-        and links to targets outside the folder are not served.
+        A folder, or a file, which is served under its own name. Of a folder, names that begin with
+        a dot are not served, nor links to such names or to targets outside the folder.
     link : ShapedLink
         Simulated link of all responses.
     pages : mapping of str to bytes
@@ -97,20 +88,23 @@ class FileApp:
         self, root: Path, link: ShapedLink, pages: Mapping[str, bytes] | None = None
     ) -> None:
         self._root = root.resolve()
+        self._name = root.name
         self._link = link
-        self._pages = dict(pages or {})
+        self._pages = {name: bytes_content(page) for name, page in (pages or {}).items()}
 
     async def __call__(self, scope: Message, receive: Receive, send: Send) -> None:
-        """Handle one HTTP request, or the ASGI lifespan protocol."""
+        """Handle one HTTP request; refuse a WebSocket; acknowledge the ASGI lifespan protocol."""
         if scope["type"] == "lifespan":
             await _lifespan(receive, send)
         elif scope["type"] == "http":
             await self._handle(scope, send)
+        elif scope["type"] == "websocket":
+            await refuse(_as_websocket(send), HTTPStatus.NOT_FOUND)
 
     async def _handle(self, scope: Message, send: Send) -> None:
         """Handle one HTTP request."""
         if await self._link.begin():
-            await _refuse(send, HTTPStatus.SERVICE_UNAVAILABLE, {"Retry-After": "0"})
+            await refuse(send, HTTPStatus.SERVICE_UNAVAILABLE, {"Retry-After": "0"})
             return
         method: str = scope["method"]
         if method == "OPTIONS":
@@ -118,51 +112,58 @@ class FileApp:
             await send({"type": "http.response.body", "body": b""})
             return
         if method not in ("GET", "HEAD"):
-            await _refuse(send, HTTPStatus.METHOD_NOT_ALLOWED, {"Allow": _METHODS})
+            await refuse(send, HTTPStatus.METHOD_NOT_ALLOWED, {"Allow": _METHODS})
             return
         name = os.fsdecode(unquote_to_bytes(scope["raw_path"].partition(b"?")[0])).lstrip("/")
         name = name or "index.html"
-        content = self._open(name)
+        try:
+            content = self._content(name)
+        except StorageError:
+            # The path names a file, but opening it failed, e.g. for want of descriptors.
+            await refuse(send, HTTPStatus.SERVICE_UNAVAILABLE, {"Retry-After": "1"})
+            return
         if content is None:
-            await _refuse(send, HTTPStatus.NOT_FOUND, {})
+            await refuse(send, HTTPStatus.NOT_FOUND)
             return
         headers = {
             key.decode("latin-1"): value.decode("latin-1") for key, value in scope["headers"]
         }
-        with content.file:
-            await self._send(name, content, headers, send, with_body=method == "GET")
+        await self._send(name, content, headers, send, with_body=method == "GET")
 
-    def _open(self, name: str) -> _Content | None:
-        """Open the page or file of a name; None if there is none."""
+    def _content(self, name: str) -> Content | None:
+        """Return the page or file of a name; None for a name that is not served.
+
+        Raises
+        ------
+        StorageError
+            The file is there but cannot be opened.
+        """
         page = self._pages.get(name)
         if page is not None:
-            return _Content(BytesIO(page), len(page), f'"{hashlib.sha256(page).hexdigest()[:32]}"')
+            return page
         path = self._path(name)
-        if path is None:
-            return None
-        try:
-            file = open_for_read(path)
-        except StorageError:
-            return None
-        status = os.fstat(file.fileno())
-        etag = f'"{status.st_mtime_ns:x}-{status.st_size:x}-{status.st_ino:x}"'
-        return _Content(file, status.st_size, etag)
+        return None if path is None else file_content(path)
 
     def _path(self, name: str) -> Path | None:
         """Return the path of a served file; None for a name that must not be served."""
-        if self._root.is_file():
-            return self._root if name == self._root.name else None
-        parts = PurePosixPath(name).parts
-        if "\0" in name or "\\" in name or ":" in name or any(p.startswith(".") for p in parts):
+        try:
+            if self._root.is_file():
+                return self._root if name == self._name else None
+            if "\0" in name or "\\" in name or ":" in name or _has_dot_name(PurePosixPath(name)):
+                return None
+            path = self._root.joinpath(*PurePosixPath(name).parts).resolve(strict=True)
+            served = path.is_file() and os.access(path, os.R_OK)
+        except (OSError, RuntimeError):
+            # No such file, a name that is too long, or links in a circle.
             return None
-        path = self._root.joinpath(*parts)
-        inside = path.resolve().is_relative_to(self._root)
-        return path if inside and path.is_file() else None
+        if not served or not path.is_relative_to(self._root):
+            return None
+        return None if _has_dot_name(path.relative_to(self._root)) else path
 
     async def _send(
         self,
         name: str,
-        content: _Content,
+        content: Content,
         request_headers: Mapping[str, str],
         send: Send,
         *,
@@ -183,7 +184,7 @@ class FileApp:
             return
         match_tags = _tags(request_headers.get("if-match", ""))
         if match_tags and content.etag not in match_tags and "*" not in match_tags:
-            await _refuse(send, HTTPStatus.PRECONDITION_FAILED, {"ETag": content.etag})
+            await refuse(send, HTTPStatus.PRECONDITION_FAILED, {"ETag": content.etag})
             return
         # Ranges apply to GET only (RFC 9110, 14.2). If-Range with an old ETag means the whole file.
         unchanged = request_headers.get("if-range", content.etag) == content.etag
@@ -192,7 +193,7 @@ class FileApp:
             part = parse_range(stated, content.size)
         except RangeNotSatisfiableError:
             missing = {"Content-Range": f"bytes */{content.size}", "ETag": content.etag}
-            await _refuse(send, HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, missing)
+            await refuse(send, HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, missing)
             return
         first, end = part or (0, content.size)
         headers["Content-Length"] = str(end - first)
@@ -200,29 +201,32 @@ class FileApp:
             headers["Content-Range"] = f"bytes {first}-{end - 1}/{content.size}"
         await _begin(send, HTTPStatus.OK if part is None else HTTPStatus.PARTIAL_CONTENT, headers)
         if with_body:
-            await self._copy(content.file, first, end, send)
+            await self._copy(content, first, end, send)
         await send({"type": "http.response.body", "body": b""})
 
-    async def _copy(self, file: BinaryIO, first: int, end: int, send: Send) -> None:
+    async def _copy(self, content: Content, first: int, end: int, send: Send) -> None:
         """Send bytes of a file at the speed of the link.
 
         Raises
         ------
         ConnectionLostError
-            The link breaks, or the file was truncated during the response.
+            The link breaks.
+        ContentChangedError
+            The file was changed during the response.
         """
         stop = self._link.breaks_at(end - first)
-        file.seek(first)
-        sent = 0
-        while sent < end - first:
-            block = file.read(min(self._link.block_bytes, end - first - sent))
-            if stop is not None and sent + len(block) > stop:
+        for start in range(first, end, self._link.block_bytes):
+            until = min(start + self._link.block_bytes, end)
+            if stop is not None and until - first > stop:
                 raise ConnectionLostError("the link breaks")
-            if not block:
-                raise ConnectionLostError("the file was truncated while it was sent")
+            block = content.read(start, until)
             await self._link.wait(len(block))
             await send({"type": "http.response.body", "body": block, "more_body": True})
-            sent += len(block)
+
+
+def _has_dot_name(path: PurePath) -> bool:
+    """Return whether a part of a path begins with a dot."""
+    return any(part.startswith(".") for part in path.parts)
 
 
 def _tags(header: str) -> list[str]:
@@ -248,9 +252,28 @@ async def _begin(send: Send, status: HTTPStatus, headers: Mapping[str, str]) -> 
     await send({"type": "http.response.start", "status": int(status), "headers": pairs})
 
 
-async def _refuse(send: Send, status: HTTPStatus, headers: Mapping[str, str]) -> None:
-    """Send an error response with its status as text."""
+def _as_websocket(send: Send) -> Send:
+    """Return a `send` for the HTTP response that refuses a WebSocket (ASGI extension)."""
+
+    async def send_on(message: Message) -> None:
+        await send({**message, "type": f"websocket.{message['type']}"})
+
+    return send_on
+
+
+async def refuse(send: Send, status: HTTPStatus, headers: Mapping[str, str] | None = None) -> None:
+    """Send an error response with its status as text.
+
+    Parameters
+    ----------
+    send : callable
+        ASGI's ``send`` of the request.
+    status : HTTPStatus
+        Status of the response.
+    headers : mapping of str to str, optional
+        Further headers.
+    """
     text = f"{status.value} {status.phrase}\n".encode()
     own = {"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(text))}
-    await _begin(send, status, {**headers, **own, "Cache-Control": "no-store"})
+    await _begin(send, status, {**(headers or {}), **own, "Cache-Control": "no-store"})
     await send({"type": "http.response.body", "body": text})

@@ -121,7 +121,7 @@ def test_stopping_before_it_began(scene):
 
 
 def test_the_missing_extra_is_named(scene, monkeypatch):
-    monkeypatch.setitem(sys.modules, "hypercorn.asyncio", None)
+    monkeypatch.setitem(sys.modules, "hypercorn.asyncio.tcp_server", None)
     with pytest.raises(MissingExtraError, match=r"cogsplat\[serve\]"):
         FileServer(FileApp(scene, ShapedLink(LinkQuality())))
 

@@ -1,0 +1,81 @@
+"""Content of a response: a file or bytes in memory, with size and ETag."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from cogsplat.formats.storage.atomic import open_for_read, storage_errors
+
+
+class ContentChangedError(ConnectionError):
+    """A file was replaced or truncated during a response, which then breaks off."""
+
+
+@dataclass(frozen=True)
+class Content:
+    """Content of a response.
+
+    A file is open during a read only, so that slow peers hold no descriptors.
+
+    Parameters
+    ----------
+    source : Path or bytes
+        The file, or the content itself.
+    size : int
+        Size, bytes.
+    etag : str
+        Strong ETag, which changes with the content.
+    """
+
+    source: Path | bytes
+    size: int
+    etag: str
+
+    def read(self, first: int, end: int) -> bytes:
+        """Return the bytes from `first` to `end`.
+
+        Raises
+        ------
+        ContentChangedError
+            The file is not the one of the ETag any more.
+        StorageError
+            The file cannot be read.
+        """
+        if isinstance(self.source, bytes):
+            return self.source[first:end]
+        with open_for_read(self.source) as file, storage_errors(self.source):
+            if _size_and_etag(file) != (self.size, self.etag):
+                raise ContentChangedError(f"{self.source}: was changed while it was sent")
+            file.seek(first)
+            block = file.read(end - first)
+        if len(block) != end - first:
+            raise ContentChangedError(f"{self.source}: was truncated while it was sent")
+        return block
+
+
+def file_content(path: Path) -> Content:
+    """Return the content of a file.
+
+    Raises
+    ------
+    StorageError
+        The file cannot be opened.
+    """
+    with open_for_read(path) as file:
+        return Content(path, *_size_and_etag(file))
+
+
+def bytes_content(data: bytes) -> Content:
+    """Return the content of bytes in memory."""
+    return Content(data, len(data), f'"{hashlib.sha256(data).hexdigest()[:32]}"')
+
+
+def _size_and_etag(file: BinaryIO) -> tuple[int, str]:
+    """Return the size and ETag of an open file."""
+    status = os.fstat(file.fileno())
+    etag = f'"{status.st_mtime_ns:x}-{status.st_size:x}-{status.st_ino:x}"'
+    return status.st_size, etag
