@@ -12,8 +12,8 @@ from cogsplat.codec.errors import StorageError
 from cogsplat.formats.scenes.registry import is_cogs
 from cogsplat.tools.delivery.file_app import FileApp
 from cogsplat.tools.delivery.file_server import Certificate, FileServer
-from cogsplat.tools.delivery.local_server import HOST
 from cogsplat.tools.delivery.shaped_link import LinkQuality, ShapedLink
+from cogsplat.tools.delivery.threaded_server import HOST
 from cogsplat.tools.delivery.viewer_pages import linked_page
 from cogsplat.tools.terminal.options import json_option, quiet_option
 from cogsplat.tools.terminal.output import display_title, print_json, print_line

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 import threading
 import time
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
+from heapq import nlargest
 from operator import itemgetter
 from typing import Final
 
@@ -21,8 +23,14 @@ CROWDED_IDLE_SECONDS: Final = 5.0
 
 # Descriptors left for files: each answer opens its file for the read of one block only.
 _RESERVED_DESCRIPTORS: Final = 64
+# Bytes that the kernel may hold of a connection's requests, which are small, and of its responses:
+# by default 4 MB of each response that is not read. Linux doubles both.
+_RECEIVE_BUFFER: Final = 1 << 14
+_SEND_BUFFER: Final = 1 << 18
 # Time between two checks of all connections.
 _CHECK_SECONDS: Final = 1.0
+# Connections closed at a time for new ones: a server tries 20 times a second.
+_CLOSED_AT_ONCE: Final = 32
 
 
 class Connection:
@@ -79,9 +87,9 @@ class Connection:
 class OpenConnections:
     """The open connections of a server, limited in number.
 
-    While there is no room for another connection, the server leaves new ones in the backlog of its
-    socket, and the connection whose peer has been idle longest is closed after
-    `CROWDED_IDLE_SECONDS`. Without new connections a peer may be idle for `IDLE_SECONDS`.
+    While there is no room for another connection, a server leaves new ones in the backlog of its
+    socket, and closes those that were idle for `CROWDED_IDLE_SECONDS`, longest first. Otherwise a
+    peer may be idle for `IDLE_SECONDS`.
 
     Parameters
     ----------
@@ -125,7 +133,7 @@ class OpenConnections:
                     connection.close()
 
     def has_room(self) -> bool:
-        """Return whether another connection can be accepted; if not, close the longest idle one."""
+        """Return whether another connection can be accepted; if not, close long idle ones."""
         with self._lock:
             room = len(self._connections) < self.limit
         if not room:
@@ -133,12 +141,18 @@ class OpenConnections:
         return room
 
     def close_longest_idle(self) -> None:
-        """Close the connection whose peer is idle longest, if that is `CROWDED_IDLE_SECONDS`."""
+        """Close some connections that were idle for `CROWDED_IDLE_SECONDS`, longest first."""
         with self._lock:
             idle = ((each.idle_seconds(), each) for each in self._connections.values())
-            longest, connection = max(idle, key=itemgetter(0), default=(0.0, None))
-            if connection is not None and longest > CROWDED_IDLE_SECONDS:
+            crowding = (pair for pair in idle if pair[0] > CROWDED_IDLE_SECONDS)
+            for _, connection in nlargest(_CLOSED_AT_ONCE, crowding, key=itemgetter(0)):
                 connection.close()
+
+
+def limit_buffers(listener: socket.socket) -> None:
+    """Limit the kernel's buffers of the connections that a listening socket accepts."""
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
 
 
 def connection_limit(most: int = MAX_CONNECTIONS) -> int:

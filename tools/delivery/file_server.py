@@ -29,15 +29,14 @@ from .connection_limit import (
     Connection,
     OpenConnections,
     connection_limit,
+    limit_buffers,
 )
 from .file_app import READ_HEADERS, FileApp, Message, Receive, Send, refuse
-from .local_server import HOST
+from .threaded_server import HOST
 
 _BACKLOG: Final = 1024
 # asyncio keeps 256 KiB for each connection with TLS, beside OpenSSL's own buffers.
 _MAX_TLS_CONNECTIONS: Final = 200
-# Bytes of a connection that the kernel holds before they are parsed; requests are small.
-_RECEIVE_BUFFER: Final = 1 << 14
 # Largest head of a request, bytes.
 _MAX_HEAD_BYTES: Final = 1 << 14
 # Time between two attempts to accept a connection while there is no room, and between two checks.
@@ -110,8 +109,7 @@ class FileServer:
         with storage_errors(f"{host}:{port}"):
             self._socket = socket.create_server((host, port), family=family, backlog=_BACKLOG)
         self._socket.setblocking(False)
-        # Connections inherit the size of the buffer.
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+        limit_buffers(self._socket)
         most = MAX_CONNECTIONS if certificate is None else _MAX_TLS_CONNECTIONS
         self.connections = OpenConnections(connection_limit(most))
         self._requests = 0
@@ -170,6 +168,8 @@ class FileServer:
             task = asyncio.create_task(self._serve_peer(peer))
             tasks.add(task)
             task.add_done_callback(tasks.discard)
+            # The task counts its connection before the next one is accepted.
+            await asyncio.sleep(0)
 
     async def _close_idle(self) -> None:
         """Close idle connections regularly."""
@@ -199,8 +199,9 @@ class FileServer:
                 ssl=self._hypercorn.tls,
                 ssl_handshake_timeout=None if self._hypercorn.tls is None else _TLS_SECONDS,
             )
-            # `drain` waits until all is sent, so that a connection holds one block.
-            transport.set_write_buffer_limits(0)
+            # `drain` waits until all is sent, so that a connection holds one block. With a limit of
+            # 0 a transport of TLS would wait for ever.
+            transport.set_write_buffer_limits(1)
             writer = asyncio.StreamWriter(transport, protocol, reader, loop)
             app = partial(self._answer, connection, transport)
             await self._hypercorn.serve(app, reader, writer)

@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
-import io
-import os
 import re
-import socketserver
-import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import Final
 
 from cogsplat.codec.errors import StorageError
 from cogsplat.formats.scenes.registry import is_cogs
-from cogsplat.formats.storage.atomic import open_for_read, storage_errors
 
 from .byte_range import RangeNotSatisfiableError, parse_range
+from .served_content import Content, ContentChangedError, bytes_content, file_content
+from .threaded_server import ThreadedHandler, ThreadedServer
 from .viewer_pages import PAGE_NAME, linked_page
-
-HOST: Final = "127.0.0.1"
-"""Loopback address to listen on, so that no other machine can connect."""
 
 # Accepted Host headers: names of this machine with any port, because ports may be forwarded. Other
 # names are rejected against DNS rebinding, where a foreign site's name resolves to this machine.
@@ -37,20 +28,11 @@ _TYPES: Final = {
     ".cogs": "application/octet-stream",
     ".ply": "application/octet-stream",
 }
-_COPY_BYTES: Final = 1 << 18
-_IDLE_SECONDS: Final = 60
+# Bytes that a thread holds of a response.
+_BLOCK_BYTES: Final = 1 << 16
 
 
-@dataclass(frozen=True)
-class _Content:
-    """The content of a response: an open file, its size in bytes, and its strong ETag."""
-
-    file: BinaryIO
-    size: int
-    etag: str
-
-
-class SceneServer(ThreadingHTTPServer):
+class SceneServer(ThreadedServer):
     """Web server for a viewer page at ``/`` and one or two scenes, for this machine only.
 
     Scenes support byte ranges and have an ETag that changes with the file. Error responses are 404
@@ -83,9 +65,6 @@ class SceneServer(ThreadingHTTPServer):
     http://127.0.0.1:.../
     """
 
-    # On Windows the option would let another process listen on the same port.
-    allow_reuse_address = os.name == "posix"
-
     def __init__(
         self,
         scene: Path,
@@ -104,54 +83,27 @@ class SceneServer(ThreadingHTTPServer):
         }
         scene_name, against_name = [*self._scenes, None][:2]
         assert scene_name is not None
-        self._pages: Mapping[str, bytes] = linked_page(
-            title, scene_name, against_name, against_title
-        )
-        with storage_errors(f"{HOST}:{port}"):
-            super().__init__((HOST, port), _Handler)
+        pages = linked_page(title, scene_name, against_name, against_title)
+        self._pages = {name: bytes_content(page) for name, page in pages.items()}
+        super().__init__(port, _Handler)
 
-    def server_bind(self) -> None:
-        """Bind without the reverse DNS lookup of `HTTPServer`, which can be slow."""
-        socketserver.TCPServer.server_bind(self)
-        self.server_name, self.server_port = HOST, int(self.server_address[1])
-
-    @property
-    def url(self) -> str:
-        """Address of the page."""
-        return f"http://{HOST}:{self.server_port}/"
-
-    def handle_error(self, request: object, client_address: object) -> None:
-        """Report errors, except connections that the browser closed during a response."""
-        if not isinstance(sys.exception(), ConnectionError | TimeoutError):
-            super().handle_error(request, client_address)  # type: ignore[arg-type]
-
-    def open_content(self, name: str) -> _Content | None:
-        """Open the page or scene of a name; None if there is none.
+    def content(self, name: str) -> Content | None:
+        """Return the page or scene of a name; None if there is none.
 
         Raises
         ------
         StorageError
             The scene's file can no longer be opened.
         """
-        if name in self._scenes:
-            file = open_for_read(self._scenes[name])
-            status = os.fstat(file.fileno())
-            etag = f'"{status.st_mtime_ns:x}-{status.st_size:x}-{status.st_ino:x}"'
-            return _Content(file, status.st_size, etag)
-        page = self._pages.get(name)
-        if page is None:
-            return None
-        etag = f'"{hashlib.sha256(page).hexdigest()[:32]}"'
-        return _Content(io.BytesIO(page), len(page), etag)
+        scene = self._scenes.get(name)
+        return self._pages.get(name) if scene is None else file_content(scene)
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _Handler(ThreadedHandler):
     """Handler of one connection's requests."""
 
-    protocol_version = "HTTP/1.1"
     server_version = "cogsplat"
     sys_version = ""
-    timeout = _IDLE_SECONDS
     server: SceneServer
 
     def parse_request(self) -> bool:
@@ -170,27 +122,26 @@ class _Handler(BaseHTTPRequestHandler):
             return False
         return True
 
-    def do_GET(self) -> None:
+    def do_GET(self) -> None:  # noqa: N802
         """Respond with a page, a scene, or a range of a scene."""
         # Raw names are looked up in a dictionary, so that no path can leave a folder.
         path = self.path.partition("?")[0]
         name = PAGE_NAME if path == "/" else path.removeprefix("/")
         try:
-            content = self.server.open_content(name) if path.startswith("/") else None
+            content = self.server.content(name) if path.startswith("/") else None
         except StorageError:
             # The scene was deleted since the start: the page shows the status.
             content = None
         if content is None:
             self._refuse(HTTPStatus.NOT_FOUND)
             return
-        with content.file:
-            self._respond(name, content)
+        self._respond(name, content)
 
-    def do_HEAD(self) -> None:
+    def do_HEAD(self) -> None:  # noqa: N802
         """Respond like GET, without a body."""
         self.do_GET()
 
-    def _respond(self, name: str, content: _Content) -> None:
+    def _respond(self, name: str, content: Content) -> None:
         """Respond with content or a range of it, after checking the request's conditions."""
         headers = {
             "ETag": content.etag,
@@ -221,19 +172,19 @@ class _Handler(BaseHTTPRequestHandler):
             headers["Content-Range"] = f"bytes {first}-{end - 1}/{content.size}"
         self._begin(HTTPStatus.OK if part is None else HTTPStatus.PARTIAL_CONTENT, headers)
         if self.command == "GET":
-            content.file.seek(first)
-            self._copy(content.file, end - first)
+            self._copy(content, first, end)
 
-    def _copy(self, file: BinaryIO, count: int) -> None:
-        """Send the next `count` bytes of a file."""
-        while count:
-            block = file.read(min(count, _COPY_BYTES))
-            if not block:
-                # The file was truncated: closing early lets the browser detect it.
+    def _copy(self, content: Content, first: int, end: int) -> None:
+        """Send bytes of a scene or page."""
+        for start in range(first, end, _BLOCK_BYTES):
+            try:
+                block = content.read(start, min(start + _BLOCK_BYTES, end))
+            except (ContentChangedError, StorageError):
+                # Closing early lets the browser detect it.
                 self.close_connection = True
                 return
             self.wfile.write(block)
-            count -= len(block)
+            self.progress()
 
     def _begin(self, status: HTTPStatus, headers: Mapping[str, str]) -> None:
         """Send the status and headers of a response."""
@@ -257,6 +208,3 @@ class _Handler(BaseHTTPRequestHandler):
         self._begin(status, headers)
         if self.command != "HEAD":
             self.wfile.write(text)
-
-    def log_message(self, format: str, *args: object) -> None:  # noqa: A002
-        """Suppress the request log, which would fill the user's terminal."""

@@ -6,9 +6,13 @@ import hashlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Final
 
 from cogsplat.formats.storage.atomic import open_for_read, storage_errors
+
+# Opening does not wait where the file was replaced by a pipe; Windows has neither option, nor pipes
+# in folders.
+_FLAGS: Final = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
 
 class ContentChangedError(ConnectionError):
@@ -47,11 +51,16 @@ class Content:
         """
         if isinstance(self.source, bytes):
             return self.source[first:end]
-        with open_for_read(self.source) as file, storage_errors(self.source):
-            if _size_and_etag(file) != (self.size, self.etag):
-                raise ContentChangedError(f"{self.source}: was changed while it was sent")
-            file.seek(first)
-            block = file.read(end - first)
+        with storage_errors(self.source):
+            # A fifth of the time of `open_for_read`, which prepares reading ahead.
+            descriptor = os.open(self.source, _FLAGS)
+            try:
+                if _size_and_etag(descriptor) != (self.size, self.etag):
+                    raise ContentChangedError(f"{self.source}: was changed while it was sent")
+                os.lseek(descriptor, first, os.SEEK_SET)
+                block = os.read(descriptor, end - first)
+            finally:
+                os.close(descriptor)
         if len(block) != end - first:
             raise ContentChangedError(f"{self.source}: was truncated while it was sent")
         return block
@@ -66,7 +75,7 @@ def file_content(path: Path) -> Content:
         The file cannot be opened.
     """
     with open_for_read(path) as file:
-        return Content(path, *_size_and_etag(file))
+        return Content(path, *_size_and_etag(file.fileno()))
 
 
 def bytes_content(data: bytes) -> Content:
@@ -74,8 +83,8 @@ def bytes_content(data: bytes) -> Content:
     return Content(data, len(data), f'"{hashlib.sha256(data).hexdigest()[:32]}"')
 
 
-def _size_and_etag(file: BinaryIO) -> tuple[int, str]:
+def _size_and_etag(descriptor: int) -> tuple[int, str]:
     """Return the size and ETag of an open file."""
-    status = os.fstat(file.fileno())
+    status = os.fstat(descriptor)
     etag = f'"{status.st_mtime_ns:x}-{status.st_size:x}-{status.st_ino:x}"'
     return status.st_size, etag

@@ -10,7 +10,8 @@ from typing import Final
 
 # Transfer time of a block: short relative to measured times, long relative to a task switch.
 _BLOCK_SECONDS: Final = 0.006
-_LARGEST_BLOCK: Final = 1 << 16
+# Each response in flight holds one block in memory, and one more to send.
+_LARGEST_BLOCK: Final = 1 << 15
 
 
 @dataclass(frozen=True)

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import socketserver
-import sys
 import threading
 import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import PurePosixPath
 from typing import Final
 
 from .byte_range import RangeNotSatisfiableError, parse_range
-from .local_server import HOST
+from .threaded_server import ThreadedHandler, ThreadedServer
 
 _TYPES: Final = {
     ".html": "text/html; charset=utf-8",
@@ -26,7 +22,6 @@ _TYPES: Final = {
     ".json": "application/json",
     ".wasm": "application/wasm",
 }
-_IDLE_SECONDS: Final = 60
 # Transfer time of a block: short relative to measured times, long relative to a thread switch.
 _BLOCK_SECONDS: Final = 0.006
 _LARGEST_BLOCK: Final = 1 << 18
@@ -119,7 +114,7 @@ class Traffic:
         return sum(size for at, sent, size in self.rows if sent == name and at <= until)
 
 
-class SlowServer(ThreadingHTTPServer):
+class SlowServer(ThreadedServer):
     """Web server for files in memory over a simulated link, for this machine only.
 
     Parameters
@@ -140,8 +135,6 @@ class SlowServer(ThreadingHTTPServer):
     http://127.0.0.1:.../
     """
 
-    allow_reuse_address = os.name == "posix"
-
     def __init__(
         self, files: Mapping[str, bytes], link: Link | None = None, cached: Collection[str] = ()
     ) -> None:
@@ -149,22 +142,7 @@ class SlowServer(ThreadingHTTPServer):
         self.cached = frozenset(cached)
         self.link = link or Link()
         self.traffic = Traffic()
-        super().__init__((HOST, 0), _Handler)
-
-    def server_bind(self) -> None:
-        """Bind without the reverse DNS lookup of `HTTPServer`, which can be slow."""
-        socketserver.TCPServer.server_bind(self)
-        self.server_name, self.server_port = HOST, int(self.server_address[1])
-
-    @property
-    def url(self) -> str:
-        """Address of ``index.html``."""
-        return f"http://{HOST}:{self.server_port}/"
-
-    def handle_error(self, request: object, client_address: object) -> None:
-        """Report errors, except connections that the browser closed during a response."""
-        if not isinstance(sys.exception(), ConnectionError | TimeoutError):
-            super().handle_error(request, client_address)  # type: ignore[arg-type]
+        super().__init__(0, _Handler)
 
     def reply(self, name: str, range_header: str | None) -> Reply:
         """Return the response to a request.
@@ -221,16 +199,14 @@ def running(server: SlowServer) -> Iterator[SlowServer]:
             thread.join()
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _Handler(ThreadedHandler):
     """Handler of one connection's requests."""
 
-    protocol_version = "HTTP/1.1"
-    timeout = _IDLE_SECONDS
     # Send each block at once: Nagle's algorithm would delay small ones.
     disable_nagle_algorithm = True
     server: SlowServer
 
-    def do_GET(self) -> None:
+    def do_GET(self) -> None:  # noqa: N802
         """Respond with a file or a range of it, at the speed of the link."""
         name = self.path.partition("?")[0].removeprefix("/") or "index.html"
         server = self.server
@@ -255,7 +231,5 @@ class _Handler(BaseHTTPRequestHandler):
             block = part[first : first + size]
             passed = server.link.wait(len(block), passed)
             self.wfile.write(block)
+            self.progress()
             server.traffic.rows.append((time.monotonic(), name, len(block)))
-
-    def log_message(self, format: str, *args: object) -> None:  # noqa: A002
-        """Suppress the request log, which would fill the user's terminal."""

@@ -27,10 +27,12 @@ from pathlib import Path
 # Run by hand, the script finds this tree and its test helpers by itself.
 sys.path[:0] = [str(Path(__file__).resolve().parents[level]) for level in (1, 3)]
 
-from running import program
+from running import program  # noqa: E402
 
 SCENE_BYTES = 8 << 20
 KINDS = ("silent", "dripping", "unread", "slow", "steady")
+# Peers that a server must not close.
+ANSWERED = ("slow", "steady")
 
 
 @dataclass
@@ -226,7 +228,8 @@ async def hold(served: Served, kind: str, seconds: float, rng: random.Random) ->
     try:
         peer = await asyncio.wait_for(connect(served.port, small), 30)
     except (OSError, TimeoutError) as error:
-        served.figures.wrong.append(f"{kind}: {type(error).__name__} when connecting")
+        if kind in ANSWERED:
+            served.figures.wrong.append(f"{kind}: {type(error).__name__} when connecting")
         return
     with peer:
         try:
@@ -259,7 +262,7 @@ async def hold(served: Served, kind: str, seconds: float, rng: random.Random) ->
                 await asyncio.sleep(until - time.monotonic())
         except (OSError, TimeoutError) as error:
             # A server may close peers that neither ask nor read; the others must be answered.
-            if kind in ("slow", "steady"):
+            if kind in ANSWERED:
                 served.figures.wrong.append(f"{kind}: {type(error).__name__} {error}")
             return
         served.figures.held[kind] += 1
@@ -280,12 +283,18 @@ async def short(served: Served, kind: int, rng: random.Random) -> None:
             served.figures.wrong.append(f"short: {type(error).__name__} {error}")
 
 
-async def crowd(served: Served, held: int, per_minute: int, seconds: float) -> None:
-    """Hold connections, and open short ones beside them."""
+async def crowd(
+    served: Served,
+    held: int,
+    per_minute: int,
+    seconds: float,
+    kinds: tuple[str, ...] = KINDS,
+) -> None:
+    """Hold connections of some kinds, and open short ones beside them."""
     rng = random.Random(1)
     holders = []
     for index in range(held):
-        kind = KINDS[index % len(KINDS)]
+        kind = kinds[index % len(kinds)]
         holders.append(asyncio.create_task(hold(served, kind, seconds, random.Random(index))))
         if index % 50 == 49:
             await asyncio.sleep(0.05)
@@ -350,12 +359,16 @@ def main() -> None:
     parser.add_argument("--per-minute", type=int, default=2000)
     parser.add_argument("--seconds", type=float, default=60)
     parser.add_argument("--requests", type=int, default=100_000)
+    parser.add_argument("--flood", type=int, default=1500)
     parser.add_argument("--burst", type=int, default=1300)
     parser.add_argument("--descriptors", type=int, default=1024)
-    parser.add_argument("--only", choices=["crowd", "pipeline", "burst", "aborted"])
+    parser.add_argument("--only", choices=["crowd", "flood", "pipeline", "burst", "aborted"])
     chosen = parser.parse_args()
     runs = {
         "crowd": lambda s: crowd(s, chosen.held, chosen.per_minute, chosen.seconds),
+        "flood": lambda s: crowd(
+            s, chosen.flood, chosen.per_minute, chosen.seconds / 2, ("unread",)
+        ),
         "pipeline": lambda s: pipeline(s, chosen.requests, 20),
         "burst": lambda s: burst(s, chosen.burst),
         "aborted": lambda s: aborted(s, 100),

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from cogsplat.codec.errors import StorageError
-from cogsplat.tools.delivery.local_server import HOST, SceneServer
+from cogsplat.tools.delivery.local_server import SceneServer
+from cogsplat.tools.delivery.threaded_server import HOST
 
 CONTENT = bytes(range(256)) * 5
 

@@ -7,8 +7,8 @@ from http.client import HTTPConnection, IncompleteRead
 import pytest
 
 from cogsplat.tools.delivery import slow_server
-from cogsplat.tools.delivery.local_server import HOST
 from cogsplat.tools.delivery.slow_server import Link, Reply, SlowServer, running
+from cogsplat.tools.delivery.threaded_server import HOST
 
 CONTENT = bytes(range(256)) * 40
 FILES = {"index.html": b"<p>page</p>", "parts/scene.spz": CONTENT, "viewer.js": b"0"}
