@@ -14,7 +14,7 @@ from cogsplat.tools.delivery.file_app import FileApp
 from cogsplat.tools.delivery.file_server import Certificate, FileServer
 from cogsplat.tools.delivery.shaped_link import LinkQuality, ShapedLink
 from cogsplat.tools.delivery.threaded_server import HOST
-from cogsplat.tools.delivery.viewer_pages import linked_page
+from cogsplat.tools.delivery.viewer_pages import linked_page, relative_url
 from cogsplat.tools.terminal.options import json_option, quiet_option
 from cogsplat.tools.terminal.output import display_title, print_json, print_line
 from cogsplat.tools.terminal.standard_streams import PATH
@@ -127,8 +127,8 @@ def serve(
     quality = LinkQuality(throttle, latency / 1000, loss, fail_rate, seed)
     app = FileApp(path, ShapedLink(quality), pages)
     server = FileServer(app, port, host, None if certificate is None else Certificate(*certificate))
-    url = server.url + (path.name if path.is_file() and not pages else "")
-    scene = server.url + path.name if path.is_file() else server.url
+    scene = server.url + (relative_url(path.name) if path.is_file() else "")
+    url = server.url if pages else scene
     try:
         if as_json:
             print_json({"url": url, "source": str(path), "scene_url": scene})

@@ -20,7 +20,7 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import Any, Final, cast
 
-from cogsplat.codec.errors import MissingExtraError, StorageError
+from cogsplat.codec.errors import MissingExtraError
 from cogsplat.formats.storage.atomic import storage_errors
 from cogsplat.tools.terminal.output import print_error_line
 
@@ -112,7 +112,7 @@ class FileServer:
         limit_buffers(self._socket)
         most = MAX_CONNECTIONS if certificate is None else _MAX_TLS_CONNECTIONS
         self.connections = OpenConnections(connection_limit(most))
-        self._requests = 0
+        self.requests = 0
         self._reported: set[str] = set()
         self.port = int(self._socket.getsockname()[1])
         scheme = "http" if certificate is None else "https"
@@ -228,7 +228,7 @@ class FileServer:
         hypercorn discards what is sent to a peer that left, so that the application would send all
         of a file to it.
         """
-        if self._requests >= self.connections.limit:
+        if self.requests >= self.connections.limit:
             self.connections.close_longest_idle()
             await refuse(send, HTTPStatus.SERVICE_UNAVAILABLE, {"Retry-After": "1"})
             return
@@ -252,19 +252,19 @@ class FileServer:
             if not ended:
                 answering.cancel()
 
-        self._requests += 1
+        self.requests += 1
         watching = asyncio.create_task(watch())
         try:
             with connection.working():
                 await self._app(scope, receive, send_on)
-        except (ConnectionError, StorageError):
+        except OSError:
             # The response breaks off; hypercorn then closes the connection.
             raise
         except Exception as error:
             self._report(error)
             raise
         finally:
-            self._requests -= 1
+            self.requests -= 1
             watching.cancel()
 
     def _report(self, error: BaseException) -> None:

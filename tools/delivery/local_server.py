@@ -12,7 +12,7 @@ from cogsplat.codec.errors import StorageError
 from cogsplat.formats.scenes.registry import is_cogs
 
 from .byte_range import RangeNotSatisfiableError, parse_range
-from .served_content import Content, ContentChangedError, bytes_content, file_content
+from .served_content import Content, bytes_content, file_content
 from .threaded_server import ThreadedHandler, ThreadedServer
 from .viewer_pages import PAGE_NAME, linked_page
 
@@ -179,7 +179,7 @@ class _Handler(ThreadedHandler):
         for start in range(first, end, _BLOCK_BYTES):
             try:
                 block = content.read(start, min(start + _BLOCK_BYTES, end))
-            except (ContentChangedError, StorageError):
+            except OSError:
                 # Closing early lets the browser detect it.
                 self.close_connection = True
                 return

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from cogsplat.formats.storage.atomic import open_for_read, storage_errors
+from cogsplat.formats.storage.atomic import open_for_read
 
 # Opening does not wait where the file was replaced by a pipe; Windows has neither option, nor pipes
 # in folders.
 _FLAGS: Final = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
 
-class ContentChangedError(ConnectionError):
+class ContentChangedError(OSError):
     """A file was replaced or truncated during a response, which then breaks off."""
 
 
@@ -46,21 +46,20 @@ class Content:
         ------
         ContentChangedError
             The file is not the one of the ETag any more.
-        StorageError
+        OSError
             The file cannot be read.
         """
         if isinstance(self.source, bytes):
             return self.source[first:end]
-        with storage_errors(self.source):
-            # A fifth of the time of `open_for_read`, which prepares reading ahead.
-            descriptor = os.open(self.source, _FLAGS)
-            try:
-                if _size_and_etag(descriptor) != (self.size, self.etag):
-                    raise ContentChangedError(f"{self.source}: was changed while it was sent")
-                os.lseek(descriptor, first, os.SEEK_SET)
-                block = os.read(descriptor, end - first)
-            finally:
-                os.close(descriptor)
+        # A fifth of the time of `open_for_read`, which prepares reading ahead.
+        descriptor = os.open(self.source, _FLAGS)
+        try:
+            if _size_and_etag(descriptor) != (self.size, self.etag):
+                raise ContentChangedError(f"{self.source}: was changed while it was sent")
+            os.lseek(descriptor, first, os.SEEK_SET)
+            block = os.read(descriptor, end - first)
+        finally:
+            os.close(descriptor)
         if len(block) != end - first:
             raise ContentChangedError(f"{self.source}: was truncated while it was sent")
         return block

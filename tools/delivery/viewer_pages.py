@@ -5,9 +5,11 @@ from __future__ import annotations
 import base64
 import hashlib
 import html
+import os
 from collections.abc import Iterable
 from importlib.resources import files
 from typing import BinaryIO, Final
+from urllib.parse import quote
 
 from cogsplat.codec.errors import printable
 
@@ -67,11 +69,25 @@ def linked_page(
     >>> sorted(linked_page("Garden"))
     ['index.html', 'viewer.css', 'viewer.js', 'viewer_worker.js', 'worker.js']
     """
-    second = "" if against is None else f' against="{html.escape(against)}"'
+    second = "" if against is None else f' against="{relative_url(against)}"'
     if against_title is not None:
         second += f' against-label="{html.escape(printable(against_title))}"'
-    page = _titled(title, f' src="{html.escape(scene)}"{second}')
+    page = _titled(title, f' src="{relative_url(scene)}"{second}')
     return {PAGE_NAME: page.encode(), **{name: _viewer_file(name) for name in _LINKED_FILES}}
+
+
+def relative_url(name: str) -> str:
+    """Return the URL of a file relative to its folder, percent-encoded.
+
+    Without the encoding ``https:example.org.cogs`` would be the URL of a host.
+
+    Examples
+    --------
+    >>> from cogsplat.tools.delivery.viewer_pages import relative_url
+    >>> relative_url("50% #1.cogs")
+    '50%25%20%231.cogs'
+    """
+    return quote(os.fsencode(name))
 
 
 def write_standalone_page(title: str, scene: Iterable[bytes], out: BinaryIO) -> None:

@@ -8,6 +8,7 @@ import pytest
 from running import program
 
 from cogsplat.tools.cli.serve import BitRate
+from cogsplat.tools.delivery.file_server import FileServer
 
 
 @pytest.mark.parametrize(
@@ -27,6 +28,15 @@ def test_what_is_not_there_is_told(run, tmp_path):
     told = run("serve", tmp_path / "no.cogs", "--json")
     assert told.code == 4
     assert told.json["error"]["code"] == "not-found"
+
+
+def test_urls_are_percent_encoded(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(FileServer, "serve_forever", lambda self: None)
+    path = tmp_path / "50% #1?.txt"
+    path.write_text("text")
+    told = run("serve", path, "--json").json
+    assert told["url"] == told["scene_url"]
+    assert str(told["url"]).endswith("/50%25%20%231%3F.txt")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C as a signal")

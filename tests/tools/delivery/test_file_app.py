@@ -2,7 +2,10 @@ import asyncio
 
 import pytest
 
+from cogsplat.codec.errors import StorageError
+from cogsplat.tools.delivery import file_app
 from cogsplat.tools.delivery.file_app import ConnectionLostError, FileApp
+from cogsplat.tools.delivery.served_content import ContentChangedError
 from cogsplat.tools.delivery.shaped_link import LinkQuality, ShapedLink
 
 DATA = bytes(range(256)) * 2000
@@ -84,10 +87,23 @@ def test_names_are_decoded_and_types_set(folder):
         "/..%5Coutside.txt",
         "/C:/outside.txt",
         "//etc/passwd",
+        "/to-hidden.txt",
+        "/to-hidden-folder/config",
+        "/circle",
+        "/circle/more",
+        "/" + "a" * 256,
+        "/" + "%C3%A4" * 200,
+        "/" + "a/" * 3000,
+        "/scene.cogs/more",
     ],
 )
 def test_outside_and_hidden_files_are_not_served(folder, path):
     (folder / "link.txt").symlink_to(folder.parent / "outside.txt")
+    (folder / ".git").mkdir()
+    (folder / ".git/config").write_text("secret")
+    (folder / "to-hidden.txt").symlink_to(".hidden")
+    (folder / "to-hidden-folder").symlink_to(".git")
+    (folder / "circle").symlink_to("circle")
     status, _, body = asked(app_of(folder), path)
     assert status == 404
     assert b"secret" not in body
@@ -131,6 +147,50 @@ def test_one_file_and_pages_beside_it(folder):
     assert asked(app, "/a.js")[1]["content-type"].startswith("text/javascript")
     assert asked(app, "/scene.cogs", range="bytes=1-2")[2] == DATA[1:3]
     assert asked(app, "/page.html")[0] == 404
+
+
+def test_a_link_to_a_file_is_served_under_its_own_name(folder):
+    link = folder.parent / "newest.cogs"
+    link.symlink_to(folder / "scene.cogs")
+    assert asked(app_of(link), "/newest.cogs")[2] == DATA
+    assert asked(app_of(link), "/scene.cogs")[0] == 404
+
+
+def test_a_websocket_is_refused_as_not_found(folder):
+    sent = []
+
+    async def send(message):
+        sent.append(message)
+
+    scope = {"type": "websocket", "raw_path": b"/scene.cogs", "headers": []}
+    asyncio.run(app_of(folder)(scope, None, send))
+    start, body = sent
+    assert (start["type"], start["status"]) == ("websocket.http.response.start", 404)
+    assert (body["type"], body["body"]) == ("websocket.http.response.body", b"404 Not Found\n")
+
+
+def test_a_file_that_cannot_be_opened_is_not_a_missing_one(folder, monkeypatch):
+    def fails(path):
+        raise StorageError("io", f"{path}: too many open files")
+
+    monkeypatch.setattr(file_app, "file_content", fails)
+    status, headers, _ = asked(app_of(folder), "/scene.cogs")
+    assert (status, headers["retry-after"]) == (503, "1")
+
+
+def test_a_file_that_changes_breaks_its_answer_off(folder):
+    app = app_of(folder)
+    got = []
+
+    async def send(message):
+        got.append(message.get("body", b""))
+        (folder / "new").write_bytes(bytes(len(DATA)))
+        (folder / "new").replace(folder / "scene.cogs")
+
+    scope = {"type": "http", "method": "GET", "raw_path": b"/scene.cogs", "headers": []}
+    with pytest.raises(ContentChangedError, match="was changed"):
+        asyncio.run(app(scope, None, send))
+    assert DATA.startswith(b"".join(got))
 
 
 def test_a_bad_link_fails_and_breaks(folder):

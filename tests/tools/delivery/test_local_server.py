@@ -1,13 +1,16 @@
 """The local server gives one file and its page, to this machine, by GET and HEAD."""
 
+import socket
 import threading
 from collections.abc import Iterator
-from http.client import HTTPConnection, HTTPResponse
+from contextlib import ExitStack
+from http.client import HTTPConnection, HTTPResponse, IncompleteRead
 from pathlib import Path
 
 import pytest
 
 from cogsplat.codec.errors import StorageError
+from cogsplat.tools.delivery import connection_limit
 from cogsplat.tools.delivery.local_server import SceneServer
 from cogsplat.tools.delivery.threaded_server import HOST
 
@@ -135,3 +138,45 @@ def test_other_methods_are_refused(server: SceneServer, method: str) -> None:
 def test_a_port_that_is_taken_is_an_error_of_output(server: SceneServer, tmp_path: Path) -> None:
     with pytest.raises(StorageError, match=str(server.server_port)):
         SceneServer(tmp_path / "garden.cogs", "again", server.server_port)
+
+
+def test_connections_of_a_burst_do_not_wait(tmp_path: Path) -> None:
+    (tmp_path / "garden.cogs").write_bytes(CONTENT)
+    # Nothing is accepted yet. A connection beyond the backlog would wait for a second or more.
+    with SceneServer(tmp_path / "garden.cogs", "garden") as server, ExitStack() as peers:
+        for _ in range(100):
+            address = (HOST, server.server_port)
+            peers.enter_context(socket.create_connection(address, timeout=0.9))
+
+
+def test_silent_peers_are_closed(server: SceneServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection_limit, "IDLE_SECONDS", 0.2)
+    for sent in (b"", b"GET /scene"):
+        with socket.create_connection((HOST, server.server_port), timeout=60) as peer:
+            peer.sendall(sent)
+            assert peer.recv(1) == b""
+
+
+def test_new_connections_wait_for_room(
+    server: SceneServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection_limit, "CROWDED_IDLE_SECONDS", 0.2)
+    server.connections.limit = 2
+    with ExitStack() as peers:
+        for _ in range(8):
+            peers.enter_context(socket.create_connection((HOST, server.server_port)))
+        assert ask(server, "/scene.cogs")[1] == CONTENT
+        assert len(server.connections) <= 2
+
+
+def test_a_scene_that_changes_breaks_its_answer_off(server: SceneServer, tmp_path: Path) -> None:
+    scene = tmp_path / "garden.cogs"
+    scene.write_bytes(bytes(16 << 20))
+    connection = HTTPConnection(HOST, server.server_port, timeout=60)
+    connection.request("GET", "/scene.cogs")
+    answer = connection.getresponse()
+    answer.read(1)
+    scene.write_bytes(b"\1" * (16 << 20))
+    with pytest.raises(IncompleteRead):
+        answer.read()
+    connection.close()

@@ -28,7 +28,7 @@ def test_an_unlimited_link_never_waits_or_fails():
 
     assert not any(asyncio.run(use()))
     assert [link.breaks_at(100) for _ in range(100)] == [None] * 100
-    assert link.block_bytes == 65536
+    assert link.block_bytes == 32768
     assert ShapedLink(LinkQuality(bits_per_second=1e6)).block_bytes == 750
 
 

@@ -61,3 +61,17 @@ def test_linked_page_names_the_scene() -> None:
 def test_linked_page_names_what_the_scene_is_compared_with() -> None:
     page = linked_page("t", "a.cogs", "b.ply")["index.html"].decode()
     assert 'src="a.cogs" against="b.ply"' in page
+
+
+def test_names_of_files_cannot_become_other_urls() -> None:
+    names = {
+        "https:evil.example.cogs": "https%3Aevil.example.cogs",
+        "50%.cogs": "50%25.cogs",
+        "a#b?c.cogs": "a%23b%3Fc.cogs",
+        'say "hi" & go.cogs': "say%20%22hi%22%20%26%20go.cogs",
+        "\udcff.cogs": "%FF.cogs",
+        "scene/": "scene/",
+    }
+    for name, url in names.items():
+        page = linked_page("scene", name, name)["index.html"].decode()
+        assert f' src="{url}" against="{url}"' in page
