@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import zipfile
 from collections.abc import Callable
 from typing import BinaryIO, Final, cast
@@ -70,9 +72,17 @@ class _LimitedFile:
         self._left = max_bytes
         self._refusal = refusal
         self.is_unlimited = False
-        self.seek = file.seek
         self.tell = file.tell
         self.seekable = file.seekable
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Move the reading position; raise `BadZipFile` for an offset that no file has."""
+        try:
+            return self._file.seek(offset, whence)
+        except (OSError, ValueError, OverflowError) as error:
+            if isinstance(error, OSError) and error.errno != errno.EINVAL:
+                raise
+            raise zipfile.BadZipFile(f"an offset of {offset}, expected one in the file") from error
 
     def read(self, size: int = -1) -> bytes:
         """Read at most `size` bytes; raise an error beyond the limit."""

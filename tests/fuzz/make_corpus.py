@@ -20,11 +20,14 @@ TESTS = ROOT / "tests"
 sys.path[:0] = [str(ROOT), *(str(TESTS / name) for name in ("codec", "formats", "fuzz"))]
 
 import hostile_files as hostile  # noqa: E402
+import own_files  # noqa: E402
 import torch_files  # noqa: E402
 from targets import joined  # noqa: E402
 
 from cogsplat.codec.splats import Splats  # noqa: E402
 from cogsplat.formats.scenes.registry import write_scene  # noqa: E402
+from cogsplat.tools.workflow.batch_log import BatchLog  # noqa: E402
+from cogsplat.tools.workflow.tune_checkpoint import write_checkpoint  # noqa: E402
 
 
 def scene(count: int, degree: int) -> Splats:
@@ -140,9 +143,38 @@ def harm(folder: Path) -> Iterator[tuple[str, str, bytes]]:
     yield "mask", "eps", hostile.eps(path, side=4).read_bytes()
 
 
+def own(folder: Path) -> Iterator[tuple[str, str, bytes]]:
+    """Yield files of our own: checkpoints, manifests and a log."""
+    for name, state in own_files.checkpoint_states():
+        path = folder / f"{name}.npz"
+        write_checkpoint(path, own_files.RUN, state)
+        yield "checkpoint", name, path.read_bytes()
+    options = {"quality": 38.5, "no-jitter": True, "cameras": "cameras.json", "report": "a.html"}
+    scene = {"input": "a.ply", "output": "a.cogs", "options": options}
+    yield "batch_jsonl", "scene", json.dumps(scene).encode()
+    lines = [json.dumps({**scene, "output": f"{name}.cogs"}) for name in "bcd"]
+    yield "batch_jsonl", "scenes", "\n".join([*lines, ""]).encode()
+    toml = '[[scene]]\ninput = "a.ply"\noutput = "a.cogs"\noptions = {quality = 38.5}\n'
+    more = toml.replace("a.", "b.").replace("{quality = 38.5}", "{no-jitter = true}")
+    yield "batch_toml", "scene", toml.encode()
+    yield "batch_toml", "scenes", f"{toml}\n{more}".encode()
+    path = folder / "a.log"
+    with BatchLog(path, folder) as log:
+        line = {"input": "a.ply", "output": "a.cogs", "fingerprint": "0" * 64}
+        log.write({**line, "status": "started"})
+        log.write({**line, "status": "done", "result": {"bytes": 3}})
+        log.write({**line, "output": "b.cogs", "status": "started"})
+        log.write({**line, "output": "b.cogs", "status": "failed", "error": {"code": "exists"}})
+    yield "batch_log", "two_scenes", path.read_bytes()
+    for vector in own_files.MANIFEST_VECTORS:
+        manifest = own_files.vector_manifest(vector, folder / vector)
+        yield "folder", vector, manifest
+        yield "upload", vector, manifest
+
+
 def main() -> None:
     """Write all files; those of the COGS target are the conformance vectors."""
-    for made in (scenes, harm):
+    for made in (scenes, harm, own):
         with tempfile.TemporaryDirectory() as folder:
             for target, name, data in made(Path(folder)):
                 path = CORPUS / target / name

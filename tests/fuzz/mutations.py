@@ -17,9 +17,16 @@ import zstandard
 
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.formats.cogs.index import read_index
-from cogsplat.formats.cogs.layout import MAGIC
+from cogsplat.formats.cogs.layout import MAGIC, PREAMBLE_BYTES
+from cogsplat.formats.storage.magic import MANIFEST_MAGIC
 from cogsplat.formats.storage.source import BytesSource
-from cogsplat.tools.lab.conformance.file_builder import replace_payloads, split_root, with_root
+from cogsplat.tools.lab.conformance.file_builder import (
+    poke,
+    replace_payloads,
+    seal,
+    split_root,
+    with_root,
+)
 
 NUMBERS = (0, 1, 2, 3, 127, 128, 255, 256, 65535, 65536, 1 << 18, 1 << 24, (1 << 24) + 1,
            (1 << 31) - 1, 1 << 31, (1 << 32) - 1)  # fmt: skip
@@ -50,6 +57,8 @@ def _inside(data: bytes, rng: random.Random) -> bytes:
         return _in_zip(data, rng)
     if data.startswith(MAGIC):
         return _in_cogs(data, rng)
+    if data.startswith(MANIFEST_MAGIC):
+        return _in_manifest(data, rng)
     if data.startswith(b"glTF"):
         return _in_glb(data, rng)
     if data.startswith(b"NGSP"):
@@ -107,6 +116,7 @@ def _in_zip(data: bytes, rng: random.Random) -> bytes:
             if any(entry.file_size > _MAX_INFLATED for entry in archive.infolist()):
                 return _bytes(data, rng)
             files = {name: archive.read(name) for name in archive.namelist()}
+            stored = max((entry.compress_type for entry in archive.infolist()), default=0)
     # Damaged by an earlier change, in one of the many ways that zipfile has of saying so.
     except Exception:
         return _bytes(data, rng)
@@ -114,7 +124,8 @@ def _in_zip(data: bytes, rng: random.Random) -> bytes:
         return _bytes(data, rng)
     chosen = rng.choice(sorted(files))
     files[chosen] = _inside(files[chosen], rng)
-    method = rng.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))
+    # What is stored may have to stay so to be read.
+    method = rng.choice((stored, stored, zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))
     with zipfile.ZipFile(out, "w", method) as archive:
         for name, content in files.items():
             archive.writestr(zipfile.ZipInfo(name), content)
@@ -135,6 +146,26 @@ def _in_cogs(data: bytes, rng: random.Random) -> bytes:
     # Damaged by an earlier change.
     except (CogsplatError, ValueError, LookupError, struct.error):
         return _bytes(data, rng)
+
+
+def _in_manifest(data: bytes, rng: random.Random) -> bytes:
+    """Change the root of a manifest, or the tables behind it, with the CRCs that fit."""
+    if len(data) < PREAMBLE_BYTES:
+        return _bytes(data, rng)
+    root, behind = split_root(data)
+    if rng.random() < 0.4:
+        root = _bytes(root, rng)
+    elif rng.random() < 0.3 or len(behind) < 8:
+        behind = _bytes(behind, rng)
+    else:
+        # A table of places ends in its CRC; without pages there is one.
+        places = bytearray(behind[:-4])
+        at = rng.randrange(len(places))
+        number = struct.pack("<I", rng.choice(NUMBERS))
+        places[at : at + 4] = number[: len(places) - at]
+        behind = bytes(places) + struct.pack("<I", zlib.crc32(places))
+    head = poke(data[:PREAMBLE_BYTES], 12, "I", len(root))
+    return seal(poke(head, 24, "I", zlib.crc32(root))) + root + behind
 
 
 def _in_glb(data: bytes, rng: random.Random) -> bytes:

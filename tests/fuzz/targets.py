@@ -15,6 +15,7 @@ from pathlib import Path
 
 import http_scripts
 import numpy as np
+import own_files
 from fault_server import serving
 
 from cogsplat import decode as decode_url
@@ -230,7 +231,7 @@ _SCENES = tuple(
     Target(
         extension[1:].replace(".", "_"),
         ("a" + extension, "side.bin") if extension == ".gltf" else ("a" + extension,),
-        _scene,
+        own_files.bounded(_scene) if extension == ".pt" else _scene,
     )
     for format_ in FORMATS
     for extension in format_.extensions
@@ -250,6 +251,12 @@ TARGETS: dict[str, Target] = {
         Target("points_bin", ("points3D.bin",), _points),
         Target("points_txt", ("points3D.txt",), _points),
         Target("mask", ("v.png",), _mask),
+        Target("checkpoint", ("a.npz",), own_files.read_tune_checkpoint),
+        Target("batch_jsonl", ("a.jsonl",), own_files.read_batch_manifest),
+        Target("batch_toml", ("a.toml",), own_files.read_batch_manifest),
+        Target("batch_log", ("a.log",), own_files.read_batch_log),
+        Target("folder", ("manifest.cogsm",), own_files.read_folder),
+        Target("upload", ("manifest.cogsm",), own_files.read_upload),
         Target("http", ("answers.json",), _http),
     )
 }

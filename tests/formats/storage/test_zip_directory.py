@@ -3,6 +3,7 @@
 import io
 import struct
 import zipfile
+from pathlib import Path
 
 import pytest
 
@@ -61,3 +62,11 @@ def test_entries_may_end_where_the_next_begins_or_before() -> None:
     for size in (7, 3):
         with open_zip(with_second_entry("compress_size", size), 1 << 12, refusal) as archive:
             assert archive.read("file 0") == b"content"
+
+
+def test_a_directory_before_the_file_is_damage(tmp_path: Path) -> None:
+    """Files on a disk refuse to go there with an OSError, which is none of the disk."""
+    path = tmp_path / "a.zip"
+    path.write_bytes(struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 1, 1, 1000, 0, 0))
+    with path.open("rb") as file, pytest.raises(zipfile.BadZipFile):
+        open_zip(file, 1 << 12, refusal)
