@@ -49,6 +49,11 @@ _HINTS: Final = {
     "exists": ("--force", "--force replaces it"),
     "file-truncated": ("--partial", "--partial reads the chunks that are complete"),
     "segment-missing": ("--partial", "--partial reads the chunks that are complete"),
+    "target-out-of-reach": (
+        "--no-prune",
+        "`cogsplat tune` trains fewer splats to show the scene in a size; `cogsplat decimate` "
+        "removes the splats that matter least, without training",
+    ),
     "invalid-rows": ("--drop-invalid", "--drop-invalid leaves those splats out"),
     "decoded-size": ("--limits", "--limits memory=8GiB,expansion=4096 or larger values allow it"),
     "too-many-splats": ("--limits", "--limits splats=100M or a larger number allows it"),

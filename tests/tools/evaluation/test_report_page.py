@@ -195,4 +195,7 @@ def test_a_size_too_small_is_refused(run: Run, small: SmallScene, tmp_path: Path
     result = run("encode", small.ply, tmp_path / "o.cogs", *arguments)
     assert result.code == 3
     assert "[target-out-of-reach]" in result.err
+    assert "splats would fit" in result.err
+    assert "`cogsplat tune`" in result.err
+    assert "`cogsplat decimate`" in result.err
     assert list(tmp_path.iterdir()) == []
