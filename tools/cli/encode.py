@@ -370,7 +370,11 @@ def _measure(
     qualities = evaluation.measure(options.out, threads=options.threads, progress=stages)
     if options.report is not None:
         shown = evaluation.report_input(
-            options.scene, given.file_bytes, options.out, qualities, settings
+            options.scene,
+            given.file_bytes,
+            options.out,
+            qualities,
+            [*predicted_facts(made), *settings],
         )
         write_report(shown, options.report, force=options.force, progress=stages)
     return qualities

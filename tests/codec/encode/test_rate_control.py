@@ -199,10 +199,12 @@ def test_what_is_added_may_leave_no_room():
 
 
 def test_what_cannot_be_reached_is_said():
-    with pytest.raises(DataError, match="finest setting shows 31.00 dB.*near-lossless") as caught:
+    with pytest.raises(DataError, match=r"finest setting shows 31\.00 dB.*near-lossless") as caught:
         psnr_hit(Curve(lambda q: min(q, 31.0)), 40.0)
     assert caught.value.code == "target-out-of-reach"
-    with pytest.raises(DataError, match="coarsest setting shows 45.00 dB.*fewer splats") as caught:
+    with pytest.raises(
+        DataError, match=r"coarsest setting shows 45\.00 dB.*fewer splats"
+    ) as caught:
         psnr_hit(Curve(lambda q: max(q, 45.0)), 40.0)
     assert caught.value.code == "target-out-of-reach"
     with pytest.raises(DataError, match="about 302 splats would fit") as caught:

@@ -190,6 +190,17 @@ def test_aims_that_contradict_are_misuse(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_the_report_has_the_prediction_close_up(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    page = tmp_path / "r.html"
+    arguments = ["--cameras", small.cameras, "--preset", "fast", "--report", page]
+    assert run("encode", small.ply, tmp_path / "o.cogs", *arguments).code == 0
+    text = page.read_text(encoding="utf-8")
+    assert "left out of the given cameras" in text
+    assert "from 40% of the distance" in text
+
+
 def test_a_size_too_small_is_refused(run: Run, small: SmallScene, tmp_path: Path) -> None:
     arguments = ["--cameras", small.cameras, "--target-size", 900]
     result = run("encode", small.ply, tmp_path / "o.cogs", *arguments)
