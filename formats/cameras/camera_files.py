@@ -10,7 +10,13 @@ from cogsplat.codec.errors import FormatError
 from cogsplat.formats.cogs.folder_map import MANIFEST_NAME
 from cogsplat.formats.cogs.open_file import open_source
 from cogsplat.formats.cogs.reader import open_cogs
-from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
+from cogsplat.formats.storage.atomic import (
+    StrPath,
+    is_file,
+    is_folder,
+    open_for_read,
+    storage_errors,
+)
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.magic import COGS_MAGIC, MANIFEST_MAGIC
 
@@ -54,14 +60,14 @@ def read_cameras(path: StrPath, *, limits: Limits | None = None) -> list[Camera]
         See `open_for_read`.
     """
     where = os.fspath(path)
-    if (Path(path) / MANIFEST_NAME).is_file():
+    if is_file(Path(path) / MANIFEST_NAME):
         return _stored_cameras(path, limits or Limits())
-    if Path(path).is_dir():
+    if is_folder(path):
         model = find_model(Path(path))
         if model is not None:
             return read_colmap(model, limits=limits)
         for name in _TRANSFORMS:
-            if (Path(path) / name).is_file():
+            if is_file(Path(path) / name):
                 return read_transforms(Path(path) / name, limits=limits)
         raise FormatError(
             "unknown-cameras",

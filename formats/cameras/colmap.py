@@ -21,7 +21,7 @@ from cogsplat.codec.errors import (
     UnsupportedError,
 )
 from cogsplat.codec.geometry.rotations import matrices
-from cogsplat.formats.storage.atomic import open_for_read, storage_errors
+from cogsplat.formats.storage.atomic import is_file, open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
 
 from .colmap_records import COUNT, MAX_LINE_BYTES, MAX_NAME_BYTES, RecordReader, skip_line
@@ -94,7 +94,7 @@ def _suffix(folder: Path) -> str:
     """Return the suffix of a folder's model files, empty if there are none."""
     # Binary first, like COLMAP itself.
     for suffix in (".bin", ".txt"):
-        if all((folder / f"{stem}{suffix}").is_file() for stem in ("cameras", "images")):
+        if all(is_file(folder / f"{stem}{suffix}") for stem in ("cameras", "images")):
             return suffix
     return ""
 

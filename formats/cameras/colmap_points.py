@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.errors import DataError, FormatError
-from cogsplat.formats.storage.atomic import open_for_read, storage_errors
+from cogsplat.formats.storage.atomic import is_file, is_folder, open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
 
 from .colmap import find_model
@@ -46,12 +46,12 @@ class Points:
 
 def find_points(folder: Path) -> Path | None:
     """Return the path of the points of a folder's sparse model; None if there is none."""
-    model = find_model(folder) if folder.is_dir() else None
+    model = find_model(folder) if is_folder(folder) else None
     if model is None:
         return None
     # Binary first, like COLMAP itself.
     found = (model / f"points3D{suffix}" for suffix in (".bin", ".txt"))
-    return next((path for path in found if path.is_file()), None)
+    return next((path for path in found if is_file(path)), None)
 
 
 def read_points(path: Path, *, limits: Limits | None = None) -> Points:

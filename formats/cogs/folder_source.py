@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 
 from cogsplat.codec.errors import FormatError, TruncatedError
-from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
+from cogsplat.formats.storage.atomic import StrPath, is_folder, open_for_read, storage_errors
 from cogsplat.formats.storage.regular_files import open_regular
 from cogsplat.formats.storage.source import FileSource, require_within
 
@@ -22,7 +22,7 @@ from .object_source import ObjectSource
 def manifest_path(path: StrPath) -> Path:
     """Return the path of a manifest from its own path or that of its folder."""
     given = Path(path)
-    return given / MANIFEST_NAME if given.is_dir() else given
+    return given / MANIFEST_NAME if is_folder(given) else given
 
 
 def names_folder(path: StrPath) -> bool:
@@ -33,7 +33,7 @@ def names_folder(path: StrPath) -> bool:
     StorageError
         ``not-found``, ``not-a-file``, ``permission`` or ``io``.
     """
-    if Path(path).is_dir():
+    if is_folder(path):
         return True
     with open_for_read(path) as file, storage_errors(path):
         return is_manifest(file.read(layout.PREAMBLE_BYTES))
@@ -116,7 +116,7 @@ class FolderSource(ObjectSource):
     def _objects(self) -> dict[str, int]:
         """Length of each object in the folder at the first call, bytes; 0 for a link or folder."""
         folder = self._folder / SEGMENT_FOLDER
-        if not folder.is_dir():
+        if not is_folder(folder):
             return {}
         with storage_errors(folder), os.scandir(folder) as entries:
             return {

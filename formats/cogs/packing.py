@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.formats.network.network_options import NetworkOptions
-from cogsplat.formats.storage.atomic import StrPath, check_output
+from cogsplat.formats.storage.atomic import StrPath, check_output, is_file, is_folder
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import Readable
 
@@ -144,6 +144,6 @@ def folder_files(folder: Readable) -> Iterator[Path]:
     if not isinstance(folder, str | os.PathLike):
         return
     place = Path(folder)
-    objects = place if place.is_dir() else place.parent / SEGMENT_FOLDER
+    objects = place if is_folder(place) else place.parent / SEGMENT_FOLDER
     yield place
-    yield from (inner for inner in objects.rglob("*") if inner.is_file())
+    yield from (inner for inner in objects.rglob("*") if is_file(inner))

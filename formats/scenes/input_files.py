@@ -8,6 +8,7 @@ from pathlib import Path
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.formats.cogs.folder_source import names_folder
 from cogsplat.formats.cogs.packing import folder_files
+from cogsplat.formats.storage.atomic import exists, is_file, is_folder
 
 from .registry import is_cogs, scene_files
 
@@ -20,17 +21,17 @@ def input_files(path: Path) -> Iterator[Path]:
     path : Path
         Scene, cameras or other file, or a folder, all files of which are yielded.
     """
-    if not path.exists():
+    if not exists(path):
         return
     yield path
-    if path.is_dir():
-        yield from (inner for inner in path.rglob("*") if inner.is_file())
+    if is_folder(path):
+        yield from (inner for inner in path.rglob("*") if is_file(inner))
         return
     try:
         if names_folder(path):
             yield from folder_files(path)
         elif not is_cogs(path):
-            yield from (part for part in scene_files(path) if part.exists())
+            yield from (part for part in scene_files(path) if exists(part))
     except CogsplatError:
         # Not a scene; its own reader reports damage.
         return

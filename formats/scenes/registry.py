@@ -23,7 +23,7 @@ from cogsplat.formats.scenes.ply.ply_scene import read_ply, write_ply
 from cogsplat.formats.scenes.sog.sog_scene import is_sog, read_sog, sog_files, write_sog
 from cogsplat.formats.scenes.spz.container import is_spz
 from cogsplat.formats.scenes.spz.spz_scene import read_spz, write_spz
-from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
+from cogsplat.formats.storage.atomic import StrPath, exists, is_file, open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.magic import COGS_MAGIC, MANIFEST_MAGIC, describe
 
@@ -129,7 +129,7 @@ def is_cogs(path: StrPath) -> bool:
     StorageError
         See `open_for_read`.
     """
-    if (Path(path) / MANIFEST_NAME).is_file():
+    if is_file(Path(path) / MANIFEST_NAME):
         return True
     head = _head(path)
     if head.startswith((COGS_MAGIC, MANIFEST_MAGIC)):
@@ -182,7 +182,7 @@ def scene_bytes(path: StrPath) -> int:
     total = 0
     for part in scene_files(path):
         with storage_errors(part):
-            total += part.stat().st_size if part.exists() else 0
+            total += part.stat().st_size if exists(part) else 0
     return total
 
 

@@ -12,7 +12,7 @@ import socket
 import stat
 import sys
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
@@ -124,6 +124,33 @@ def require_regular(path: Path, mode: int) -> None:
         raise StorageError("not-a-file", f"{path}: is {kind}, expected a file")
 
 
+def is_file(path: StrPath) -> bool:
+    """Whether a path names a regular file, links followed; False where it cannot be examined.
+
+    `Path.is_file` raises `OSError` for some paths, such as too long ones. The error with a reason
+    code is that of opening them.
+    """
+    return _is_kind(path, stat.S_ISREG)
+
+
+def is_folder(path: StrPath) -> bool:
+    """Whether a path names a folder, links followed; False where it cannot be examined."""
+    return _is_kind(path, stat.S_ISDIR)
+
+
+def exists(path: StrPath) -> bool:
+    """Whether a path names anything, links followed; False where it cannot be examined."""
+    return _is_kind(path, lambda mode: True)
+
+
+def _is_kind(path: StrPath, test: Callable[[int], bool]) -> bool:
+    """Whether the mode bits of a path pass a test."""
+    try:
+        return test(Path(path).stat().st_mode)
+    except (OSError, ValueError):
+        return False
+
+
 def open_for_read(path: StrPath) -> BufferedReader:
     """Open a regular file for buffered binary reading.
 
@@ -173,7 +200,7 @@ def check_output(path: StrPath, *, force: bool, inputs: Iterable[StrPath] = ()) 
         if mode is not None:
             require_regular(Path(path), mode)
             for source in inputs:
-                if Path(source).exists() and target.samefile(source):
+                if exists(source) and target.samefile(source):
                     raise OutputIsInputError(path, source)
             if not force:
                 raise TargetExistsError(path)

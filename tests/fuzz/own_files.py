@@ -68,7 +68,7 @@ def bounded(read: Callable[[Path], object]) -> Callable[[Path], None]:
 def tuning_run() -> _TuningRun:
     """Return a run of a small scene, as at the start of ``tune``."""
     cameras = synth_cameras(3, 16, 16)
-    views = TuningViews(cameras, (), (), (), planned=False)
+    views = TuningViews(cameras)
     return _TuningRun(synth(SPLATS), TuneRequest(views), None, None, silent)
 
 

@@ -20,7 +20,7 @@ import click
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.formats.network.object_output import ObjectOutput
 from cogsplat.formats.network.urls import is_url
-from cogsplat.formats.storage.atomic import TargetExistsError
+from cogsplat.formats.storage.atomic import TargetExistsError, is_file
 from cogsplat.tools.terminal.config_file import settable_options
 from cogsplat.tools.terminal.options import (
     json_option,
@@ -114,7 +114,7 @@ class _Batch:
         if is_url(scene.output):
             return ObjectOutput(scene.output).size() == done.size_bytes
         path = self.folder / scene.output
-        return path.is_file() and path.stat().st_size == done.size_bytes
+        return is_file(path) and path.stat().st_size == done.size_bytes
 
     def _require_absent(self, scene: BatchScene) -> None:
         """Refuse outputs that exist."""

@@ -22,7 +22,7 @@ from cogsplat.formats.cogs.folder_writer import (
 )
 from cogsplat.formats.network.urls import is_url
 from cogsplat.formats.scenes.registry import is_cogs
-from cogsplat.formats.storage.atomic import storage_errors
+from cogsplat.formats.storage.atomic import is_folder, storage_errors
 from cogsplat.formats.storage.scratch_folder import scratch_folder
 from cogsplat.tools.terminal.limits_option import current_limits, limits_option
 from cogsplat.tools.terminal.options import (
@@ -79,7 +79,7 @@ class _FileOrFolder(OutputPath):
             if names_manifest or text.endswith("/"):
                 self.fail(f"{text}: a folder on a network, expected `cogsplat upload`", param, ctx)
             return super().convert(value, param, ctx)
-        if text.endswith(_SEPARATORS) or Path(text).is_dir():
+        if text.endswith(_SEPARATORS) or is_folder(text):
             return Path(text) / MANIFEST_NAME
         if names_manifest:
             try:
@@ -142,7 +142,7 @@ def convert(
         and cameras is None
         and writing.extras
     )
-    if not to_folder or out.parent.is_dir():
+    if not to_folder or is_folder(out.parent):
         check_outputs(out, force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
         if copied:

@@ -12,6 +12,7 @@ import click
 
 from cogsplat.formats.storage.atomic import (
     atomic_write,
+    is_folder,
     open_for_read,
     storage_errors,
 )
@@ -139,7 +140,7 @@ def _room_for(folder: Path, names: list[str], force: bool, *, needed: bool) -> I
         yield
         return
     with storage_errors(folder):
-        made = not folder.is_dir()
+        made = not is_folder(folder)
         if made:
             folder.mkdir()
     try:

@@ -10,6 +10,7 @@ import click
 
 from cogsplat.codec.errors import StorageError
 from cogsplat.formats.scenes.registry import is_cogs
+from cogsplat.formats.storage.atomic import exists, is_file
 from cogsplat.tools.delivery.file_app import FileApp
 from cogsplat.tools.delivery.file_server import Certificate, FileServer
 from cogsplat.tools.delivery.shaped_link import LinkQuality, ShapedLink
@@ -119,15 +120,15 @@ def serve(
     --throttle, --latency, --loss and --fail-rate simulate a slow or faulty link. Ctrl-C stops the
     server. Needs the extra serve.
     """
-    if not path.exists():
+    if not exists(path):
         raise StorageError("not-found", f"{path}: is not there, expected a file or a folder")
     pages = {}
-    if path.is_file() and is_cogs(path):
+    if is_file(path) and is_cogs(path):
         pages = linked_page(display_title(path), path.name)
     quality = LinkQuality(throttle, latency / 1000, loss, fail_rate, seed)
     app = FileApp(path, ShapedLink(quality), pages)
     server = FileServer(app, port, host, None if certificate is None else Certificate(*certificate))
-    scene = server.url + (relative_url(path.name) if path.is_file() else "")
+    scene = server.url + (relative_url(path.name) if is_file(path) else "")
     url = server.url if pages else scene
     try:
         if as_json:

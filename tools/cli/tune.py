@@ -17,6 +17,7 @@ from cogsplat.codec.encode.config import Target
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.progress import Progress
 from cogsplat.formats.cogs.metadata import FileMetadata
+from cogsplat.formats.storage.atomic import exists
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.photos import read_ground_truth
 from cogsplat.tools.terminal.limits_option import limits_option
@@ -302,7 +303,7 @@ def _tune(options: TuneOptions) -> None:
             request = replace(request, config=replace(request.config, seconds=left))
         state, save_state = None, None
         if options.checkpoint is not None:
-            if options.resume and options.checkpoint.exists():
+            if options.resume and exists(options.checkpoint):
                 state = read_checkpoint(options.checkpoint, run)
             save_state = partial(write_checkpoint, options.checkpoint, run)
         metadata = FileMetadata(request.first_view)

@@ -19,7 +19,7 @@ import click
 from cogsplat.formats.network.download import download
 from cogsplat.formats.network.object_output import ObjectOutput
 from cogsplat.formats.network.urls import HTTP_SCHEMES, is_url, redacted, scheme_of, split_url
-from cogsplat.formats.storage.atomic import storage_errors
+from cogsplat.formats.storage.atomic import exists, is_file, storage_errors
 from cogsplat.formats.storage.scratch_folder import scratch_folder
 
 from .progress_bars import Stages
@@ -262,14 +262,14 @@ class StandardStreams:
 
     def fetch_if_url(self, path: Path) -> Path:
         """Return the path; if it stands for a URL, download to the path first."""
-        if path in self._urls and not path.exists():
+        if path in self._urls and not exists(path):
             with Stages(shown=path not in self._quiet) as stages:
                 download(self._urls[path], path, progress=stages)
         return path
 
     def unfetched_url(self, path: Path) -> str | None:
         """Return the URL that a path stands for, None for others and after the download."""
-        return None if path.exists() else self._urls.get(path)
+        return None if exists(path) else self._urls.get(path)
 
     def output_file(self, suffix: str) -> Path:
         """Return the path of the temporary file that is copied to standard output.
@@ -330,7 +330,7 @@ class StandardStreams:
         CogsplatError
             A store refuses a file.
         """
-        if self._output is not None and self._output.is_file():
+        if self._output is not None and is_file(self._output):
             with self._output.open("rb") as file:
                 shutil.copyfileobj(file, sys.stdout.buffer)
             sys.stdout.buffer.flush()
@@ -340,7 +340,7 @@ class StandardStreams:
             start = url[: len(url) - len(PurePosixPath(split_url(url).path).name)]
             for other in beside:
                 ObjectOutput(f"{start}{other.name}").write(other, force=self._force)
-            if path.is_file():
+            if is_file(path):
                 ObjectOutput(url).write(path, force=self._force)
         click.echo(self._held, nl=False)
 

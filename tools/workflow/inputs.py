@@ -21,6 +21,7 @@ from cogsplat.formats.cogs.between_levels import decode_between
 from cogsplat.formats.cogs.open_file import open_source
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.scenes.registry import is_cogs, read_scene, scene_bytes
+from cogsplat.formats.storage.atomic import is_file
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.formats.storage.source import Source
 from cogsplat.tools.terminal.limits_option import current_limits
@@ -402,7 +403,7 @@ def evaluation_cameras(
     if path is not None:
         cameras: Sequence[Camera] = load_cameras(path)
         what = f"cameras of {path}"
-    elif beside.is_file():
+    elif is_file(beside):
         return load_cameras(beside), f"cameras of {beside}"
     elif planned is None:
         tests = plan_views(splats, threads=threads, progress=progress).test_views

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.errors import FormatError, TruncatedError, UnsupportedError
-from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
+from cogsplat.formats.storage.atomic import StrPath, exists, open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.magic import describe
 from cogsplat.formats.storage.siblings import sibling
@@ -96,7 +96,7 @@ class Gltf:
         total = self.file_bytes
         for path in self.external_files():
             with storage_errors(path):
-                total += path.stat().st_size if path.exists() else 0
+                total += path.stat().st_size if exists(path) else 0
         return total
 
     def external_files(self) -> list[Path]:

@@ -12,7 +12,13 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from cogsplat.codec.errors import FormatError, LimitError, UnsupportedError
-from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
+from cogsplat.formats.storage.atomic import (
+    StrPath,
+    atomic_write,
+    exists,
+    open_for_read,
+    storage_errors,
+)
 from cogsplat.formats.storage.magic import describe
 from cogsplat.formats.storage.parser_errors import parser_errors
 from cogsplat.formats.storage.siblings import sibling
@@ -257,7 +263,7 @@ def write_folder(meta: Path, files: Mapping[str, bytes], *, force: bool = False)
     paths[META_NAME] = meta
     try:
         for name, path in paths.items():
-            is_new = not path.exists()
+            is_new = not exists(path)
             with atomic_write(path, force) as file:
                 file.write(files[name])
             if is_new:

@@ -104,3 +104,51 @@ def test_cameras_that_cannot_be_stored_are_refused_before_any_work(
     assert told.code == 3
     assert "[bad-camera]" in told.err
     assert "score" not in told.err
+
+
+LONG = "n" * 300
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "info LONG",
+        "decode LONG o.ply",
+        "decode scene.cogs LONG.ply",
+        "encode LONG o.cogs",
+        "encode scene.ply LONG.cogs",
+        "encode scene.ply o.cogs --cameras LONG",
+        "encode scene.ply o.cogs --masks LONG --cameras cameras.json",
+        "encode scene.ply o.cogs --report LONG.html",
+        "encode scene.ply o.cogs --config LONG",
+        "convert LONG o.ply",
+        "convert scene.cogs LONG/",
+        "merge scene.ply LONG o.ply",
+        "tune LONG o.cogs",
+        "tune scene.ply o.cogs --checkpoint LONG",
+        "layers LONG o.cogs",
+        "compare scene.ply LONG",
+        "export-html LONG o.html",
+        "export-html scene.cogs LONG --folder",
+        "render LONG o.png",
+        "serve LONG",
+        "view LONG",
+        "upload LONG s3://bucket/a",
+        "batch LONG",
+        "lab score LONG o.npy",
+        "lab evaluate scene.ply --out LONG",
+        "lab simulate LONG --cameras cameras.json",
+    ],
+)
+def test_names_that_are_too_long_are_errors_of_files(
+    run: Run, small: SmallScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str
+) -> None:
+    """Not a traceback, nor an error of standard output, which others of the system are."""
+    for path in (small.ply, small.cogs, small.cameras):
+        shutil.copy(path, tmp_path / path.name)
+    monkeypatch.chdir(tmp_path)
+    first, *others = words.replace("LONG", LONG).replace("lab ", "lab_").split()
+    told = run(first.replace("_", " "), *others)
+    assert told.code in (2, 3, 4), told.err
+    assert "standard output" not in told.err
+    assert LONG in told.err
