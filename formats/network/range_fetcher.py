@@ -219,6 +219,9 @@ class RangeFetcher:
 
     def _cancel_dropped(self) -> None:
         """Cancel requests of which no range is needed any more."""
+        if self.whole is not None:
+            # Later ranges come from the download that a range of the past began.
+            return
         for request, task in self._in_flight.items():
             # A request without missing bytes ends by itself, and keeps its connection usable.
             if request.is_dropped and request.missing:

@@ -1,12 +1,12 @@
 """Web servers by script: what is wrong with each response to a reader, as JSON.
 
-A script has ``via`` (``file``, ``folder`` or ``s3``), ``answers`` to the first requests, and
-``always`` for all others. An empty answer is right. Its keys change it: ``status``; ``headers`` by
-name, null for none, with ``$first``, ``$last``, ``$end`` and ``$size`` of the request; ``body``
-(``range``, ``whole``, ``other``, ``empty``) or ``text``; ``times`` that the body is sent, below 0
-without end; ``flip`` of a bit; ``cut`` after bytes; ``chunked``; ``before``, a count of
-100 Continue; ``raw`` in place of the head; ``drip``, bytes per write; ``after`` (``keep``,
-``close``, ``reset``, ``stall``).
+A script has ``via`` (``file``, ``folder`` or ``s3``), ``how`` it is read (``decode``, ``stream``,
+``chunks``), ``answers`` to the first requests, and ``always`` for all others. An empty answer is
+right. Its keys change it: ``status``; ``headers`` by name, null for none, with ``$first``,
+``$last``, ``$end`` and ``$size`` of the request; ``body`` (``range``, ``whole``, ``other``,
+``empty``) or ``text``; ``times`` that the body is sent, below 0 without end; ``flip`` of a bit;
+``cut`` after bytes; ``chunked``; ``before``, a count of 100 Continue; ``raw`` in place of the head;
+``drip``, bytes per write; ``after`` (``keep``, ``close``, ``reset``, ``stall``).
 """
 
 import asyncio
@@ -69,6 +69,12 @@ def via_of(script: dict[str, Any]) -> str:
     """Return how the scene of a script is read."""
     found = script.get("via")
     return found if found in ("folder", "s3") else "file"
+
+
+def how_of(script: dict[str, Any]) -> str:
+    """Return by which function the scene of a script is read."""
+    found = script.get("how")
+    return found if found in ("stream", "chunks") else "decode"
 
 
 def server_of(script: dict[str, Any]) -> FaultServer:
@@ -246,6 +252,7 @@ def made_script(seed: int) -> bytes:
     """Return a script, the same for the same seed: a few answers with one to three faults each."""
     rng = random.Random(seed)
     script: dict[str, Any] = {"via": rng.choice(("file", "file", "file", "folder", "folder", "s3"))}
+    script["how"] = rng.choice(("decode", "stream", "chunks"))
     script["answers"] = [_made_answer(rng) for _ in range(rng.randint(0, 4))]
     if rng.random() < 0.5:
         script["always"] = _made_answer(rng)
@@ -274,6 +281,8 @@ def _made_answer(rng: random.Random) -> Answer:
                 answer["times"] = rng.choice((-1, 0, 2, 100))
                 if rng.random() < 0.5:
                     answer |= {"status": 200, "body": "whole"}
+                    if rng.random() < 0.5:
+                        answer |= {"times": 1, "drip": 5000}
             case "flip":
                 answer["flip"] = rng.randrange(8 << 18)
             case "cut":

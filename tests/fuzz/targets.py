@@ -18,7 +18,7 @@ import numpy as np
 import own_files
 from fault_server import serving
 
-from cogsplat import decode as decode_url
+import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatError, CogsplatWarning
 from cogsplat.codec.splats import Splats
@@ -190,6 +190,20 @@ _HTTP_REQUESTS = 400
 _HTTP_SENT_BYTES = 64 << 20
 
 
+def _read_url(url: str, how: str, network: NetworkOptions) -> Splats:
+    """Decode a scene at a URL, perhaps after a stream of it or chunk by chunk from the last."""
+    if how == "decode":
+        return cogsplat.decode(url, network=network, limits=LIMITS)
+    with cogsplat.open(url, network=network, limits=LIMITS) as file:
+        if how == "stream":
+            with file.stream() as updates:
+                assert all(update.chunk < file.num_chunks for update in updates)
+        else:
+            for chunk in reversed(range(file.num_chunks)):
+                file.decode([chunk])
+        return file.decode()
+
+
 def _http(path: Path) -> None:
     """Read a scene from the server of a script: right splats or a refusal, within bounds."""
     script = http_scripts.parsed(path.read_bytes())
@@ -207,7 +221,7 @@ def _http(path: Path) -> None:
 
         def read() -> None:
             try:
-                outcome.append(decode_url(url, network=network, limits=LIMITS))
+                outcome.append(_read_url(url, http_scripts.how_of(script), network))
             except BaseException as error:
                 outcome.append(error)
 

@@ -56,6 +56,7 @@ REFUSALS = {
     ("mask", "eps"): "mask",
     ("http", "byte_a_range"): "connection-broken",
     ("http", "drip"): "network-timeout",
+    ("http", "whole_file_for_a_range"): "",
     ("http", "object_of_the_year_10000"): "connection-broken",
     ("http", "manifest_without_end"): "",
     ("http", "body_without_end"): "",

@@ -440,3 +440,23 @@ def test_malformed_addresses_on_the_command_line_are_coded() -> None:
         assert done.returncode == 4, done.stderr
         assert "Traceback" not in done.stderr
         assert "[bad-url]" in done.stderr
+
+
+def test_a_range_that_was_read_does_not_end_the_download_of_the_whole_file(data: bytes) -> None:
+    async def slow_whole(exchange: Exchange) -> None:
+        exchange.head(200, {"Content-Length": str(len(data))})
+        for at in range(0, len(data), 1 << 14):
+            exchange.writer.write(data[at : at + (1 << 14)])
+            await exchange.writer.drain()
+            await asyncio.sleep(0.005)
+
+    with (
+        serving(FaultServer(data, [right], always=slow_whole)) as server,
+        warnings.catch_warnings(),
+    ):
+        warnings.simplefilter("ignore", CogsplatWarning)
+        with open_url(server.url(), QUICK) as source:
+            for offset in range(66_000, len(data), 20_000):
+                length = min(20_000, len(data) - offset)
+                assert source.read(offset, length) == data[offset : offset + length]
+    assert len(server.asked) == 2
