@@ -1,4 +1,4 @@
-"""Adaptive quantiser steps: extra bits of a row as a function of its scales (SPEC 6.10)."""
+"""Adaptive quantiser steps: extra bits of each splat, derived from its scales (SPEC 6.10)."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class StepModel:
 
 
 def unpack(data: memoryview, where: str) -> StepModel:
-    """Read a step model from the parameters of a stream.
+    """Parse the step model in the parameters of a stream.
 
     Raises
     ------

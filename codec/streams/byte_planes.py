@@ -66,7 +66,7 @@ def pack_plane(plane: U8, *, digits: bool = True) -> tuple[int, bytes]:
 
 
 def _compress_if_smaller(raw: bytes) -> tuple[bytes, int]:
-    """Return a zstd frame or the bytes themselves, whichever is shorter, and the plane's word."""
+    """Return a zstd frame or the bytes themselves, whichever is shorter, and their plane word."""
     # One thread, no checksum (the segment has its CRC), content size always stated.
     compressor = zstandard.ZstdCompressor(
         level=_LEVEL, write_checksum=False, write_content_size=True, threads=0
@@ -116,7 +116,7 @@ def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
     stored : memoryview
         Stored bytes of the plane.
     word : int
-        The plane's word.
+        Word of the plane: stored length and flags (SPEC 6.3).
     length : int
         Decoded length in bytes, implied by the stream's record.
     where : str
@@ -154,7 +154,9 @@ def unpack_plane(stored: memoryview, word: int, length: int, where: str) -> U8:
 
 
 def parse_packing(stored: memoryview, word: int, length: int, where: str) -> tuple[int, int]:
-    """Return the radix and the size of a plane before decompression.
+    """Return the radix of a plane's packed symbols, and the size that the packed plane has.
+
+    Nothing is decompressed yet: the size is the one that decompression must yield.
 
     Parameters
     ----------
@@ -164,9 +166,9 @@ def parse_packing(stored: memoryview, word: int, length: int, where: str) -> tup
     Returns
     -------
     radix : int
-        Radix of packed symbols; 0 if every byte is one symbol.
+        Number of values that a packed symbol can take; 0 if every byte is one symbol.
     size : int
-        Bytes of the plane before its symbols are unpacked.
+        Size after decompression and before symbols are unpacked, bytes.
 
     Raises
     ------

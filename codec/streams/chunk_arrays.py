@@ -37,7 +37,7 @@ class ChunkArrays:
 
 @dataclass(frozen=True)
 class CodebookRows:
-    """Access to the codebooks that a chunk needs, by their numbers.
+    """Lookup functions for the decoded codebooks of a file, by codebook number.
 
     Parameters
     ----------
@@ -45,8 +45,8 @@ class CodebookRows:
         Returns the (C, 3) log scales and (C, 4) quaternions of a shape codebook; None if the file
         has no shape codebook of this number.
     colours : callable
-        Returns the (C, d) rows of a colour codebook, d as in `ChunkArrays`; None if the file has
-        no colour codebook of this number.
+        Returns the (C, d) SH coefficients of a colour codebook, in the layout of
+        `ChunkArrays.shN`; None if the file has no colour codebook of this number.
     """
 
     shapes: Callable[[int], tuple[F32, F32] | None]

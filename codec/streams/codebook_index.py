@@ -124,7 +124,7 @@ def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
 
 
 def gather(codebook: F32, escape: F32 | None, indices: U32, out: F32) -> None:
-    """Copy rows of a codebook and escape rows into (n, d) float32 `out`.
+    """Copy rows of a codebook and of its escape rows, by index, into (n, d) float32 `out`.
 
     Parameters
     ----------

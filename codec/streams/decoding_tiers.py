@@ -25,7 +25,7 @@ MIN_SPLATS: Final = 3_000_000
 MIN_SPLATS_REPEATED: Final = 150_000
 """Minimum number of splats in several decodes of one process for which the kernels are loaded.
 
-It is lower than `MIN_SPLATS` because a process that decodes repeatedly is likely to go on."""
+It is lower than `MIN_SPLATS` because a process that decodes repeatedly is likely to decode more."""
 
 KERNEL_MODULES: Final = tuple(f"{__package__}.kernels_{name}" for name in ("chunk_layout", "chunk"))
 """Modules of the kernels that decoding calls, for `compiling.kernels_in`."""

@@ -84,7 +84,10 @@ class _Code:
 def _literals(
     block: memoryview, before: _Code | None
 ) -> tuple[_Code, list[tuple[memoryview, int]]]:
-    """Return the code of a block's Huffman literals, and each stream with its symbol count."""
+    """Return the Huffman code of a block's literals, and each stream with its symbol count.
+
+    `before` is the code of the previous block, which a block may use again.
+    """
     size_format = block[0] >> 2 & 3
     bits = _SIZE_BITS[size_format]
     sizes = int.from_bytes(block[:5], "little") >> 4
@@ -107,7 +110,7 @@ def _literals(
 
 
 def _ends_exactly(stream: memoryview, symbols: int, code: _Code) -> bool:
-    """Tell whether a number of codes takes all bits of a stream, from its last bit down."""
+    """Tell whether `symbols` codes, read from the last bit down, use all bits of a stream."""
     # The highest set bit of the last byte marks the end of the stream.
     if not stream or not stream[-1]:
         return False
@@ -134,7 +137,10 @@ def _ends_exactly(stream: memoryview, symbols: int, code: _Code) -> bool:
 
 
 def _read_weights(section: memoryview) -> tuple[list[int], int]:
-    """Return the weights of a Huffman code and the bytes of their description (RFC 8878, 4.2.1)."""
+    """Return the weights of a Huffman code, and the length of their description in bytes.
+
+    RFC 8878, 4.2.1, has the layout.
+    """
     header = section[0]
     if header >= 128:
         count = header - 127
@@ -150,7 +156,7 @@ def _read_weights(section: memoryview) -> tuple[list[int], int]:
 
 
 def _read_fse_weights(stored: memoryview) -> list[int]:
-    """Return weights that two FSE states give in turn (RFC 8878, 4.2.1.2)."""
+    """Decode Huffman weights from two interleaved FSE states (RFC 8878, 4.2.1.2)."""
     states, bits, start = _read_fse_states(stored)
     stream = int.from_bytes(stored[start:], "little")
     at = stream.bit_length() - 1
@@ -171,16 +177,16 @@ def _read_fse_weights(stored: memoryview) -> list[int]:
 
 
 def _read_fse_states(stored: memoryview) -> tuple[list[tuple[int, int, int]], int, int]:
-    """Read a distribution (RFC 8878, 4.1.1).
+    """Parse an FSE table description, and build its decoding table (RFC 8878, 4.1.1).
 
     Returns
     -------
     states : list of (symbol, bits, base)
-        Symbol of each state, and what gives the next one: base, plus that many bits.
+        Symbol of each state. The next state is `base` plus the next `bits` bits of the stream.
     bits : int
-        Bits of a state.
+        Accuracy log: bits of a state's number.
     length : int
-        Bytes of the description.
+        Length of the description, bytes.
     """
     field = int.from_bytes(stored, "little")
     log, at = (field & 15) + 5, 4
@@ -210,7 +216,7 @@ def _read_fse_states(stored: memoryview) -> tuple[list[tuple[int, int, int]], in
 
 
 def _spread(frequencies: list[int], log: int) -> list[tuple[int, int, int]]:
-    """Spread the symbols of a distribution over the states (RFC 8878, 4.1.1)."""
+    """Build the FSE decoding table of 2^`log` states from symbol frequencies (RFC 8878, 4.1.1)."""
     size = 1 << log
     rare = [symbol for symbol, frequency in enumerate(frequencies) if frequency == -1]
     high = size - len(rare)

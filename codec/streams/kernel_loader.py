@@ -1,7 +1,7 @@
 """Loading of compiled kernels on a background thread, while numpy decodes.
 
 Kernels whose machine code is in numba's cache load in a fraction of a second; others are compiled
-first. Neither delays the process: one that exits or forks waits for a single kernel at most.
+first. Neither blocks the process. At exit or fork, the process waits for one kernel at most.
 """
 
 from __future__ import annotations

@@ -15,7 +15,19 @@ U8 = NDArray[np.uint8]
 
 @inner_exact
 def compute_extra_bits(scales: F32, coefficients: F32, knees: F32, extra: U8) -> None:
-    """Compute the extra bits of each row into `extra` (SPEC 6.10)."""
+    """Compute the number of extra bits of each splat into `extra`, as `StepModel` does (SPEC 6.10).
+
+    Parameters
+    ----------
+    scales : (n, 3) float32
+        Decoded log scales of the head: middle, thin, long.
+    coefficients : (6,) float32
+        Coefficients of the step model.
+    knees : (4,) float32
+        `adaptive_step.KNEES`.
+    extra : (n,) uint8, out
+        Number of bits; each one halves the quantiser step.
+    """
     c0, c1, c2 = coefficients[0], coefficients[1], coefficients[2]
     c3, c4, c5 = coefficients[3], coefficients[4], coefficients[5]
     k0, k1, k2, k3 = knees[0], knees[1], knees[2], knees[3]
@@ -37,7 +49,7 @@ def compute_extra_bits(scales: F32, coefficients: F32, knees: F32, extra: U8) ->
 
 @inner_exact
 def count_extra_bits(scales: F32, coefficients: F32, knees: F32, extra: U8) -> I64:
-    """Compute the extra bits of each row into `extra`; return their histogram, (16,)."""
+    """Compute the extra bits as `compute_extra_bits` does; return their histogram, (16,)."""
     compute_extra_bits(scales, coefficients, knees, extra)
     # Two alternating histograms: an increment does not wait for the previous one.
     rows = np.zeros((2, MAX_EXTRA_BITS + 1), np.int64)

@@ -36,7 +36,7 @@ def inner_exact(function: Function) -> Function:
 
 @inner_exact
 def signed(value: np.unsignedinteger[Any]) -> int:
-    """Return an unsigned integer as a signed one: numba computes a mix of both in floats."""
+    """Return an unsigned integer as a signed one; numba turns a mix of both into floats."""
     return int(np.int64(value))
 
 

@@ -325,7 +325,7 @@ def read(
 
 
 def _codebook_number(data: U8, records: I64, stream: int) -> int:
-    """Return the number of the codebook that a stream refers to."""
+    """Return the number of a stream's codebook, the first integer of its parameters."""
     at = int(records[stream, PARAMS])
     return int.from_bytes(data[at : at + 4].tobytes(), "little")
 

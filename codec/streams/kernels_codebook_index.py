@@ -71,7 +71,7 @@ def read_indices(planes: ChunkPlanes, stream: I64, total: int, out: U32) -> bool
 
 @inner_exact
 def gather(codebook: F32, escapes: F32, indices: U32, out: F32) -> None:
-    """Copy (n, d) rows of a codebook followed by escape rows, selected by indices."""
+    """Copy rows by index into (n, d) `out`; indices from the codebook's size on are escape rows."""
     size = len(codebook)
     columns = out.shape[1]
     for row in range(len(indices)):

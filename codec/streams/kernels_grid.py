@@ -67,8 +67,9 @@ def decode_values(data: U8, starts: I64, grid: GridArrays, out: F32) -> bool:
     Parameters
     ----------
     data : uint8
+        Decompressed planes of the chunk.
     starts : int64
-        Position of each plane.
+        Position of each plane, bytes.
     grid : GridArrays
     out : (rows, c) float32
     """
@@ -107,7 +108,7 @@ def decode_values(data: U8, starts: I64, grid: GridArrays, out: F32) -> bool:
 def _dequantise_column(
     codes: I32, width: np.float32, low: np.float32, column: int, out: F32
 ) -> None:
-    """Dequantise codes on a grid into one column of `out`."""
+    """Write ``low + code * width``, where `width` is the grid's step, to one column of `out`."""
     # Into a contiguous array first: only that loop is vectorised.
     values = np.empty(len(codes), np.float32)
     for row in range(len(codes)):
@@ -136,7 +137,7 @@ def _decode_refined_values(
     coarse, fine : GridArrays
         Grids of the head and of the refinement.
     radices : (c,) int64
-        Components of radix 1 have no digits.
+        Number of fine levels per coarse level; components of radix 1 have no digits.
     coarse_out : (rows, c) float32
         Receives the values of the head alone; no rows if they are not needed.
     out : (rows, c) float32

@@ -32,14 +32,14 @@ _PARTS: Final = -(-_MORTON_BITS // 9)
 
 
 def _axes_of_bits() -> U64:
-    """Return `AXES_OF_BITS`."""
+    """Compute the lookup table `AXES_OF_BITS`."""
     axes = morton.deinterleave(np.arange(512, dtype=np.uint64)).astype(np.uint64)
     shifts = np.arange(3, dtype=np.uint64) * np.uint64(_AXIS_BITS)
     return np.asarray(np.bitwise_or.reduce(axes << shifts, axis=1))
 
 
 AXES_OF_BITS: Final = _axes_of_bits()
-"""Lookup table of nine bits of a Morton code: three bits of each axis, 21 bits apart, (512,)."""
+"""Lookup table by nine bits of a Morton code: three bits of each axis, 21 bits apart, (512,)."""
 
 
 @inner_exact
@@ -48,8 +48,8 @@ def _count_bits(
 ) -> tuple[int, int]:
     """Compute the extra bits of each row into `extra`; return the bit counts of the packed planes.
 
-    The first count is of the plane of Morton differences, -1 if a class is above 51. The second
-    is of the plane of bits below the cells.
+    The first count is that of the Morton differences, -1 if a class is above 51. The second is that
+    of the bits below the cells.
     """
     rows = count_extra_bits(scales, coefficients, knees, extra)
     fields = 0

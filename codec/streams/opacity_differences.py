@@ -1,4 +1,4 @@
-"""Differences streams of opacities: logits of a level minus those of the head (SPEC 6.12)."""
+"""Opacities of a later level as differences from the logits of the head (SPEC 6.12, 7.5)."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ F32 = NDArray[np.float32]
 
 
 def write(differences: F32, grid: Grid) -> Stream:
-    """Return a differences stream of opacities.
+    """Return a stream of the opacities of one LapisGS level, as differences from the head.
 
     Parameters
     ----------
     differences : (n, 1) float32
-        Logits of the level minus those of the chunk's head.
+        Logits of the splats in the level, minus the logits that the chunk's head stores.
     grid : Grid
         Grid of one component for the differences.
     """
@@ -28,7 +28,7 @@ def write(differences: F32, grid: Grid) -> Stream:
 
 
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
-    """Add the values of a differences stream to (rows, 1) float32 `out`, the logits of the head.
+    """Add a stream of differences to (rows, 1) float32 `out`, which holds the logits of the head.
 
     Raises
     ------

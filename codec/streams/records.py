@@ -173,12 +173,20 @@ def compress_payload(plain: bytes, *, digits: bool = True) -> bytes:
     return pack(streams, digits=digits)
 
 
-def _payload(streams: Sequence[Stream], stored: Callable[[U8], tuple[int, bytes]]) -> bytes:
-    """Return the payload of streams; `stored` encodes a plane and returns its word and bytes."""
+def _payload(streams: Sequence[Stream], encode: Callable[[U8], tuple[int, bytes]]) -> bytes:
+    """Return the payload of streams.
+
+    Parameters
+    ----------
+    streams : sequence of Stream
+        Streams in the order of decoding.
+    encode : callable
+        Encodes a plane: returns its word (stored length and flags) and its stored bytes.
+    """
     records: list[bytes] = []
     bodies: list[bytes] = []
     for stream in streams:
-        packed = [stored(plane) for plane in stream.planes]
+        packed = [encode(plane) for plane in stream.planes]
         records.append(
             RECORD.pack(
                 stream.attribute,
@@ -207,7 +215,7 @@ class StoredStream:
     params : memoryview
         Parameters, in the layout of the kind's clause of SPEC 6.
     words : (p,) uint32
-        Words of the stream's planes: stored lengths and flags.
+        Word of each plane of the stream: its stored length and flags (SPEC 6.3).
     planes : StoredPlanes
         All planes of the payload.
     first : int
@@ -284,8 +292,9 @@ def unpack(payload: memoryview, where: str, max_rows: int) -> list[StoredStream]
     Raises
     ------
     FormatError
-        ``stream-record``: a record exceeds the payload or does not fit its attribute, or bytes
-        follow the last plane; ``stream-count``; ``stream-duplicate``; ``stream-rows``.
+        ``stream-record``: a record exceeds the payload, its components or flags are not those of
+        its attribute, or bytes follow the last plane;
+        ``stream-count``; ``stream-duplicate``; ``stream-rows``.
     UnsupportedError
         ``stream-attribute-unknown``, ``stream-kind-unknown``: numbers of a later version.
     """

@@ -23,12 +23,12 @@ _PARAMS: Final = struct.Struct("<B3s")
 
 
 def half_level(bits: int) -> int:
-    """Return half the step of the head in refined steps, for a refinement of `bits` bits."""
+    """Return half a step of the head, counted in refined steps; each bit halves the step."""
     return 1 << bits >> 1
 
 
 def coarse_codes(codes: I64, bits: int) -> I64:
-    """Return the codes of the head: refined codes rounded to `bits` fewer bits."""
+    """Round refined codes to the codes that the head stores, which have `bits` fewer bits."""
     coarse: I64 = (codes + half_level(bits)) >> bits
     return coarse
 

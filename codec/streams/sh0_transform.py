@@ -58,9 +58,9 @@ def parse(stream: StoredStream) -> tuple[Grid, F32]:
 
 
 def read(stream: StoredStream, out: F32, inputs: Inputs) -> None:
-    """Decode the sh0 of a basis stream into (rows, 3) float32 `out`.
+    """Decode sh0 from coordinates on the stream's colour axes, into (rows, 3) float32 `out`.
 
-    If `inputs.refinement` is given, its digits refine the coordinates.
+    If `inputs.refinement` is given, its digits stream makes the coordinates finer.
 
     Raises
     ------

@@ -133,7 +133,7 @@ def _by_falling_end(ends: U8, width: int) -> tuple[I64, list[int]]:
 
 
 def codebook_use(stream: StoredStream) -> CodebookUse:
-    """Return the codebook that a basis stream of shN refers to.
+    """Return the number of the codebook whose rows are the basis; such streams have no escape rows.
 
     Raises
     ------

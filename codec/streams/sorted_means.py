@@ -41,7 +41,7 @@ POWERS: Final = np.ldexp(
 
 
 def cell_grid(grid: Grid) -> tuple[Grid, int]:
-    """Return a coarse grid of cells for a fine grid, and the bits from a cell to a fine level.
+    """Return a coarse grid of cells for a fine grid, and the number of bits below a cell.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def write(codes: I64, grid: Grid, extra_bits: U8, model: StepModel) -> Stream:
 
 
 def pack_differences(codes: U64) -> tuple[U8, U8]:
-    """Return the planes of classes and of differences of ascending Morton codes.
+    """Split the differences of ascending Morton codes into bit lengths and packed bits.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ def pack_differences(codes: U64) -> tuple[U8, U8]:
     Returns
     -------
     classes : (n,) uint8
-        Bit length of each code's difference to its predecessor; the first code's own bit length.
+        Bit length of each code's difference from the previous code, the first one's from 0.
     differences : (m,) uint8
         Differences without their leading 1 bit, lowest bit first, packed without gaps.
     """
@@ -172,12 +172,14 @@ def _bit_length(values: U64) -> U8:
 
 
 def difference_widths(classes: U8, where: str) -> U8:
-    """Return the number of bits that each row has in the plane of differences.
+    """Return the number of packed bits of each Morton difference, given its class.
+
+    The class is the bit length of the difference; its leading 1 bit is not stored.
 
     Raises
     ------
     FormatError
-        ``morton-class``: a class above 51.
+        ``morton-class``: a class above 51, the bits of a Morton code.
     """
     if int(classes.max(initial=0)) > MORTON_BITS:
         raise FormatError(
@@ -190,7 +192,7 @@ def difference_widths(classes: U8, where: str) -> U8:
 
 
 def unpack_differences(classes: U8, differences: U8, where: str) -> U64:
-    """Return the (n,) Morton codes from the planes of classes and of differences.
+    """Return the (n,) Morton codes of classes and packed differences, as of `pack_differences`.
 
     Raises
     ------

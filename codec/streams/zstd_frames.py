@@ -42,8 +42,8 @@ _is_exact: ContextVar[bool] = ContextVar("cogsplat_exact_frames", default=False)
 def exact_streams() -> Iterator[None]:
     """Within the block, refuse Huffman streams that do not end with their last code (SPEC 6.3).
 
-    Verifiers must, readers may: the check takes longer than libzstd takes to decode. The block
-    covers frames that its own thread decompresses.
+    Verifiers must check this. Readers may skip the check, which takes longer than decoding itself.
+    The check applies to frames that the same thread decompresses.
     """
     token = _is_exact.set(True)
     try:
@@ -115,7 +115,7 @@ def decompress_located(stored: memoryview, frames: U64, sizes: U64) -> bytes | N
 
 
 def _parts(stored: memoryview, frames: U64) -> list[memoryview]:
-    """Return each frame of `decompress_located`."""
+    """Return the stored bytes of each frame; parameters as in `decompress_located`."""
     return [stored[first : first + length] for first, length in frames.tolist()]
 
 
