@@ -96,7 +96,7 @@ def fit(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> Compensation:
-    """Fit the compensation of a scene's prefixes to its own pictures.
+    """Fit the compensation of a scene's prefixes to renders of the source.
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ class Ablation:
 
 @dataclass(frozen=True)
 class Target:
-    """Target of an encode: a PSNR or a file size.
+    """Target of an encode: either a PSNR or a file size.
 
     Parameters
     ----------
@@ -119,7 +119,8 @@ class EncodeConfig:
     refine : bool
         Profile `transform`: write coarse heads, and refinements later in the file.
     prune : PruneConfig or None
-        Bound below which splats are dropped; None keeps all, as `near-lossless` always does.
+        Settings of pruning, which drops splats that hardly change the pictures. None keeps all
+        splats, as `near-lossless` always does.
     near_lossless : NearLosslessBounds
         Error bounds of the profile `near-lossless`.
     compensate : bool
@@ -185,7 +186,7 @@ class EncodeConfig:
 
     @property
     def pruning(self) -> PruneConfig | None:
-        """Bound below which splats are dropped; None for `near-lossless`, which bounds errors."""
+        """Pruning settings; None for `near-lossless`, which keeps every splat."""
         return None if self.profile == "near-lossless" else self.prune
 
 

@@ -123,7 +123,7 @@ class EncodedLevel:
     Parameters
     ----------
     chunks : int
-        Number of first chunks that make up the level.
+        Number of chunks from the start of the file to the end of the level.
     scale : float
         Divisor of the width and height of the full picture.
     """
@@ -166,9 +166,9 @@ class EncodeReport:
     test_psnr_db : tuple of float
         PSNR of the whole scene in each test view, dB; empty without a prediction.
     test_distances : tuple of float
-        Distance of each test view from what it shows, scene units.
+        Distance of each test view from the surface that it shows, scene units.
     close_psnr_db, close_distances : tuple of float
-        The same of the close views (`close_views.view_distances`) of some test views.
+        PSNR and distance of the close views (`close_views.view_distances`) of some test views.
     """
 
     seconds: Mapping[str, float] = field(default_factory=dict)

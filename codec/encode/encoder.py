@@ -154,9 +154,10 @@ class _Plan:
     codebooks : mapping of int to Codebook
         Decoded codebooks by number.
     blank : Splats
-        Scene without rows, the prototype of decoded chunks.
+        Scene without rows, with the SH degree and `info` of the decoded chunks.
     digits : bool or None
-        Argument of `Payloads.compress`; None leaves planes uncompressed.
+        Whether several symbols may share a byte of a plane (`Payloads.compress`); None leaves
+        planes uncompressed.
     """
 
     planned: PlannedScene

@@ -200,7 +200,7 @@ class Finisher:
         return encoded
 
     def _measure_close(self, encoded: EncodedScene) -> EncodedScene:
-        """Measure the PSNR of a finished scene in close views into its report."""
+        """Return a finished scene with its PSNR in close views added to the report."""
         found = view_distances(self.source, self.test_views, threads=self.prepared.config.threads)
         close = close_views(found)
         values: tuple[float, ...] = ()

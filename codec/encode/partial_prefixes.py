@@ -130,9 +130,9 @@ def _without_ended(
 
 
 def _heads(encoded: EncodedScene, runs: Sequence[slice]) -> Splats:
-    """Return the splats of the first chunks from their heads alone, at SH degree 0.
+    """Return the first chunks decoded from their heads alone, at SH degree 0.
 
-    `runs` has the row range of each of these chunks.
+    `runs` holds the row range of each chunk in `encoded.decoded`.
     """
     rows = np.arange(runs[-1].stop if runs else 0)
     coarse = encoded.decoded.with_sh_degree(0).take(rows)

@@ -53,10 +53,10 @@ def encode(
     preview : PreviewMaker, optional
         Maker of the preview splats; required by `EncodeConfig.preview`.
     progress : Progress
-        Called with the stages ``plan views``, ``score``, ``reference views``, those of the order,
-        ``order``, ``codebooks``, ``quantisers``, ``chunks``, ``view table``, ``preview``,
-        ``compensate`` and ``predict``; and with ``search`` around those that are repeated in a
-        search for a target. A stage of one step is reported when it is done.
+        Called with the stages ``plan views``, ``score``, ``reference views``, the stages of the
+        order, ``order``, ``codebooks``, ``quantisers``, ``chunks``, ``view table``, ``preview``,
+        ``compensate`` and ``predict``. A search for a target repeats some of these stages within
+        the stage ``search``. A stage of one step is reported when it is done.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Scenes in their order, and cut into chunks: the steps before quantisation."""
+"""Order the splats of a scene and cut them into chunks: the steps before quantisation."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ class PreparedScene:
     source : Splats
         Scene that is encoded.
     rows : (n,) int64
-        Source rows of the splats, in encoding order; splats invisible everywhere are left out.
+        Source rows of the splats, in encoding order, without splats too transparent to be drawn.
     scores : Scores
         Scores of the source.
     config : EncodeConfig
@@ -146,7 +146,7 @@ def prepare(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> PreparedScene:
-    """Order the splats of a scene; leave out splats that are invisible everywhere.
+    """Order the splats of a scene; leave out splats that are too transparent to be drawn.
 
     Parameters
     ----------

@@ -32,18 +32,21 @@ class Preset:
     views_every : int
         Score every n-th given view, with its jittered copies.
     most_views : int
-        Scored given views at most; each further view adds less information at the same cost.
+        Maximum number of given views to score; each further view adds less information at the same
+        cost.
     jitter_copies : int
-        `ScoreConfig.jitter_copies`.
+        Jittered copies of each scored view (`ScoreConfig.jitter_copies`).
     sensitivity_every : int
-        `ScoreConfig.sensitivity_every` of the profile `transform`.
+        Profile `transform`: interval of the scored views in which sensitivities are measured
+        (`ScoreConfig.sensitivity_every`).
     prediction_views : int
-        Views at most in which the quality of prefixes is predicted.
+        Maximum number of views in which the quality of prefixes is predicted.
     reference_views : int
-        Ground-truth renders at most for the order by marginal gain and for compensation; never
-        more than `reference_views.MAX_VIEWS`.
+        Maximum number of ground-truth renders for the order by marginal gain and for compensation;
+        never above `reference_views.MAX_VIEWS`.
     reference_share : float
-        Pixels of a reference view at most, as a share of `reference_views.PICTURE_PIXELS`.
+        Maximum number of pixels of a reference view, as a share of
+        `reference_views.PICTURE_PIXELS`.
     reference_jitter : bool
         Also draw reference views from jittered copies of the cameras.
     gain : GainEffort
@@ -53,7 +56,7 @@ class Preset:
     fit_views : int
         Views rendered in each iteration.
     fit_coded_share : float
-        `FitConfig.coded_share`.
+        Length of the longest prefix with a code per splat (`FitConfig.coded_share`).
     """
 
     planned_views: int

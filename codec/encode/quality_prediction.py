@@ -171,7 +171,7 @@ class PrefixEvaluator:
 
 
 def measure_whole(encoded: EncodedScene, evaluator: PrefixEvaluator) -> EncodedScene:
-    """Measure the PSNR of an encoded scene in each test view into its report.
+    """Return an encoded scene with its PSNR in each test view added to the report.
 
     Parameters
     ----------

@@ -36,8 +36,9 @@ SIZE_TOLERANCE: Final = 0.005
 # Distance from a target PSNR, dB, beyond which the finest or coarsest setting is out of reach.
 _NEAR_DB: Final = 0.1
 
-# Growth of the number of splats with the size of a file at one setting. Splats of small
-# contribution take few bytes: the half of a captured room's splats that shows most takes 56 %.
+# Exponent e of the splat count that fits a file size, at one setting: splats ~ size ** e. It is
+# above 1, because splats of small contribution take fewer bytes. Of a captured room, the half of
+# the splats with the largest contribution takes 56 % of the bytes.
 _SPLATS_PER_SIZE: Final = 4 / 3
 
 # First guesses of a search, from trained scenes between 33 and 47 dB: nominal quality minus PSNR,
@@ -228,10 +229,11 @@ def search_finished_size(
 ) -> SearchResult:
     """Search for a file size that includes compensation and predictions, and finish the scene.
 
-    The sizes of these additions are known before, but they change the order of segments and with it
-    the ends of index pages. If the finished file is too large, the search is repeated with a target
-    that is lower by the excess, `MAX_ROUNDS` times at most. After the last search, segments keep
-    the order in which they were measured.
+    The sizes of these additions are known before the search, but the additions change the order of
+    segments. This order decides where index pages end, and so the size of the index. If the
+    finished file is too large, the search is repeated with a target that is lower by the excess,
+    `MAX_ROUNDS` times at most. If it is still too large, its segments keep the order of the search,
+    for which the size is known.
 
     Parameters
     ----------
@@ -321,7 +323,7 @@ def _psnr_goal(psnr_db: float, tolerance_db: float) -> _Goal:
 
 
 def _size_out_of_reach(size_bytes: int, least_bytes: int, splats: int) -> DataError:
-    """Return the error of a size that no setting meets, with a number of splats that would fit."""
+    """Return the error of a size that no setting meets; it states how many splats would fit."""
     fitting = max(1, int(splats * (size_bytes / least_bytes) ** _SPLATS_PER_SIZE))
     return DataError(
         "target-out-of-reach",

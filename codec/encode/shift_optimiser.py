@@ -275,7 +275,7 @@ class ShiftOptimiser:
         np.clip(strengths, 0.0, 255 * STRENGTH_STEP, out=strengths)
 
     def layers(self) -> list[Layer]:
-        """Return the layers, quantised for the file."""
+        """Return the fitted layers: shifts, strengths and codebooks in the units of the file."""
         stored = []
         first = 0
         for number, (count, size) in enumerate(zip(self._layers, self._sizes, strict=True)):
@@ -318,7 +318,10 @@ class ShiftOptimiser:
         return gradients
 
     def _update_rendered(self, stop: int) -> None:
-        """Update the rendered shifts of the first `stop` splats: own, or of codebook rows."""
+        """Update the shifts with which the first `stop` splats are rendered.
+
+        A splat has its own shift or, after `quantise`, that of the nearest codebook row.
+        """
         if not self._codebooks:
             self._own[:stop] = self._splat_shifts[:stop]
             return

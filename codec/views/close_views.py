@@ -1,4 +1,4 @@
-"""Close views: test views moved towards what they show, as a visitor comes close."""
+"""Close views: test views moved towards the surface that they show."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class ViewDistance:
 def view_distances(
     splats: Splats, cameras: Sequence[Camera], *, threads: int = 0
 ) -> list[ViewDistance]:
-    """Measure how far views are from what they show, and return a close view of each.
+    """Measure the distance from each view to the surface that it shows, and make a close view.
 
     Parameters
     ----------
@@ -94,12 +94,18 @@ def view_distances(
 
 
 def close_views(views: Sequence[ViewDistance]) -> list[ViewDistance]:
-    """Return the close views of some views, at most `CLOSE_VIEWS`, evenly spread."""
+    """Return the close copies (`ViewDistance.close`) of at most `CLOSE_VIEWS` views.
+
+    They are spread evenly over the views that have one.
+    """
     return sample_evenly([view.close for view in views if view.close is not None], CLOSE_VIEWS)
 
 
 def _drawable_sample(splats: Splats) -> Splats:
-    """Return a subsample of the splats that can be drawn, enlarged to cover the same area."""
+    """Return a subsample of the valid splats above the smallest drawn alpha, enlarged.
+
+    The subsample covers the area of all these splats.
+    """
     every = max(1, len(splats) // _DRAWN_SPLATS)
     rows = splats.with_sh_degree(0).without_extras().take(slice(0, None, every))
     drawn = ~rows.invalid_rows() & (rows.opacities > math.log(ALPHA_MIN / (1.0 - ALPHA_MIN)))

@@ -72,7 +72,10 @@ def _free_lengths(
     starts: F64,
     found: F64,
 ) -> None:
-    """Fill `found` with the free length of each ray; see `Occluders.free_lengths`."""
+    """Write the free length of each ray into `found`; see `Occluders.free_lengths`.
+
+    `whiten` holds a matrix per splat that maps offsets to standard deviations.
+    """
     depth = np.empty(_STEPS, np.float64)
     for ray in range(len(origins)):
         depth[:] = 0.0

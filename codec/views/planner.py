@@ -97,10 +97,10 @@ _MIN_SIDE_WEIGHT: Final = 0.1
 # the scene in proportion to its detail.
 _SATURATION: Final = 0.1
 
-# An object is isolated if, from half of the poses of an orbit, splats block at most this share of
-# the directions; the object itself fills about this share. It is compact if its radius is less
-# than this many median vicinity radii. Views of a compact isolated object are all orbit poses,
-# like those of an orbit viewer.
+# An object is isolated if, at half of the poses of an orbit or more, splats block at most this
+# share of the directions; the object itself fills about this share. It is compact if its radius is
+# less than this many median vicinity radii. All views of a compact isolated object are orbit poses,
+# as in an orbit viewer.
 _ISOLATED_OCCLUSION: Final = 0.12
 _COMPACT: Final = 3.0
 _ORBIT_TRIES: Final = 24
@@ -108,9 +108,9 @@ _ORBIT_TRIES: Final = 24
 # viewer sees.
 _TEST_VIEW_SCALE: Final = 1.2
 # Test views are chosen from 8 times as many poses. Their pitch differs from the usual one by at
-# most 30°, and no splat is nearer than 0.2 median vicinity radii. Of these poses the half stays in
-# which splats within 0.5 radii block the fewest directions: a viewer stands in the room, not in a
-# chest within the room.
+# most 30°, and no splat is nearer than 0.2 median vicinity radii. The half of these poses is kept
+# at which splats within 0.5 radii block the fewest directions: a viewer stands in the room, not in
+# a chest within the room.
 _TEST_POSE_FACTOR: Final = 8
 _MAX_PITCH_OFFSET_DEG: Final = 30.0
 _CLEARANCE: Final = 0.2
@@ -379,7 +379,7 @@ class _Planner:
         return orbit(target, self._config.views, self.down, self._config.near_plane)
 
     def _is_isolated(self, target: OrbitTarget) -> bool:
-        """Return whether, from half of the orbit poses, splats block only few directions."""
+        """Whether splats block only few directions around at least half of the orbit poses."""
         if self._from_inside or not target.radius > 0.0:
             return False
         tries = orbit(target, _ORBIT_TRIES, self.down, self._config.near_plane)
@@ -517,7 +517,7 @@ class _Planner:
             self._side_weight[side] = max(share, _MIN_SIDE_WEIGHT)
 
     def _visible_from(self, inside: bool, samples: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Return a mask of the samples that any candidate inside, or any outside, sees.
+        """Return a mask of the samples that are visible from a candidate on one side.
 
         Parameters
         ----------
@@ -529,6 +529,7 @@ class _Planner:
         Returns
         -------
         (n,) bool
+            Whether each sample is visible from at least one tested candidate on that side.
         """
         rows = [row for row, enclosed in enumerate(self._inside) if enclosed == inside]
         visible = np.zeros(len(samples), np.bool_)
@@ -592,7 +593,7 @@ class _Planner:
             chosen.append(row)
 
     def _cover(self, chosen: Sequence[int], orbiting: Sequence[Candidate]) -> list[int]:
-        """Return rows of candidates that cover the remaining visible splats; set `coverage`.
+        """Return rows of candidates that cover visible splats not covered yet; set `coverage`.
 
         Parameters
         ----------

@@ -94,10 +94,10 @@ def hold_out(cameras: Sequence[Camera], every: int) -> tuple[list[Camera], list[
 
 
 def leave_out(cameras: Sequence[Camera]) -> tuple[list[Camera], list[Camera]]:
-    """Split given cameras into those to encode or train with and those to measure quality in.
+    """Split given cameras into views to encode or train with and views to measure quality in.
 
-    A file is better where it was scored or trained: of 43 cameras in a captured room by 0.5 dB, of
-    18 in two rooms by 10 dB.
+    PSNR in scored or trained views overstates the PSNR in other views: by 0.5 dB with 43 cameras in
+    one captured room, and by 10 dB with 18 cameras in two rooms.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def leave_out(cameras: Sequence[Camera]) -> tuple[list[Camera], list[Camera]]:
     Returns
     -------
     used, left_out : list of Camera
-        Every eighth camera is left out, as `hold_out` does; none of fewer than nine.
+        Every eighth camera is left out, as `hold_out` does; none if there are fewer than nine.
     """
     used, left_out = hold_out(cameras, LEFT_OUT_EVERY)
     return (used, left_out) if len(left_out) > 1 else (list(cameras), [])
@@ -166,8 +166,8 @@ def jitter(splats: Splats, cameras: Sequence[Camera], copies: int = 2) -> list[C
     splats, cameras
         See `roam`.
     copies : int
-        Copies per camera: 2 for both copies of `roam`, 1 for one of them. The one is, by the
-        camera's index modulo 4: moved back (0 and 3), rotated left (1) or rotated right (2).
+        Copies per camera: 2 for both copies of `roam`, 1 for one of the two. The camera's index
+        modulo 4 chooses it: moved back (0 and 3), rotated left (1) or rotated right (2).
 
     Returns
     -------

@@ -307,7 +307,11 @@ def encode_chunk(splats: Splats, plan_: VqPlan, rows: NDArray[np.int64], morton:
 def _indices(
     attribute: Attribute, book: int, size: int, indices: U32, escape: NDArray[np.bool_]
 ) -> Stream:
-    """Return the stream of codebook indices; the k-th escape row has index `size` + k, from 0."""
+    """Return the stream of codebook indices of a chunk.
+
+    `book` is the number of the codebook in the file, and `size` its number of rows. Escape rows
+    are numbered from `size` on.
+    """
     count = int(escape.sum())
     indices = indices.copy()
     indices[escape] = size + np.arange(count, dtype=np.uint32)
