@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from datetime import datetime
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from cogsplat.codec.errors import StorageError
 from cogsplat.formats.network.store_errors import first_line, obstore_module, store_errors
@@ -14,6 +14,13 @@ from cogsplat.formats.network.urls import STORE_SCHEMES, scheme_of
 
 if TYPE_CHECKING:
     from obstore.store import ObjectStore
+
+
+# A manifest has 128 pages of 1 MiB at most, and the places of 2^20 segments.
+_MAX_READ_BYTES: Final = 256 << 20
+
+# A server could list objects without end.
+_MAX_OBJECTS: Final = 1 << 22
 
 
 @dataclass(frozen=True)
@@ -89,8 +96,16 @@ class Bucket:
         """
         import obstore
 
+        count = 0
         with self._errors(folder):
             for block in obstore.list(self._store, folder or None):
+                count += len(block)
+                if count > _MAX_OBJECTS:
+                    raise StorageError(
+                        "bucket-failed",
+                        f"{self.name}/{folder}: more than {_MAX_OBJECTS} objects, expected a "
+                        "prefix that holds fewer",
+                    )
                 for entry in block:
                     yield StoredObject(entry["path"], entry["size"], entry["last_modified"])
 
@@ -103,12 +118,24 @@ class Bucket:
         return [StoredObject(x["path"], x["size"], x["last_modified"]) for x in found]
 
     def read(self, name: str) -> bytes | None:
-        """Return the bytes of an object, None if it does not exist; raises like `objects`."""
+        """Return the bytes of an object, None if it does not exist; raises like `objects`.
+
+        An object above 256 MiB, which no manifest needs, is ``bucket-failed``.
+        """
         import obstore
 
+        body = bytearray()
         try:
             with self._errors(name):
-                return obstore.get(self._store, name).bytes().to_bytes()
+                for part in obstore.get(self._store, name).stream():
+                    body += part
+                    if len(body) > _MAX_READ_BYTES:
+                        raise StorageError(
+                            "bucket-failed",
+                            f"{self.name}/{name}: more than {_MAX_READ_BYTES} bytes, expected a "
+                            "manifest",
+                        )
+            return bytes(body)
         except StorageError as error:
             if error.code == "not-found":
                 return None

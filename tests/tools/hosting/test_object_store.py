@@ -6,6 +6,7 @@ import pytest
 from obstore.store import MemoryStore
 
 from cogsplat.codec.errors import MissingExtraError, StorageError
+from cogsplat.tools.hosting import object_store
 from cogsplat.tools.hosting.object_store import Bucket
 
 
@@ -19,6 +20,19 @@ def test_objects_are_listed_read_and_deleted() -> None:
     assert bucket.read("segments/b.bin") == b"two"
     bucket.delete(["segments/b.bin"])
     assert bucket.read("segments/b.bin") is None
+
+
+def test_a_bucket_of_more_than_any_scene_needs_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    bucket = Bucket("memory", store=MemoryStore())
+    for name in ("a", "b", "c"):
+        bucket.write(f"segments/{name}", b"12345", {})
+    monkeypatch.setattr(object_store, "_MAX_OBJECTS", 2)
+    with pytest.raises(StorageError, match="more than 2 objects") as many:
+        list(bucket.objects("segments"))
+    monkeypatch.setattr(object_store, "_MAX_READ_BYTES", 4)
+    with pytest.raises(StorageError, match="more than 4 bytes") as long:
+        bucket.read("segments/a")
+    assert (many.value.code, long.value.code) == ("bucket-failed", "bucket-failed")
 
 
 def test_settings_that_are_none_are_refused() -> None:
