@@ -86,21 +86,22 @@ class ForeignFileError(StorageError):
         )
 
 
-def is_same_file(first: StrPath, second: StrPath) -> bool:
-    """Whether two paths name one file: by links, by spelling, or as a file that is still missing.
+def file_identities(path: StrPath) -> tuple[object, ...]:
+    """Return what two paths of one file have in common.
 
-    Raises
-    ------
-    StorageError
-        ``permission`` or ``io``.
+    Returns
+    -------
+    tuple
+        The path with its links followed, which a missing file has as well; device and number of an
+        existing file, which its hard links share.
     """
-    if os.path.normcase(os.path.realpath(first)) == os.path.normcase(os.path.realpath(second)):
-        return True
-    with storage_errors(first):
-        try:
-            return Path(first).samefile(second)
-        except (FileNotFoundError, NotADirectoryError):
-            return False
+    name = os.path.normcase(os.path.realpath(path))
+    try:
+        status = Path(path).stat()
+    except OSError:
+        return (name,)
+    # Windows has no numbers on some file systems.
+    return (name, (status.st_dev, status.st_ino)) if status.st_ino else (name,)
 
 
 def check_auxiliary(path: StrPath, kind: FileKind, *, inputs: Iterable[StrPath] = ()) -> None:
@@ -125,8 +126,9 @@ def check_auxiliary(path: StrPath, kind: FileKind, *, inputs: Iterable[StrPath] 
         ``not-a-file``, also for a link; ``not-found`` for the folder; ``permission``,
         ``disk-full`` or ``io``.
     """
+    identities = set(file_identities(path))
     for source in inputs:
-        if is_same_file(path, source):
+        if not identities.isdisjoint(file_identities(source)):
             raise OutputIsInputError(path, source)
     _require_kind(path, kind)
     check_output(path, force=True)

@@ -9,7 +9,7 @@ import click
 
 from cogsplat.formats.scenes.input_files import input_files
 from cogsplat.formats.storage.atomic import check_output
-from cogsplat.formats.storage.regular_files import FileKind, check_auxiliary, is_same_file
+from cogsplat.formats.storage.regular_files import FileKind, check_auxiliary, file_identities
 from cogsplat.tools.terminal.standard_streams import given_inputs
 
 
@@ -50,6 +50,7 @@ def check_outputs(
     auxiliary = auxiliary or {}
     check_distinct(*written, *auxiliary)
     for path, kind in auxiliary.items():
+        # Others may be hard links of each other, as programs make them of files with equal bytes.
         for other in others:
             check_distinct(other, path)
         check_auxiliary(path, kind, inputs=_input_files(inputs))
@@ -65,9 +66,11 @@ def check_distinct(*paths: Path) -> None:
     click.UsageError
         Two paths name one file.
     """
-    for number, path in enumerate(paths):
-        for other in paths[:number]:
-            if is_same_file(path, other):
+    seen: dict[object, Path] = {}
+    for path in paths:
+        for identity in file_identities(path):
+            other = seen.setdefault(identity, path)
+            if other is not path:
                 raise click.UsageError(f"{path}: is the output {other} as well, expected two files")
 
 

@@ -9,7 +9,7 @@ from typing import Final
 
 import click
 
-from cogsplat.formats.storage.atomic import atomic_write, open_for_read, storage_errors
+from cogsplat.formats.storage.atomic import atomic_write, is_file, open_for_read, storage_errors
 from cogsplat.tools.lab.conformance.differential import FuzzReport, vector_files
 from cogsplat.tools.lab.conformance.differential import fuzz as fuzz_decoders
 from cogsplat.tools.terminal.options import json_option, quiet_option
@@ -102,8 +102,11 @@ def fuzz(
         )
     if keep is not None:
         for case in report.disagreements:
-            with atomic_write(keep / f"{seed}-{case.number}.cogs", force=True) as file:
-                file.write(case.mutant.data)
+            path = keep / f"{seed}-{case.number}.cogs"
+            # An earlier run of the same seed keeps the same mutants; other files stay.
+            if not (is_file(path) and path.read_bytes() == case.mutant.data):
+                with atomic_write(path) as file:
+                    file.write(case.mutant.data)
     if as_json:
         print_json({**_json(report), "seconds": stages.rounded_seconds()})
     else:
