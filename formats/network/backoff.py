@@ -23,7 +23,7 @@ _SECONDS: Final = re.compile(r"\d{1,9}", re.ASCII)
 
 
 class TransientError(Exception):
-    """A request failed and a retry may succeed.
+    """Failure of a request that may succeed if it is retried.
 
     Parameters
     ----------

@@ -164,7 +164,7 @@ class HttpTransport:
 
     @contextmanager
     def _library_errors(self) -> Iterator[None]:
-        """Turn every exception of httpx and the libraries below it into an error of ours."""
+        """Turn exceptions of httpx and its libraries into `StorageError` or `TransientError`."""
         import httpcore
 
         library, options = self._httpx, self._options
@@ -246,18 +246,18 @@ def new_client(
 
 
 def no_cookies() -> CookieJar:
-    """Return a jar that keeps no cookies, with which a server could fill memory and requests."""
+    """Return a cookie jar that keeps nothing: cookies could fill memory and requests."""
     return CookieJar(DefaultCookiePolicy(allowed_domains=[]))
 
 
 async def _close(opened: httpx.Response | httpx.AsyncClient) -> None:
-    """Close a response or client. A connection that fails to close is gone as well."""
+    """Close a response or client; ignore errors, because a connection that fails is gone."""
     with suppress(Exception):
         await opened.aclose()
 
 
 async def _set_location_aside(response: httpx.Response) -> None:
-    """Move the header Location, which httpx parses even where it follows no redirects."""
+    """Move the header Location to an extension: httpx parses it even if it follows no redirect."""
     if "location" in response.headers:
         response.extensions[_LOCATION] = response.headers.pop("location")
 

@@ -121,5 +121,5 @@ class ObjectOutput:
             raise
 
     def _store_errors(self) -> AbstractContextManager[None]:
-        """Turn exceptions of obstore into errors."""
+        """Turn exceptions of obstore in the block into `StorageError`."""
         return store_errors(self.name, lambda message: StorageError("store-failed", message))

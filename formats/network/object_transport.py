@@ -97,7 +97,7 @@ class ObjectTransport:
             yield bytes(part)
 
     def _store_errors(self) -> AbstractContextManager[None]:
-        """Turn exceptions of obstore into errors; failures may pass."""
+        """Turn exceptions of obstore in the block into `StorageError` or `TransientError`."""
         return store_errors(
             self._name, lambda message: TransientError("connection-broken", message)
         )

@@ -36,8 +36,8 @@ class PublicTransport(httpx.AsyncBaseTransport):
     """Transport of httpx over HTTP/1.1 and HTTP/2 that refuses private addresses.
 
     A host name is resolved once for a connection, its addresses are checked, and the connection
-    goes to a checked address. A name server therefore cannot give another one in between. Proxies
-    of the environment are not used, because they would resolve names themselves.
+    goes to a checked address. A name server therefore cannot return another address after the
+    check. Proxies of the environment are not used, because they would resolve names themselves.
 
     Parameters
     ----------
@@ -56,7 +56,15 @@ class PublicTransport(httpx.AsyncBaseTransport):
         )
 
     async def handle_async_request(self, request: httpx.Request) -> httpx.Response:
-        """Send a request; raises the exceptions of httpcore and ``private-address``."""
+        """Send a request to a public address.
+
+        Raises
+        ------
+        StorageError
+            ``private-address``.
+        Exception
+            The exceptions of httpcore.
+        """
         url = request.url
         response = await self._pool.handle_async_request(
             httpcore.Request(
@@ -95,7 +103,7 @@ class _Body(httpx.AsyncByteStream):
 
 
 class _PublicBackend(httpcore.AsyncNetworkBackend):
-    """Network of httpcore whose connections go to public addresses."""
+    """Network backend of httpcore that connects to public addresses alone."""
 
     def __init__(self) -> None:
         self._network = httpcore.AnyIOBackend()
@@ -160,7 +168,7 @@ async def _resolve(host: str, port: int) -> list[_Address]:
 
 
 def is_public(address: _Address) -> bool:
-    """Whether an address is reachable on the internet, and so is an IPv4 address within it.
+    """Whether an address, and any IPv4 address embedded in it, is reachable on the internet.
 
     Examples
     --------

@@ -58,9 +58,9 @@ class RangeFetcher:
     beginning_bytes : int
         Size of the first request, bytes.
     length_of : callable, optional
-        Function that returns the length of a file from its first 64 bytes, None where it takes
-        64 KiB, or raises an error for a file that is not wanted. Called where the server sends the
-        whole file without stating its length.
+        Function that returns the length which a file's header states. It gets the first 64 bytes
+        and may return None; then it gets the first 64 KiB. It raises an error for a file of another
+        format. Called where the server sends the whole file without stating its length.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class RangeFetcher:
         self.wake()
 
     def prioritise(self, pending: PendingRange) -> None:
-        """Move a queued range, for which a reader waits, to the urgent queue, unless it is next."""
+        """Move a queued range that a reader waits for to the urgent queue, unless it is next."""
         if pending.is_started:
             return
         if self._queue.bytes_before(pending, _SOON_BYTES) >= _SOON_BYTES:
@@ -130,7 +130,10 @@ class RangeFetcher:
         self.wake()
 
     def release(self, pending: PendingRange) -> None:
-        """Drop a range that was read or is no longer needed; its memory is freed."""
+        """Drop a range that was read or is no longer needed.
+
+        A request is cancelled once all its ranges are dropped.
+        """
         if pending.is_dropped:
             return
         pending.is_dropped = True
@@ -401,7 +404,13 @@ class RangeFetcher:
             self.arrival.notify_all()
 
     def _set_size_of_body(self, body: WholeBody, request: Request) -> None:
-        """Set the length of the file from its first bytes, where the server does not state it."""
+        """Set the length of the file to the length that its header states, if the server sent none.
+
+        Raises
+        ------
+        StorageError
+            ``answer-length``: the body exceeds `NetworkOptions.unstated_bytes`.
+        """
         for count in (HEAD_BYTES, BEGINNING_BYTES):
             if self.size is None and self._judged_bytes < count <= body.received:
                 # Refuses a file of another format; a body without end is received no further.

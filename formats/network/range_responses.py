@@ -95,7 +95,7 @@ class SiblingTransport(Transport, Protocol):
 async def timely(
     parts: AsyncIterator[bytes], idle_seconds: float, where: str
 ) -> AsyncIterator[bytes]:
-    """Yield the parts of a body, as long as every 16 KiB of them arrive in time.
+    """Yield the parts of a body; raise an error if 16 KiB of the body take too long.
 
     Parameters
     ----------

@@ -117,7 +117,7 @@ class SegmentCache:
         return self._folder / f"{key.hex()}.segment"
 
     def _make_folder(self) -> None:
-        """Create the folder with its tag; refuse an existing folder that is not a cache of ours."""
+        """Create the folder with its tag; refuse links and folders of other programs."""
         with storage_errors(self._folder):
             self._folder.parent.mkdir(parents=True, exist_ok=True)
             try:
@@ -138,7 +138,7 @@ class SegmentCache:
                 file.write(_TAG)
 
     def _is_ours(self) -> bool:
-        """Whether the folder exists, is no link, and has our tag."""
+        """Whether the folder exists, is no link, and has the tag of this cache."""
         try:
             if not stat.S_ISDIR(self._folder.lstat().st_mode):
                 return False

@@ -1,4 +1,4 @@
-"""Exceptions of obstore, turned into errors of ours where obstore is called."""
+"""Exceptions of obstore, turned into errors of cogsplat where obstore is called."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _LONGEST_LINE = 300
 
 @contextmanager
 def store_errors(name: str, failure: Callable[[str], Exception]) -> Iterator[None]:
-    """Turn every exception of obstore in the block into an error of ours.
+    """Turn every exception of obstore in the block into an error of cogsplat.
 
     Parameters
     ----------
     name : str
         Address of the object or bucket in messages.
     failure : callable
-        Function that returns the error for all other failures from a message.
+        Function that returns an error with a given message, for failures not listed below.
 
     Raises
     ------

@@ -38,7 +38,7 @@ class WholeBody:
         self._file = tempfile.SpooledTemporaryFile(_IN_MEMORY)  # noqa: SIM115 - see `close`
 
     def receive(self, at: int, part: bytes, size: int | None) -> int:
-        """Append the new bytes of a part of the file.
+        """Append the bytes of a part that were not received yet; parts leave no gaps.
 
         Parameters
         ----------

@@ -84,7 +84,7 @@ def diagnose(
     progress : Progress
         Called with ``("validate", checks done, checks)``.
     prober : Prober, optional
-        Client for the probe requests; it is closed.
+        Client for the probe requests, closed by this function; a new one by default.
 
     Returns
     -------

@@ -31,13 +31,13 @@ MANIFEST_HEADERS: Final[Mapping[str, str]] = {
 }
 """HTTP headers of manifests: caches must ask the host for a new version."""
 
-# Names of our objects; no other object of the bucket is ever deleted.
+# Names of the objects of COGS folders; no other object of the bucket is ever deleted.
 _OBJECT: Final = re.compile(rf"{SEGMENT_FOLDER}/[0-9a-f]{{32}}\.bin")
 
 
 @dataclass(frozen=True)
 class UploadPlan:
-    """The objects that an upload will write.
+    """Objects that an upload writes, and whether it changes the bucket's manifest.
 
     Parameters
     ----------
@@ -46,9 +46,9 @@ class UploadPlan:
     objects : dict of str to int
         Size of each object to write, bytes, by name.
     num_existing : int
-        Objects of the folder that the bucket already has.
+        Number of the folder's objects that the bucket already has.
     manifest_changes : bool
-        Whether the bucket's manifest of that name is missing or different.
+        Whether the bucket has no manifest of the local manifest's name, or a different one.
     """
 
     manifest: Path
@@ -58,7 +58,7 @@ class UploadPlan:
 
     @property
     def object_bytes(self) -> int:
-        """Bytes of the objects to write."""
+        """Total size of the objects to write, bytes."""
         return sum(self.objects.values())
 
 
@@ -87,7 +87,7 @@ class UnusedObjects:
 
     @property
     def size_bytes(self) -> int:
-        """Bytes of these objects."""
+        """Total size of the unused objects that are old enough to delete, bytes."""
         return sum(self.sizes.values())
 
 
@@ -232,10 +232,10 @@ def find_unused(bucket: Bucket, *, older_than: timedelta) -> UnusedObjects:
 
 
 def delete_unused(unused: UnusedObjects, bucket: Bucket, *, older_than: timedelta) -> UnusedObjects:
-    """Delete the objects found by `find_unused` that are unused still.
+    """Delete the objects found by `find_unused` if still no manifest references them.
 
-    The manifests are read again: since they were read first, which may be minutes ago if the user
-    was asked, another upload may have written one that references some of these objects.
+    The manifests are read again. Since `find_unused`, perhaps minutes ago if the user had to
+    confirm, another upload may have written a manifest that references some of these objects.
 
     Parameters
     ----------

@@ -134,7 +134,7 @@ def _connection(response: Response, url: str) -> Iterator[HostFinding]:
 
 
 def _ranges(probed: ProbeResult, *, manifest: bool) -> Iterator[HostFinding]:
-    """Check the responses to range requests; `manifest` makes ignored ranges a mere note."""
+    """Check the responses to range requests; for a manifest, ignored ranges are only a note."""
     first = probed.first
     if first.status == 200:
         yield HostFinding(
@@ -273,7 +273,10 @@ def _cross_origin(first: Response, preflight: Response) -> Iterator[HostFinding]
 
 
 def _media_type(response: Response, label: str = "") -> Iterator[HostFinding]:
-    """Check that a Content-Type is sent and is no type of text; `label` begins each message."""
+    """Check that a Content-Type is sent and is no text type, since servers compress text.
+
+    `label` begins each message.
+    """
     found = response.media_type
     if found.startswith("text/") or found in ("application/json", "application/javascript"):
         yield HostFinding(
