@@ -76,7 +76,7 @@ def _pieces(data: bytes) -> Iterator[_Piece]:
 
 
 def _bin(value: Value) -> bytes:
-    """Return a value that must be bytes."""
+    """Return a value, checked to be bytes."""
     if not isinstance(value, bytes):
         raise TypeError(f"{type(value).__name__}, expected bin")
     return value
@@ -89,7 +89,7 @@ def _size(value: Value) -> int:
 
 
 def _entry(key: str, value: Value, indent: str) -> Iterator[_Piece]:
-    """Yield the parts of one entry of the root, and of the maps in it."""
+    """Yield size and meaning of one entry of the root, and of the entries nested in it."""
     size = _size(key)
     if isinstance(value, dict):
         yield size + 1, f'{indent}"{key}": map of {len(value)}'
@@ -103,7 +103,7 @@ def _entry(key: str, value: Value, indent: str) -> Iterator[_Piece]:
 
 
 def _column(key: str, value: bytes) -> str:
-    """Return the numbers of a packed column as text, nothing for a column without a layout."""
+    """Return the numbers of a packed column as text, "" for a column without a layout."""
     layout = _COLUMNS[key]
     if not layout:
         return ""

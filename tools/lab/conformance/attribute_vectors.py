@@ -27,15 +27,20 @@ _TYPES: Final = {
 }
 
 
-def _entry(name: str, kind: str, components: int = 0) -> dict[str, Value]:
-    """Return the entry of one extra attribute in the root."""
-    entry: dict[str, Value] = {"name": name, "type": kind}
+def _entry(name: str, type_name: str, components: int = 0) -> dict[str, Value]:
+    """Return an extra attribute's entry in the root; its type is one of `_TYPES`, or invalid."""
+    entry: dict[str, Value] = {"name": name, "type": type_name}
     return entry | ({"components": components} if components else {})
 
 
-def _columns(kind: str, values: Sequence[Sequence[float]]) -> list[bytes]:
-    """Return the byte planes of one attribute: component by component, lowest byte first."""
-    rows = [b"".join(struct.pack(f"<{_TYPES[kind]}", value) for value in row) for row in values]
+def _columns(type_name: str, values: Sequence[Sequence[float]]) -> list[bytes]:
+    """Return the byte planes of values of a type such as ``u1``, component by component.
+
+    The lowest byte of a component comes first.
+    """
+    rows = [
+        b"".join(struct.pack(f"<{_TYPES[type_name]}", value) for value in row) for row in values
+    ]
     return [bytes(row[byte] for row in rows) for byte in range(len(rows[0]))]
 
 
@@ -165,7 +170,7 @@ def _with_cameras(*segments: Segment) -> bytes:
 
 
 def valid() -> list[Valid]:
-    """Return the valid vectors of SPEC 5.7 and 5.8."""
+    """Return the valid vectors of extra attributes and cameras (SPEC 5.7, 5.8)."""
     return [
         _all_types(),
         _packed(),
@@ -182,7 +187,7 @@ def valid() -> list[Valid]:
 
 
 def invalid_attributes() -> list[Invalid]:
-    """Return the must-reject vectors of SPEC 5.7."""
+    """Return the must-reject vectors of extra attributes (SPEC 5.7)."""
     two = store_planes(labels(2))
     good = with_attributes(two_chunks(), [_entry("label", "u1")], [two, two])
     *drawn, first, second = good.groups[0].segments
@@ -250,7 +255,7 @@ def invalid_attributes() -> list[Invalid]:
 
 
 def invalid_cameras() -> list[Invalid]:
-    """Return the must-reject vectors of SPEC 5.8."""
+    """Return the must-reject vectors of cameras (SPEC 5.8)."""
 
     def order(name: str, segments: Sequence[Segment], note: str) -> Invalid:
         return Invalid(name, _with_cameras(*segments), "camera-segments", "5.8", note)

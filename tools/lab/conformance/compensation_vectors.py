@@ -77,7 +77,7 @@ _THIRD = _layer(
 
 
 def valid() -> list[Valid]:
-    """Return the valid vectors of SPEC 5.9 and 8.5."""
+    """Return the valid vectors of compensation (SPEC 5.9, 8.5)."""
     several = [(0, pack(_FIRST)), (1, pack(_SECOND)), (3, pack(_THIRD))]
     plain = _layer([64, 32], [32, -16], [0, 0, 255, 255])
     ordinary, late = _draft(several), _draft([(0, pack(plain | {"later": 1}))])
@@ -107,7 +107,7 @@ def valid() -> list[Valid]:
 
 
 def _blend() -> Valid:
-    """Return the vector of two layers whose blends round in float32; chunk sizes differ."""
+    """Return the vector of two compensation layers whose blended shifts round in float32."""
     data = build(_two_layers([0] * len(_SIZES)))
     note = "prefixes between two layers and behind the last, where every operation rounds"
     return Valid("compensation-blend", data, ("5.9", "8.5"), note)
@@ -167,7 +167,7 @@ def _zeros() -> Valid:
 
 
 def invalid() -> list[Invalid]:
-    """Return the must-reject vectors of SPEC 5.9."""
+    """Return the must-reject vectors of compensation (SPEC 5.9)."""
 
     def order(name: str, owners: Sequence[int], note: str) -> Invalid:
         draft = _draft([(0, pack(_FIRST)), (1, pack(_SECOND))])

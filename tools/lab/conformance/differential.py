@@ -22,7 +22,7 @@ from cogsplat.codec.progress import Progress, silent
 from .file_mutations import Mutant, make_mutant
 from .protocol import Answer, DecoderProcess, Hello, decode_request
 
-# Splats per mutant at most for decoders that refuse nothing: the reference decoder is slow.
+# Largest mutant, in splats, for decoders that refuse nothing: the reference decoder is slow.
 _MOST_SPLATS_FOR_SLOW: Final = 2000
 
 
@@ -184,16 +184,16 @@ class _Decoders:
 
     @staticmethod
     def _may_differ(answers: Mapping[int, str]) -> bool:
-        """Tell whether some readers accept a mutant that the others refuse for a zstd frame."""
+        """Tell whether verdicts are only ``accepted`` and ``zstd-frame``, and both occur."""
         return {verdict.split()[0] for verdict in answers.values()} == {"accepted", "zstd-frame"}
 
     def _is_small_and_whole(self, verdict: str, mutant: Mutant) -> bool:
-        """Tell whether a mutant was accepted, is not truncated, and suits slow decoders in size."""
+        """Tell whether a mutant was accepted, is whole, and is small enough for slow decoders."""
         word, *rest = verdict.split()
         return word == "accepted" and not mutant.partial and int(rest[0]) <= _MOST_SPLATS_FOR_SLOW
 
     def _ask(self, numbers: Sequence[int], mutant: Mutant, *, verify: bool) -> dict[int, str]:
-        """Send a mutant to the decoders of given numbers; return their verdicts by number."""
+        """Let decoders of given numbers decode a mutant; return the verdict of each by number."""
         # All requests are sent before the first answer is read, so that decoders run in parallel.
         for number in numbers:
             out = self._outs[number]

@@ -95,7 +95,7 @@ def _u32(values: Sequence[int]) -> bytes:
 
 
 def _tables(group: Group) -> Index:
-    """Return the tables ``segments`` and ``chunks`` of an index."""
+    """Return the tables ``segments`` and ``chunks`` of an index, as maps of packed columns."""
     parts, rows = group.segments, group.chunks
     boxes = [x for row in rows for x in row.box]
     chunks: Index = {
@@ -254,13 +254,13 @@ class Record:
 
 
 def plane(raw: bytes) -> tuple[int, bytes]:
-    """Return word and stored bytes of a plane, as a zstd frame if the frame is smaller."""
+    """Return the word and the stored bytes of a plane, as a zstd frame if that is smaller."""
     frame: bytes = zstandard.ZstdCompressor(level=19).compress(raw)
     return (len(frame) | 1 << 31, frame) if len(frame) < len(raw) else (len(raw), raw)
 
 
 def record(stream: Stream, **changes: int) -> Record:
-    """Return the record of a stream; `changes` override its fields by name, such as `rows`."""
+    """Return the record of a stream; `changes` override its fields by name, such as ``rows=4``."""
     fields = {
         "attribute": int(stream.attribute),
         "kind": int(stream.kind),

@@ -56,7 +56,7 @@ def _page_entry(key: str, value: int) -> Change:
 
 
 def invalid() -> list[Invalid]:
-    """Return the vectors, in the order of the steps of SPEC 8.1."""
+    """Return the vectors of two faults in a file, in the order of the steps of SPEC 8.1."""
     head, tail, second, second_tail = two_chunks().groups[0].segments
     shape, _, *drawn = chunk_with_codebooks().groups[0].segments
     unknown = _poke("segments", "kind", 0, "B", 99)

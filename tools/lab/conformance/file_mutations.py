@@ -313,7 +313,7 @@ def _mutate_value(value: Value, rng: random.Random) -> Value:
 def _assemble(
     parts: _Parts, *, fit_tables: bool = True, broken: tuple[int, random.Random] | None = None
 ) -> bytes:
-    """Pack a parsed file; lengths, CRCs and hashes are recomputed.
+    """Pack a parsed file into bytes; lengths, CRCs and hashes are recomputed.
 
     Parameters
     ----------
@@ -321,7 +321,7 @@ def _assemble(
     fit_tables : bool
         Whether segment tables are recomputed from the payloads.
     broken : (int, Random), optional
-        Number of an index whose packed bytes are mutated, and the random generator.
+        Number of the index whose packed bytes are mutated, 0 for the root; random generator.
     """
     packed: list[bytes] = []
     spans = [b"".join(group) for group in parts.payloads]

@@ -70,7 +70,8 @@ def scalar(
         Codes of each component, one per row of the stream.
     flags : int
     levels : sequence of int, optional
-        Numbers of levels that planes are made for; the levels of the grid by default.
+        Number of levels from which the planes of each component are counted; by default those of
+        the grid.
     """
     extra = 2 if flags & INFINITIES else 0
     cut = levels or [count + extra for _, _, count in rows]
@@ -181,7 +182,7 @@ def floats(attribute: Attribute, values: Sequence[Sequence[float]]) -> Stream:
 
 
 def random_head(rows: int, seed: int, *changed: Stream) -> list[Stream]:
-    """Return the streams of a pseudo-random chunk head, with `changed` in place of some."""
+    """Return the streams of a pseudo-random chunk head; `changed` replaces some by attribute."""
     plain = [
         random_scalar(Attribute.SCALES, rows, seed + 3, span=4.0, levels=90),
         random_quats(rows, seed + 4),
@@ -193,7 +194,7 @@ def random_head(rows: int, seed: int, *changed: Stream) -> list[Stream]:
 
 
 def _replaced(plain: Sequence[Stream], changed: Sequence[Stream]) -> list[Stream]:
-    """Return the streams of `plain`, each replaced by the one of its attribute in `changed`."""
+    """Return the streams of `plain`, replaced by the streams in `changed` of equal attribute."""
     found = {stream.attribute: stream for stream in changed}
     return [found.get(stream.attribute, stream) for stream in plain]
 
@@ -204,7 +205,7 @@ def stream_index(body: Sequence[Stream], attribute: Attribute) -> int:
 
 
 def uniform_head(rows: int, *changed: Stream) -> list[Stream]:
-    """Return the streams of a head of equal splats, with `changed` in place of some."""
+    """Return the streams of a head of equal splats; `changed` replaces some by attribute."""
 
     def flat(attribute: Attribute) -> Stream:
         return constant(attribute, rows, *[0.5] * COMPONENTS[attribute])

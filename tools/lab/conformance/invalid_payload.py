@@ -66,7 +66,7 @@ def _opacities(body: Sequence[Stream]) -> int:
 
 
 def records() -> list[Invalid]:
-    """Return the vectors of SPEC 6.1 and 6.2."""
+    """Return the vectors of invalid payload heads and stream records (SPEC 6.1, 6.2)."""
     head = handmade.random_head(3, 1)
     good = pack_streams(head)
 
@@ -120,7 +120,7 @@ def records() -> list[Invalid]:
 
 
 def planes() -> list[Invalid]:
-    """Return the vectors of SPEC 6.3."""
+    """Return the vectors of invalid byte planes and zstd frames (SPEC 6.3)."""
     pattern = np.array([row // 30 for row in range(_ROWS)], np.uint8)
     opacities = handmade.scalar(Attribute.OPACITIES, [(-2.0, 2.0, 10)], [pattern.tolist()])
     still = handmade.uniform_head(_ROWS, opacities)
@@ -175,7 +175,7 @@ def planes() -> list[Invalid]:
 
 
 def grids() -> list[Invalid]:
-    """Return the vectors of SPEC 6.4, 6.6 and 6.8."""
+    """Return the vectors of invalid grids, quaternions and floats (SPEC 6.4, 6.6, 6.8)."""
     means = [(-1.0, 1.0, 4)] * 3
     codes = [[0, 1, 2]] * 3
 
@@ -234,7 +234,7 @@ def grids() -> list[Invalid]:
 
 
 def sorted_means() -> list[Invalid]:
-    """Return the vectors of SPEC 6.5."""
+    """Return the vectors of invalid sorted means (SPEC 6.5)."""
     ranges = [(-1.0, 1.0, 8)] * 3
     wide = [(-1.0, 1.0, 1 << 17)] * 3
     good = handmade.sorted_means([[1, 2, 3], [4, 5, 6], [7, 7, 7]], ranges)
@@ -285,7 +285,7 @@ def _books(
 
 
 def codebooks() -> list[Invalid]:
-    """Return the vectors of SPEC 6.7, and of mutually exclusive streams (SPEC 7)."""
+    """Return the vectors of invalid codebook indices (SPEC 6.7) and exclusive streams (SPEC 7)."""
     shape = handmade.vq(Attribute.SHAPE, [0, 4, 2], 0, 5, 0)
     colour = handmade.vq(Attribute.SHN, [1, 0, 3], 1, 4, 0)
     head = handmade.vq_head(3, 1, shape, still=True)
@@ -349,7 +349,7 @@ def codebooks() -> list[Invalid]:
 
 
 def heads_and_tails() -> list[Invalid]:
-    """Return the vectors of SPEC 7: streams missing, in the wrong payload or of the wrong kind."""
+    """Return the vectors of streams missing, in the wrong payload or of the wrong kind (SPEC 7)."""
     head = handmade.random_head(3, 1)
 
     def lacks(attribute: Attribute) -> bytes:

@@ -12,7 +12,7 @@ from .invalid import Invalid, build_edited, key_setter, no_splats, paged_chunks,
 
 
 def preambles() -> list[Invalid]:
-    """Return the vectors of SPEC 3."""
+    """Return the vectors of invalid preambles (SPEC 3)."""
     good = build(no_splats())
     root_end = 64 + len(split_root(good)[0])
     longer = build(uniform_chunk())
@@ -68,7 +68,7 @@ def preambles() -> list[Invalid]:
 
 
 def packings() -> list[Invalid]:
-    """Return the vectors of SPEC 4.1: roots that are not the msgpack subset."""
+    """Return the vectors of roots outside the msgpack subset (SPEC 4.1)."""
     root, behind = split_root(build(no_splats()))
     keys = root[0]
 
@@ -130,7 +130,7 @@ def _without(index: Index, key: str) -> None:
 
 
 def roots() -> list[Invalid]:
-    """Return the vectors of SPEC 4.2 to 4.4 and 5.5: keys of the root that break a rule."""
+    """Return the vectors of root keys with invalid values (SPEC 4.2 to 4.4, 5.5)."""
 
     def value(name: str, key: str, content: Value, note: str, code: str = "root-value") -> Invalid:
         return Invalid(name, build_edited(no_splats(), key_setter(key, content)), code, "4.2", note)
@@ -231,7 +231,7 @@ def _view() -> Index:
 
 
 def _first_views() -> list[Invalid]:
-    """Return the vectors of first views that break a rule."""
+    """Return the vectors of invalid values of the key ``first_view``."""
 
     def view(name: str, change: Index, note: str, code: str = "root-value") -> Invalid:
         data = build_edited(no_splats(), key_setter("first_view", _view() | change))
@@ -251,7 +251,7 @@ def _first_views() -> list[Invalid]:
 
 
 def _codebooks() -> list[Invalid]:
-    """Return the vectors of entries of ``codebooks`` that break a rule."""
+    """Return the vectors of invalid entries of the key ``codebooks``."""
 
     def book(name: str, attribute: str, rows: int, code: str, note: str) -> Invalid:
         entry: list[Value] = [{"attribute": attribute, "rows": rows}]

@@ -54,7 +54,7 @@ def _without(draft: Draft, name: str, key: str) -> bytes:
 
 
 def segment_tables() -> list[Invalid]:
-    """Return the vectors of SPEC 5.1 to 5.3."""
+    """Return the vectors of invalid segment tables (SPEC 5.1 to 5.3)."""
 
     def bad(name: str, data: bytes, code: str, note: str, clause: str = "5.3") -> Invalid:
         return Invalid(name, data, code, clause, note)
@@ -116,7 +116,7 @@ def segment_tables() -> list[Invalid]:
 
 
 def chunk_tables() -> list[Invalid]:
-    """Return the vectors of SPEC 5.4."""
+    """Return the vectors of invalid chunk tables (SPEC 5.4)."""
 
     def value(name: str, key: str, offset: int, layout: str, number: float, note: str) -> Invalid:
         data = _poked(uniform_chunk(), "chunks", key, offset, layout, number)
@@ -179,7 +179,7 @@ def chunk_tables() -> list[Invalid]:
 
 
 def codebook_tables() -> list[Invalid]:
-    """Return the vectors of SPEC 5.5."""
+    """Return the vectors of invalid codebook segments (SPEC 5.5)."""
     shape, first, second, head, tail = chunk_with_codebooks().groups[0].segments
 
     def bad(name: str, segments: list[Segment], note: str) -> Invalid:
@@ -200,7 +200,7 @@ def codebook_tables() -> list[Invalid]:
 
 
 def index_pages() -> list[Invalid]:
-    """Return the vectors of SPEC 5.6 and of the limits on tables."""
+    """Return the vectors of invalid index pages (SPEC 5.6) and of tables above a limit."""
 
     def entry(name: str, key: str, content: int, code: str, note: str, clause: str) -> Invalid:
         def change(index: Index) -> None:

@@ -23,7 +23,7 @@ def _refused(name: str, head: bytes, rows: int, code: str, clause: str, note: st
 
 
 def packings() -> list[Invalid]:
-    """Return the vectors of SPEC 6.9."""
+    """Return the vectors of invalid packed planes (SPEC 6.9)."""
     rows = 12
     codes = [row % 3 for row in range(rows)]
     opacities = handmade.scalar(Attribute.OPACITIES, [(-1.0, 1.0, 3)], [codes])
@@ -63,7 +63,10 @@ def packings() -> list[Invalid]:
 
 
 def kinds() -> list[Invalid]:
-    """Return the vectors of SPEC 6.10 to 6.13, and of adaptive steps in 6.5."""
+    """Return the vectors of invalid step models, rotations, differences and bases of sh0.
+
+    They break SPEC 6.5 or 6.10 to 6.13.
+    """
     rows = 24
     scales = good_streams.differences(rows, 1)
     rotations = good_streams.rotations(scales, 2)
@@ -192,7 +195,7 @@ def large_planes() -> list[Invalid]:
 
 
 def bases() -> list[Invalid]:
-    """Return the vectors of SPEC 6.14."""
+    """Return the vectors of invalid basis streams of shN (SPEC 6.14)."""
     codes = [[1, 0, -2], [0, 3, 0], [300, 0, 1]]
     good = good_streams.shn_basis(codes, 0, 0.1, 0.2)
     book = handmade.band(1, 4, 2)

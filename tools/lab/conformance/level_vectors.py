@@ -44,17 +44,17 @@ def _head(chunk: int, *changed: Stream) -> Segment:
 
 
 def _opacities(chunk: int, *streams: Stream) -> Segment:
-    """Return a chunk's segment of opacities with given streams."""
+    """Return an opacities segment of a chunk, with given streams."""
     return Segment(SegmentKind.OPACITIES, chunk, pack_streams(streams))
 
 
 def _logits(seed: int) -> Stream:
-    """Return a scalar stream of random opacities."""
+    """Return a scalar stream of pseudo-random opacities, as logits."""
     return handmade.random_scalar(Attribute.OPACITIES, _ROWS, seed, span=4.0)
 
 
 def _differences(seed: int) -> Stream:
-    """Return a stream of random opacity differences."""
+    """Return a stream of opacities as pseudo-random differences from the head."""
     return replace(_logits(seed), kind=Kind.DIFFERENCES)
 
 
@@ -74,7 +74,7 @@ def _refinement(chunk: int) -> Segment:
 
 
 def _ending_chunks() -> Draft:
-    """Return the draft of four chunks: 0 ends at a prefix of three chunks, 1 at one of four."""
+    """Return the draft of four chunks; chunk 0 ends at 3 chunks of prefix, chunk 1 at 4."""
     segments = [
         _head(0), _head(1), _tail(0), _head(2), _refinement(0), _tail(2), _head(3), _refinement(3),
     ]  # fmt: skip
@@ -127,7 +127,7 @@ def _compensated_ending() -> Draft:
 
 
 def valid() -> list[Valid]:
-    """Return the valid vectors of SPEC 5.10, 5.11 and 7.5."""
+    """Return the valid vectors of chunks that end and of levels (SPEC 5.10, 5.11, 7.5)."""
     ending, levelled = _ending_chunks(), _three_levels()
     own, late = ending.groups[0], levelled.groups[0]
     ends = replace(
@@ -160,7 +160,7 @@ def valid() -> list[Valid]:
 
 
 def invalid_ends() -> list[Invalid]:
-    """Return the must-reject vectors of SPEC 5.10."""
+    """Return the must-reject vectors of chunks that end (SPEC 5.10)."""
 
     def bad(name: str, chunk: int, until: int, note: str) -> Invalid:
         draft = _ending_chunks()

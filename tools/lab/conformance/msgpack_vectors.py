@@ -1,4 +1,4 @@
-"""Conformance vectors of msgpack: byte order marks, value counts, and two faults at one place."""
+"""Conformance vectors of msgpack: byte order marks in strings, value counts, two faults at once."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _BYTE_ORDER_MARK = "\ufeff"
 
 
 def valid() -> list[Valid]:
-    """Return the valid vectors of byte order marks and of the maximum number of values."""
+    """Return the vectors of strings with a byte order mark, and of a root of 4,096 values."""
     attributes: list[Value] = [
         {"name": "label", "type": "u1"},
         {"name": _BYTE_ORDER_MARK + "label", "type": "u1"},

@@ -29,7 +29,7 @@ _ROWS = 3
 
 
 def invalid() -> list[Invalid]:
-    """Return the vectors, ordered by their first fault as in SPEC 7.6."""
+    """Return the vectors of two faults in payloads, ordered by the first fault as in SPEC 7.6."""
     head = handmade.random_head(_ROWS, 1)
     at = {stream.attribute: handmade.stream_index(head, stream.attribute) for stream in head}
     sh0 = head[at[Attribute.SH0]]

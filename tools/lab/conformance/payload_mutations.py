@@ -32,7 +32,7 @@ _T = TypeVar("_T")
 _COMPRESSED, _PACKED = 1 << 31, 1 << 30
 _STORED_MASK: Final = _PACKED - 1
 
-# Decompressed bytes of a plane at most; larger planes are mutated in compressed form, to save time.
+# Largest plane that is decompressed for a mutation, bytes; larger ones are mutated compressed.
 _LARGEST_PLANE: Final = 1 << 18
 
 

@@ -73,7 +73,7 @@ class Prefix:
     refined : tuple of int
         Numbers of the chunks whose refinements are in the prefix.
     opacities : tuple of (int, int)
-        Number of a chunk, and of its opacities segments in the prefix; only chunks with any.
+        Number of a chunk and count of its opacities segments in the prefix, if it has any.
     """
 
     size: int

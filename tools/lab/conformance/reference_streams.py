@@ -42,7 +42,7 @@ def plane(word: int, stored: bytes, length: int) -> bytes:
 
 
 class Record:
-    """One stream of a payload (SPEC 6.2, 6.3)."""
+    """Record of one stream: header fields, parameters and stored planes (SPEC 6.2, 6.3)."""
 
     def __init__(self, fields: Sequence[int], params: bytes) -> None:
         self.attribute, self.kind, _, self.flags, self.rows, self.num_planes, _ = fields
@@ -92,7 +92,7 @@ def _bytes_per_code(codes: int) -> int:
 
 
 def _codes(record: Record, first: int, count: int, rows: int) -> list[int]:
-    """Return codes of `count` byte planes, lowest byte first, from plane `first` on."""
+    """Return the codes of `rows` rows, whose bytes are `count` planes from plane `first` on."""
     planes = [record.plane(first + i, rows) for i in range(count)]
     return [sum(plane[row] << 8 * i for i, plane in enumerate(planes)) for row in range(rows)]
 
@@ -241,7 +241,7 @@ def _sh0_basis(record: Record, digits: Record | None) -> list[Row]:
 def numbers(
     record: Record, scales: list[Row] | None = None, refinement: Record | None = None
 ) -> list[Row]:
-    """Decode a stream of any kind except quat, swing_twist and vq.
+    """Return the rows of a stream of any kind except quat, swing_twist and vq.
 
     Parameters
     ----------

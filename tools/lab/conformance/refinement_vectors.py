@@ -30,7 +30,10 @@ _COARSE: Final = StepModel((-2.75, 1.0, 0.75, -0.25, 1.0, 0.5))
 
 
 def digits(attribute: Attribute, head: Stream, radices: Sequence[int], seed: int) -> Stream:
-    """Return pseudo-random digits for a stream of a head, including the lowest and the highest."""
+    """Return a digits stream that refines a stream of a head, with pseudo-random digits.
+
+    Its first two rows have the lowest and the highest digit.
+    """
     entries = list(struct.iter_unpack("<ffI", head.params[: len(radices) * ENTRY_BYTES]))
     grid = handmade.grid(
         [(-1.5 - i, 2.5 + i, entries[i][2] * radix) for i, radix in enumerate(radices)]
@@ -102,7 +105,7 @@ def _refined_head(seed: int) -> tuple[list[Stream], list[Stream]]:
 
 
 def valid() -> list[Valid]:
-    """Return the valid vectors, in the order of the manifest."""
+    """Return the valid vectors of refinements, in the order of the manifest."""
     head, below = _refined_head(1)
     plain = handmade.random_head(12, 3)
     own = {stream.attribute: stream for stream in plain}
@@ -186,7 +189,7 @@ def _padded() -> Invalid:
 
 
 def invalid() -> list[Invalid]:
-    """Return the must-reject vectors of SPEC 6.16, 6.17 and 7.4."""
+    """Return the must-reject vectors of refinements (SPEC 6.16, 6.17, 7.4)."""
     head, below = _refined_head(1)
     sizes, bits, clear, _ = below
 

@@ -149,7 +149,7 @@ class _Checker:
         return Report(self._hello, self._passed, self._failures, by_clause)
 
     def _record(self, vector: str, clauses: tuple[str, ...], expected: str, found: str) -> None:
-        """Count one check for each clause; it failed if `found`, the fault, is not empty."""
+        """Count one check for each clause. `found` describes its fault; "" if it passed."""
         right = not found
         self._passed += right
         for clause in clauses:
@@ -231,7 +231,7 @@ class _Checker:
         return out
 
     def _difference(self, given: bytes, expected: Arrays) -> str:
-        """Return a description of the first difference from the expected arrays, or ""."""
+        """Compare bytes of decoded arrays with `expected`; return the first difference or ""."""
         size = 4 * sum(values.size for values in expected.values())
         if len(given) != size:
             return f"{len(given)} bytes of arrays, expected {size}"
@@ -274,7 +274,7 @@ class _Checker:
         self._check_refusal(f"invalid-folders/{entry['name']}", "/manifest.cogsm", entry)
 
     def _check_refusal(self, vector: str, rest: str, entry: Entry) -> None:
-        """Check that the decoder refuses a file or a manifest."""
+        """Check that the decoder refuses the file or manifest at path `vector` + `rest`."""
         verifies = self._hello.level == "verifier"
         code = str(entry["code"])
         path = self._vectors / f"{vector}{rest}"

@@ -257,7 +257,7 @@ def _two_books() -> Valid:
 
 
 def _late_book() -> Valid:
-    """Return the vector of codebooks stored after the chunks that use a codebook."""
+    """Return the vector of codebooks stored after the chunks whose indices refer to a codebook."""
     shape = handmade.vq(Attribute.SHAPE, [0, 1, 2, 1], 0, 3, 0)
     colour = handmade.vq(Attribute.SHN, [1, 0, 1, 1], 1, 2, 0)
     segments = [

@@ -98,8 +98,10 @@ def shn_basis(codes: Sequence[Sequence[int]], book: int, step: float, shrink: fl
     return shn_transform.write(np.array(codes, np.int64), book, step, shrink)
 
 
-def _one_stream(name: str, streams: Sequence[Stream], clauses: tuple[str, ...], note: str) -> Valid:
-    """Return a vector of one chunk with given streams; all other attributes are uniform."""
+def _chunk_vector(
+    name: str, streams: Sequence[Stream], clauses: tuple[str, ...], note: str
+) -> Valid:
+    """Return a vector of one chunk with given streams; other attributes are constant."""
     rows = streams[0].rows
     head = pack_streams(handmade.uniform_head(rows, *streams))
     return Valid(name, build(one_chunk(head, rows)), clauses, note)
@@ -248,11 +250,11 @@ def _sorted_underflow(scales: Stream) -> Valid:
     ranges = [(0.0, 1e-40, 9), (-1e-41, 1e-41, 9), (1e-45, 3e-45, 9)]
     means = handmade.sorted_means(cells, ranges, _MODEL, extra_bits(scales).tolist(), 7)
     note = "steps that underflow when they are halved"
-    return _one_stream("sorted-underflow", [scales, means], ("6.5",), note)
+    return _chunk_vector("sorted-underflow", [scales, means], ("6.5",), note)
 
 
-def _all_of_it() -> Valid:
-    """Return the vector of a chunk that combines transform streams with a codebook."""
+def _all_transform_kinds() -> Valid:
+    """Return the vector of a chunk with all kinds of transform streams, and a colour codebook."""
     rows = 24
     scales = differences(rows, 2)
     head = [
@@ -280,7 +282,7 @@ def _all_of_it() -> Valid:
 
 
 def valid() -> list[Valid]:
-    """Return the valid vectors, in the order of the manifest."""
+    """Return the valid vectors of transform streams, in the order of the manifest."""
     scales = differences(24, 1)
     plain = handmade.random_scalar(Attribute.SCALES, 24, 8, span=6.0)
     never, always = StepModel.constant(-9), StepModel.constant(1_000_000)
@@ -291,18 +293,18 @@ def valid() -> list[Valid]:
         _sorted(),
         _sorted_wide(),
         _sorted_flat(),
-        _one_stream("sorted-bits", [scales, sorted_means(scales, 3)], ("6.5", "6.10"),
-                    "means of 0 to 15 extra bits an axis"),
+        _chunk_vector("sorted-bits", [scales, sorted_means(scales, 3)], ("6.5", "6.10"),
+                      "means of 0 to 15 extra bits an axis"),
         _sorted_shapes(),
         _sorted_underflow(scales),
-        _one_stream("differences", [scales], ("6.12",), "scales from the longest axis down"),
-        _one_stream("swing-twist", [scales, rotations(scales, 2)], clauses,
-                    "rotations of 0 to 15 extra bits"),
-        _one_stream("swing-twist-coarse", [scales, rotations(scales, 2, never)], clauses,
-                    "no twist at all"),
-        _one_stream("swing-twist-fine", [plain, rotations(plain, 2, always)], clauses,
-                    "15 extra bits of twist"),
-        _one_stream("sh0-basis", [sh0_basis(24, 4)], ("6.13",), "sh0 on three axes"),
+        _chunk_vector("differences", [scales], ("6.12",), "scales from the longest axis down"),
+        _chunk_vector("swing-twist", [scales, rotations(scales, 2)], clauses,
+                      "rotations of 0 to 15 extra bits"),
+        _chunk_vector("swing-twist-coarse", [scales, rotations(scales, 2, never)], clauses,
+                      "no twist at all"),
+        _chunk_vector("swing-twist-fine", [plain, rotations(plain, 2, always)], clauses,
+                      "15 extra bits of twist"),
+        _chunk_vector("sh0-basis", [sh0_basis(24, 4)], ("6.13",), "sh0 on three axes"),
         *_shn(),
-        _all_of_it(),
+        _all_transform_kinds(),
     ]  # fmt: skip

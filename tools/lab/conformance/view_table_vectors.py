@@ -74,7 +74,7 @@ def _compressed_table() -> dict[str, Value]:
 
 
 def valid() -> list[Valid]:
-    """Return the valid vectors of SPEC 5.12."""
+    """Return the valid vectors of the view table (SPEC 5.12)."""
     return [
         Valid("view-table", build(_draft([pack(_THREE)])), ("5.12",),
               "three viewpoints, codes that wrap around"),
@@ -86,7 +86,7 @@ def valid() -> list[Valid]:
 
 
 def invalid() -> list[Invalid]:
-    """Return the must-reject vectors of SPEC 5.12."""
+    """Return the must-reject vectors of the view table (SPEC 5.12)."""
     good = pack(_THREE)
 
     def segments(name: str, owners: Sequence[int], note: str) -> Invalid:

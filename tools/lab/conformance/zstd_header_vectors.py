@@ -49,12 +49,22 @@ def _file(frame: bytes, rows: int = _ROWS) -> bytes:
     return build(one_chunk(payload(records), rows))
 
 
-# Symbols of a frame that libzstd decodes two codes at once, four streams of an odd number each.
+# Enough symbols for libzstd to decode two codes at once; an odd number in each of four streams.
 _HUFFMAN_ROWS: Final = 4 * 1023
 
 
 def _huffman_frame(tree: bytes, streams: Sequence[bytes], rows: int) -> bytes:
-    """Return a frame of one block of Huffman literals, in one stream or four."""
+    """Return a zstd frame of one block of Huffman literals.
+
+    Parameters
+    ----------
+    tree : bytes
+        Description of the Huffman code.
+    streams : sequence of bytes
+        One or four Huffman streams.
+    rows : int
+        Number of literals, which is the decompressed size in bytes.
+    """
     table = b"".join(len(stream).to_bytes(2, "little") for stream in streams[:-1])
     section = tree + table + b"".join(streams)
     size_format, bits, header_bytes = (0, 10, 3) if len(streams) == 1 else (2, 14, 4)
@@ -75,12 +85,12 @@ _NO_LONGEST_CODE: Final = b"\x80\x20"
 
 
 def _zeros(bits: int) -> bytes:
-    """Return a Huffman stream of zero bits behind the mark of its end."""
+    """Return a Huffman stream of a number of zero bits, with its end mark."""
     return (1 << bits).to_bytes(bits // 8 + 1, "little")
 
 
 def _file_of_streams(first: bytes) -> bytes:
-    """Return a file of 4,092 splats, its opacities in four streams of which one is given."""
+    """Return a file of 4,092 splats, with opacities in four Huffman streams, `first` and zeros."""
     frame = _huffman_frame(_TWO_SYMBOLS, [first, *[_zeros(1023)] * 3], _HUFFMAN_ROWS)
     return _file(frame, _HUFFMAN_ROWS)
 
@@ -92,7 +102,7 @@ _THREE_BYTES: Final = (1 | 1 << 1 | 3 << 3).to_bytes(3, "little") + b"\0"
 
 
 def _file_of_empty(frame: bytes) -> bytes:
-    """Return a file whose first plane of 0 bytes is stored as the given zstd frame."""
+    """Return a file in which the given zstd frame stores a plane of 0 bytes."""
     quats = worked_example.swing_twist_record()
     place = next(i for i, (_, stored) in enumerate(quats.planes) if not stored)
     quats.planes[place] = (len(frame) | 1 << 31, frame)
@@ -100,7 +110,7 @@ def _file_of_empty(frame: bytes) -> bytes:
 
 
 def valid() -> list[Valid]:
-    """Return the valid vectors of headers that encoders seldom write."""
+    """Return the valid vectors of zstd frame headers that encoders seldom write."""
 
     def good(name: str, frame: bytes, note: str) -> Valid:
         return Valid(name, _file(frame), ("6.3",), note)
@@ -121,7 +131,7 @@ def valid() -> list[Valid]:
 
 
 def invalid() -> list[Invalid]:
-    """Return the must-reject vectors of frame headers."""
+    """Return the must-reject vectors of zstd frame headers and of Huffman streams."""
 
     def bad(name: str, frame: bytes, code: str, note: str) -> Invalid:
         return Invalid(name, _file(frame), f"zstd-{code}", "6.3", note, "decode")
