@@ -6,11 +6,21 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from cogsplat.formats.cogs.canonical_msgpack import Value, pack
-from cogsplat.formats.cogs.layout import SegmentKind
+from cogsplat.formats.cogs.layout import PREAMBLE_BYTES, SegmentKind
 from cogsplat.formats.cogs.writer import Segment
 
 from .attribute_vectors import camera_columns
-from .file_builder import Draft, Index, build, column, poke, preamble_field, root_keys, table
+from .file_builder import (
+    Draft,
+    Index,
+    build,
+    column,
+    poke,
+    preamble_field,
+    root_keys,
+    split_root,
+    table,
+)
 from .invalid import (
     Invalid,
     build_edited,
@@ -42,6 +52,12 @@ def _all(*changes: Change) -> Change:
             each(index)
 
     return change
+
+
+def _cut_to_root(data: bytes) -> bytes:
+    """Return a file without the bytes behind its root."""
+    root, _ = split_root(data)
+    return data[: PREAMBLE_BYTES + len(root)]
 
 
 def _page_entry(key: str, value: int) -> Change:
@@ -104,6 +120,9 @@ def invalid() -> list[Invalid]:
         bad("books-cameras", build(with_segments(chunk_with_codebooks(), [shape, *drawn, camera,
             camera])),
             "codebook-segments", "5.5", "a codebook incomplete, and cameras twice"),
+        bad("cut-splats", _cut_to_root(build_edited(paged_chunks(), key_setter("splats", 1))),
+            "file-truncated", "3.3",
+            "a file cut before its page, and more splats in the root's chunks than in the scene"),
         *_key_order(),
     ]  # fmt: skip
 

@@ -147,8 +147,8 @@ for (const [fault, isIt] of [
   });
 }
 
-for (const fault of ["shorter", "weak-etag"] as const) {
-  test(`a server whose answers are all of ${fault} is read all the same, because each brings something new`, async () => {
+for (const fault of ["16-kib", "weak-etag"] as const) {
+  test(`a server whose answers are all of ${fault} is read all the same`, async () => {
     const { last } = await streamFrom(PADDED, () => fault);
     checkWhole(PADDED, last);
   });

@@ -5,18 +5,19 @@ import { Float, parseMap, type Value, type ValueMap } from "../src/container/msg
 const SKIPPED = 200;
 
 /**
- * A file with a long segment to be skipped behind its first head, so that it is longer than the first request.
+ * A file with a long segment to be skipped behind another, so that it is longer than the first request.
  *
  * @param file - A file without pages.
  * @param bytes - Length of the segment.
+ * @param after - Number of the other segment; by default that of the first head.
  */
-export function padSegments(file: Uint8Array, bytes: number): Uint8Array {
+export function padSegments(file: Uint8Array, bytes: number, after?: number): Uint8Array {
   const view = new DataView(file.buffer, file.byteOffset);
   const rootEnd = 64 + view.getUint32(12, true);
   const root = parseMap(file.slice(64, rootEnd));
   const segments = root.get("segments") as ValueMap;
   const kinds = segments.get("kind") as Uint8Array;
-  const head = kinds.indexOf(1);
+  const head = after ?? kinds.indexOf(1);
   const lengths = segments.get("length") as Uint8Array;
   const lengthView = new DataView(lengths.buffer, lengths.byteOffset);
   let split = rootEnd;

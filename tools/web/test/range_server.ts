@@ -10,6 +10,7 @@ export type Fault =
   | "status-500"
   | "retry-after"
   | "shorter"
+  | "16-kib"
   | "weak-etag"
   | "cut"
   | "flip"
@@ -64,8 +65,9 @@ export class RangeServer {
       case "status-503":
         response.writeHead(Number(fault.slice(-3))).end();
         return;
-      case "shorter": {
-        const part = body.subarray(0, Math.ceil(body.length / 2));
+      case "shorter":
+      case "16-kib": {
+        const part = body.subarray(0, fault === "16-kib" ? 16_384 : Math.ceil(body.length / 2));
         response
           .writeHead(206, {
             "Content-Range": `bytes ${start}-${start + part.length - 1}/${total}`,

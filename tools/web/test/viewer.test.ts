@@ -5,7 +5,9 @@ import { SceneFile } from "../src/scene/scene_file.js";
 import { sortByDepth } from "../src/viewer/depth_order.js";
 import { RowSorter } from "../src/viewer/depth_sorter.js";
 import { OrbitCamera } from "../src/viewer/orbit.js";
+import { plyOf } from "../src/viewer/ply_feed.js";
 import { RowSlots } from "../src/viewer/row_slots.js";
+import { absoluteAddress, sceneName } from "../src/viewer/scene_name.js";
 import { vectorBytes } from "./vectors.js";
 
 const kernels = await loadKernels();
@@ -130,4 +132,21 @@ test("rows that chunks give back are taken again, in pieces where they must be",
   slots.release(pieces);
   slots.release([{ first: 8, count: 2 }]);
   assert.deepEqual(slots.allocate(10), [{ first: 0, count: 10 }]);
+});
+
+test("names of files that are no proper addresses are shown, and do not stop the viewer", async () => {
+  for (const [address, name] of [
+    ["https://example.org/a/garden.cogs?v=2", "garden.cogs"],
+    ["https://example.org/b%C3%A4um%20e.cogs", "bäum e.cogs"],
+    ["https://example.org/50%.cogs", "50%.cogs"],
+    ["https://example.org/%ff.cogs", "%ff.cogs"],
+    ["http://[::1/scene.cogs", "scene.cogs"],
+    ["scene.cogs", "scene.cogs"],
+  ] as const) {
+    assert.equal(sceneName(address), name);
+    assert.equal(await plyOf(address), undefined);
+  }
+  assert.equal(await plyOf("http://[::1/scene.PLY"), "http://[::1/scene.PLY");
+  assert.equal(absoluteAddress("50%25.cogs", "https://example.org/a/"), "https://example.org/a/50%25.cogs");
+  assert.equal(absoluteAddress("http://[::1/a", "https://example.org/"), "http://[::1/a");
 });

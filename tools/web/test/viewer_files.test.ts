@@ -314,3 +314,37 @@ test("a scene without a first view is framed, one with it keeps its picture", as
   // The ball fills the height of the picture.
   assert.ok(Math.abs((2 * focal[1]) / p[2]! - 200) < 1e-6);
 });
+
+test("a PLY whose body has no end is taken as far as its last row", async () => {
+  const bytes = toPly(randomSplats(5000));
+  const real = globalThis.fetch;
+  let isCancelled = false;
+  let parts = 0;
+  const body = new ReadableStream<Uint8Array>(
+    {
+      pull: (controller) => controller.enqueue(parts++ === 0 ? bytes : new Uint8Array(65_536)),
+      cancel: () => {
+        isCancelled = true;
+      },
+    },
+    { highWaterMark: 0 },
+  );
+  globalThis.fetch = async () => new Response(body, { headers: { "Content-Length": "abc" } });
+  try {
+    const found: PlyResponse[] = [];
+    const source = "https://example.org/scene.ply";
+    const request = {
+      type: "ply",
+      source,
+      mostRows: Infinity,
+      ranges: DEFAULT_RANGES,
+      bitsPerSecond: Infinity,
+    } as const;
+    await readPly(request, new Meter(), (response) => found.push(response));
+    assert.equal(found.at(-1)!.type, "end");
+    assert.equal(found[0]?.type === "scene" && found[0].totalBytes, undefined);
+    assert.ok(isCancelled && parts < 4);
+  } finally {
+    globalThis.fetch = real;
+  }
+});

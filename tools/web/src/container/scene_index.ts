@@ -275,7 +275,7 @@ export class SceneIndex {
     this.enterOnce(first, SegmentKind.refinement, this.refinements, "chunk-refinements");
     this.enterOpacities(first);
     this.checkEnds();
-    if (this.complete) this.checkSplats();
+    this.checkSplats();
     this.checkNeeds(first);
     this.enterCodebooks(first);
     this.enterOnce(first, SegmentKind.attributes, this.attributes, "attribute-segments");
@@ -354,7 +354,8 @@ export class SceneIndex {
 
   private checkSplats(): void {
     const splats = this.chunks.splats.reduce((sum, rows) => sum + rows, 0);
-    if (splats !== this.scene.splats) {
+    // Chunks of unread pages have the rest.
+    if (splats > this.scene.splats || (this.complete && splats !== this.scene.splats)) {
       throw new CogsplatError("splat-count", `chunks of ${splats} splats, the root says ${this.scene.splats}`);
     }
   }

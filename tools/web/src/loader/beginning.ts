@@ -11,6 +11,8 @@ export class Beginning {
   /** Whether the source sends the whole file for every range. */
   sequential = false;
   private filling: Promise<void> | undefined;
+  /** Number of callers that wait. */
+  private waiting = 0;
   private abort = new AbortController();
   private wake: () => void = () => undefined;
   private arrival = this.nextArrival();
@@ -37,6 +39,7 @@ export class Beginning {
   async waitFor(length: number, signal: AbortSignal | undefined): Promise<void> {
     const stop = (): void => this.stop();
     signal?.addEventListener("abort", stop, { once: true });
+    this.waiting++;
     try {
       while (this.received < length && !this.ended) {
         signal?.throwIfAborted();
@@ -44,6 +47,7 @@ export class Beginning {
         await Promise.race([this.filling, this.arrival]);
       }
     } finally {
+      this.waiting--;
       signal?.removeEventListener("abort", stop);
     }
   }
@@ -51,6 +55,11 @@ export class Beginning {
   /** Stop the request; a waiting caller starts it again from the next byte. */
   stop(): void {
     this.abort.abort();
+  }
+
+  /** Stop the request unless a caller waits for it; called at the end of a fetch. */
+  release(): void {
+    if (this.waiting === 0) this.stop();
   }
 
   private nextArrival(): Promise<void> {

@@ -1,6 +1,15 @@
 import type { ByteRange } from "../container/scene_index.js";
 import { CogsplatError, SourceError } from "../errors.js";
-import { type Answer, type ByteSource, type ReadOptions, readParts, withinPause } from "./byte_source.js";
+import {
+  type Answer,
+  type ByteSource,
+  LONGEST_PAUSE,
+  lateness,
+  lengthOf,
+  type ReadOptions,
+  readParts,
+  withinPause,
+} from "./byte_source.js";
 
 /** Options of HTTP requests. */
 export interface HttpOptions {
@@ -14,8 +23,6 @@ export interface HttpOptions {
   /** Replacement for the global `fetch`. */
   readonly fetch?: typeof fetch;
 }
-
-const LONGEST_PAUSE = 15_000;
 
 /** Statuses after which a retry may succeed. */
 const RETRYABLE = new Set([408, 425, 429, 500, 502, 503, 504]);
@@ -34,11 +41,15 @@ export class HttpSource implements ByteSource {
 
   async read(range: ByteRange, options: ReadOptions = {}): Promise<Answer> {
     const last = range.offset + range.length - 1;
-    const response = await this.request(`bytes=${range.offset}-${last}`, options);
+    const { response, release } = await this.request(`bytes=${range.offset}-${last}`, options);
     try {
-      return this.check(response, range, options.signal);
+      const { total, body } = this.check(response, range);
+      const whole = response.status === 200;
+      const parts = readParts(body, options.signal, this.longestPause, release);
+      return { offset: whole ? 0 : range.offset, total, whole, parts };
     } catch (error) {
-      await response.body?.cancel();
+      release();
+      response.body?.cancel().catch(() => undefined);
       throw error;
     }
   }
@@ -51,11 +62,16 @@ export class HttpSource implements ByteSource {
     return new HttpSource(url, this.options, false);
   }
 
-  private async request(range: string, { signal, fresh, priority }: ReadOptions): Promise<Response> {
+  /** Send a request; the caller releases it once the body has ended or is not needed. */
+  private async request(
+    range: string,
+    { signal, fresh, priority }: ReadOptions,
+  ): Promise<{ readonly response: Response; readonly release: () => void }> {
     const { headers, credentials } = this.options;
     // Both a missing answer and the caller's signal end the request.
     const stop = new AbortController();
     const onAbort = (): void => stop.abort(signal!.reason);
+    const release = (): void => signal?.removeEventListener("abort", onAbort);
     if (signal?.aborted) onAbort();
     signal?.addEventListener("abort", onAbort, { once: true });
     try {
@@ -67,9 +83,11 @@ export class HttpSource implements ByteSource {
         ...(priority && { priority, ...(this.isWhole && { cache: "no-store" }) }),
         signal: stop.signal,
       });
-      return await withinPause(answer, this.longestPause);
+      const response = await withinPause(answer, this.longestPause, () => lateness(this.longestPause));
+      return { response, release };
     } catch (error) {
-      if (signal?.aborted) throw error;
+      release();
+      if (signal?.aborted) throw signal.reason;
       stop.abort();
       if (error instanceof SourceError) throw error;
       // `fetch` does not tell a failed connection, an unknown name and a CORS refusal apart.
@@ -82,7 +100,10 @@ export class HttpSource implements ByteSource {
   }
 
   /** Check the headers of an answer; throw an error that states what is wrong. */
-  private check(response: Response, range: ByteRange, signal: AbortSignal | undefined): Answer {
+  private check(
+    response: Response,
+    range: ByteRange,
+  ): { readonly total: number | undefined; readonly body: ReadableStream<Uint8Array> } {
     const { status, headers } = response;
     const what = `bytes ${range.offset} to ${range.offset + range.length - 1} of ${String(this.url)}`;
     if (status === 416) throw new CogsplatError("source-changed", `the file ends before ${what}`);
@@ -101,7 +122,7 @@ export class HttpSource implements ByteSource {
       throw new SourceError(`${what}: an answer of several parts, expected one range`, status);
     }
     const contentRange = headers.get("Content-Range");
-    const stated = /^bytes (\d+)-(\d+)\/(\d+|\*)$/.exec(contentRange ?? "");
+    const stated = /^bytes (\d{1,15})-(\d{1,15})\/(\d{1,15}|\*)$/.exec(contentRange ?? "");
     // Across origins the header is hidden unless the server exposes it; then the length alone is checked.
     const total = status === 200 ? lengthOf(headers) : stated && stated[3] !== "*" ? Number(stated[3]) : undefined;
     if (status === 206 && contentRange !== null) {
@@ -122,13 +143,7 @@ export class HttpSource implements ByteSource {
     }
     this.compare(headers.get("ETag"), total);
     if (response.body === null) throw new SourceError(`${what}: an answer without a body`, status, true);
-    const whole = status === 200;
-    return {
-      offset: whole ? 0 : range.offset,
-      total,
-      whole,
-      parts: readParts(response.body, signal, this.longestPause),
-    };
+    return { total, body: response.body };
   }
 
   /** Refuse an answer of another file than the first answer; weak ETags do not identify bytes. */
@@ -145,11 +160,6 @@ export class HttpSource implements ByteSource {
   }
 }
 
-function lengthOf(headers: Headers): number | undefined {
-  const length = headers.get("Content-Length");
-  return length === null ? undefined : Number(length);
-}
-
 /**
  * Return the wait of a `Retry-After` header, ms: seconds, or a date on the server's clock (RFC 9110, 10.2.3).
  *
@@ -157,7 +167,7 @@ function lengthOf(headers: Headers): number | undefined {
  */
 export function retryAfter(header: string | null, date: string | null): number | undefined {
   if (header === null) return undefined;
-  if (/^\d+$/.test(header.trim())) return 1000 * Number(header);
+  if (/^\d{1,9}$/.test(header.trim())) return 1000 * Number(header);
   const wait = Date.parse(header) - (date === null ? Date.now() : Date.parse(date));
   return Number.isNaN(wait) ? undefined : Math.max(0, wait);
 }

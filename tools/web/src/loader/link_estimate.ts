@@ -4,6 +4,8 @@ const FIRST_RATE = 250_000;
 const FIRST_LATENCY = 0.1;
 /** Length of the measured window, seconds. */
 const REMEMBERED = 1;
+/** Parts within this time count as one, seconds. */
+const MERGED_SECONDS = 0.001;
 /** Fewest bytes and seconds that give a throughput. */
 const LEAST_BYTES = 16_384;
 const LEAST_SECONDS = 0.01;
@@ -11,7 +13,7 @@ const LEAST_SECONDS = 0.01;
 /** Estimate of a connection's throughput and latency from recent answers (docs/streaming.md, 11). */
 export class LinkEstimate {
   bytesPerSecond = FIRST_RATE;
-  private readonly parts: { readonly seconds: number; readonly bytes: number }[] = [];
+  private readonly parts: { readonly seconds: number; bytes: number }[] = [];
   private shortest = Infinity;
 
   /**
@@ -30,7 +32,10 @@ export class LinkEstimate {
   /** Record received bytes and their time, seconds. */
   recordBytes(bytes: number, seconds: number): void {
     const { parts } = this;
-    parts.push({ seconds, bytes });
+    const last = parts.at(-1);
+    // A peer may send any number of parts of a byte.
+    if (last !== undefined && seconds - last.seconds < MERGED_SECONDS) last.bytes += bytes;
+    else parts.push({ seconds, bytes });
     while (parts[0]!.seconds < seconds - REMEMBERED) parts.shift();
     // The bytes of the first part arrived before its time.
     const [first] = parts;

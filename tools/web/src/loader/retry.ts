@@ -2,7 +2,7 @@ import { SourceError } from "../errors.js";
 
 /** Number and timing of retries. */
 export interface RetryOptions {
-  /** Number of retries after the first attempt. */
+  /** Number of retries of a request without progress in between: 16 KiB of new bytes. */
   readonly retries: number;
   /** First pause, ms; each later pause is twice as long, up to `longest`. */
   readonly pause: number;
@@ -14,10 +14,9 @@ export interface RetryOptions {
 
 export const DEFAULT_RETRY: RetryOptions = { retries: 4, pause: 250, longest: 8_000, longestWait: 60_000 };
 
-/** Return whether a retry may help; it cannot after an abort or if the file was refused. */
+/** Return whether a retry may help: not after a refusal of the file, nor after an abort. */
 export function isRetryable(error: unknown): boolean {
-  // Bodies throw a TypeError when a connection breaks, in browsers and in Node.
-  return error instanceof SourceError ? error.retryable : error instanceof TypeError;
+  return error instanceof SourceError && error.retryable;
 }
 
 /** Return the wait that a server requested with its error (`Retry-After`), ms; 0 for none. */

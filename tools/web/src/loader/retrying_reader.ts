@@ -1,9 +1,22 @@
 import type { ByteRange } from "../container/scene_index.js";
 import { SourceError } from "../errors.js";
-import { type Answer, type ByteSource, readAll } from "./byte_source.js";
+import {
+  type Answer,
+  asSourceError,
+  type ByteSource,
+  GrowingBytes,
+  PROGRESS_BYTES,
+  type ReadOptions,
+  skippedBytes,
+  usefulPart,
+} from "./byte_source.js";
 import { backOff, isRetryable, type RetryOptions, requestedWait } from "./retry.js";
 
-/** Reader of ranges that retries failed requests after a pause, from the first missing byte. */
+/**
+ * Reader of ranges that retries failed requests after a pause, from the first missing byte.
+ *
+ * It throws errors of the loader alone, whatever the source throws, and after an abort the signal's reason.
+ */
 export class RetryingReader {
   constructor(
     private readonly source: ByteSource,
@@ -20,34 +33,18 @@ export class RetryingReader {
     signal: AbortSignal,
     receiver: { readonly begin: (answer: Answer) => void; readonly take: (part: Uint8Array) => void },
   ): Promise<void> {
-    let received = 0;
-    await this.attempt(
-      signal,
-      async () => {
-        const at = range.offset + received;
-        const answer = await this.source.read({ offset: at, length: range.length - received }, { signal });
-        receiver.begin(answer);
-        const { total } = answer;
-        const expected = Math.min(range.length, (total ?? Infinity) - range.offset);
-        let skip = at - answer.offset;
-        for await (const part of answer.parts) {
-          const used = part.subarray(Math.min(skip, part.length), Math.min(part.length, skip + expected - received));
-          skip -= Math.min(skip, part.length);
-          received += used.length;
-          if (used.length > 0) receiver.take(used);
-          if (received >= expected) return;
-        }
-        if (total !== undefined && received < expected) {
-          throw new SourceError(`${received} bytes from byte ${range.offset}, expected ${expected}`, undefined, true);
-        }
-      },
-      () => received,
-    );
+    await this.read(range, { signal }, receiver.take, (answer) => {
+      receiver.begin(answer);
+      const { total } = answer;
+      return total === undefined ? undefined : Math.min(range.length, total - range.offset);
+    });
   }
 
   /** Read all bytes of a range. */
   async readAll(range: ByteRange, signal: AbortSignal | undefined, fresh = false): Promise<Uint8Array> {
-    return this.attempt(signal, () => readAll(this.source, range, { signal, fresh }));
+    const bytes = new GrowingBytes(range.length);
+    await this.read(range, { signal, fresh }, (part) => bytes.push(part));
+    return bytes.take();
   }
 
   /**
@@ -62,45 +59,49 @@ export class RetryingReader {
     take: (part: Uint8Array) => void,
     priority?: RequestPriority,
   ): Promise<void> {
-    let received = 0;
-    await this.attempt(
-      signal,
-      async () => {
-        const rest = { offset: range.offset + received, length: range.length - received };
-        const answer = await this.source.read(rest, { signal, priority });
-        let skip = rest.offset - answer.offset;
-        for await (const part of answer.parts) {
-          const useful = part.subarray(
-            Math.min(skip, part.length),
-            Math.min(part.length, skip + range.length - received),
-          );
-          skip -= Math.min(skip, part.length);
-          received += useful.length;
-          if (useful.length > 0) take(useful);
-          if (received === range.length) return;
-        }
-        throw new SourceError(`${received} bytes from byte ${range.offset}, expected ${range.length}`, undefined, true);
-      },
-      () => received,
-    );
+    await this.read(range, { signal, priority }, take);
   }
 
-  /** @param received - Number of bytes so far; an attempt that brought some resets the count of retries. */
-  private async attempt<T>(
-    signal: AbortSignal | undefined,
-    work: () => Promise<T>,
-    received = (): number => 0,
-  ): Promise<T> {
-    let had = 0;
-    for (let attempt = 1; ; attempt++) {
+  /**
+   * Read a range, with retries.
+   *
+   * @param expected - Returns the number of bytes to read, from an answer; undefined where the file may end within the
+   *   range.
+   */
+  private async read(
+    range: ByteRange,
+    options: ReadOptions,
+    take: (part: Uint8Array) => void,
+    expected: (answer: Answer) => number | undefined = () => range.length,
+  ): Promise<void> {
+    const { signal } = options;
+    let received = 0;
+    // Attempts in a row that failed, and the bytes received when the last progress was complete.
+    let failed = 0;
+    let progress = 0;
+    for (;;) {
       try {
-        return await work();
-      } catch (error) {
-        if (received() > had) [had, attempt] = [received(), 1];
+        const rest = { offset: range.offset + received, length: range.length - received };
+        const answer = await this.source.read(rest, options);
+        const length = expected(answer);
+        let skip = skippedBytes(answer, rest.offset);
+        for await (const part of answer.parts) {
+          const useful = usefulPart(part, skip, (length ?? range.length) - received);
+          skip = Math.max(0, skip - part.length);
+          received += useful.length;
+          if (useful.length > 0) take(useful);
+          if (received >= (length ?? range.length)) return;
+        }
+        if (length === undefined || received >= length) return;
+        throw new SourceError(`${received} bytes from byte ${range.offset}, expected ${length}`, undefined, true);
+      } catch (thrown) {
+        if (signal?.aborted) throw signal.reason;
+        const error = asSourceError(thrown);
+        if (received - progress >= PROGRESS_BYTES) [failed, progress] = [0, received];
+        failed++;
         const asked = requestedWait(error);
-        const isLast = attempt > this.retry.retries || asked > this.retry.longestWait;
-        if (signal?.aborted || isLast || !isRetryable(error)) throw error;
-        await backOff(attempt, this.retry, signal, asked);
+        if (failed > this.retry.retries || asked > this.retry.longestWait || !isRetryable(error)) throw error;
+        await backOff(failed, this.retry, signal, asked);
       }
     }
   }

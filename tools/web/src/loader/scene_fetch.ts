@@ -14,6 +14,8 @@ import type { ChunkUpdate, StreamOptions } from "./stream_options.js";
 const MAX_QUEUED = 64;
 /** Longest time in which segments of the first bytes are accepted at once, ms: a frame of the page has 16. */
 const SLICE_MILLISECONDS = 4;
+/** Requests in a row that fail after all retries, without a segment between them, until the fetch ends. */
+const MAX_LOST_REQUESTS = 6;
 /** Bytes of decoded heads kept until their tails arrive, at most: two million packed splats. */
 export const MOST_KEPT_BYTES = 32 * 2 ** 20;
 
@@ -51,6 +53,8 @@ export abstract class SceneFetch<Change> {
   private readonly changesQueued: Change[] = [];
   private readonly abort = new AbortController();
   private isChoosing = false;
+  /** Requests that have failed since the last segment. */
+  private lostRequests = 0;
   private areAllPagesKnown = false;
   private failure: { readonly error: unknown } | undefined;
   private wake: () => void = () => undefined;
@@ -115,10 +119,10 @@ export abstract class SceneFetch<Change> {
       this.wake();
     };
     signal?.addEventListener("abort", onAbort);
-    void this.readPages();
-    this.onPage();
-    this.chooseSoon();
     try {
+      void this.readPages();
+      this.onPage();
+      this.chooseSoon();
       for (;;) {
         signal?.throwIfAborted();
         const change = this.changesQueued.shift();
@@ -137,6 +141,7 @@ export abstract class SceneFetch<Change> {
       signal?.removeEventListener("abort", onAbort);
       this.abort.abort();
       this.requests.close();
+      this.source.beginning.release();
       this.onEnd();
       this.service.close();
     }
@@ -176,7 +181,11 @@ export abstract class SceneFetch<Change> {
     queueMicrotask(() => {
       this.isChoosing = false;
       if (this.abort.signal.aborted || this.failure !== undefined) return;
-      this.choose(this.changesQueued.length < MAX_QUEUED);
+      try {
+        this.choose(this.changesQueued.length < MAX_QUEUED);
+      } catch (error) {
+        this.fail(error);
+      }
       if (this.isComplete) this.wake();
     });
   }
@@ -266,14 +275,14 @@ export abstract class SceneFetch<Change> {
       this.index.checkCrc(segment, payload);
       if (this.uncancellable.delete(segment)) this.use(segment, payload);
     } catch (error) {
-      this.uncancellable.delete(segment);
-      this.abandon(error, [segment]);
+      if (this.uncancellable.delete(segment)) this.abandon(error, [segment]);
     }
     this.chooseSoon();
   }
 
   /** Use the payload of a segment whose CRC was checked. */
   protected use(segment: number, payload: Uint8Array): void {
+    this.lostRequests = 0;
     const { kind, owner } = this.index.segments;
     if (kind[segment] === SegmentKind.compensation) this.source.compensation.add(owner[segment]!, payload);
     else this.queue.add(segment, payload);
@@ -286,7 +295,8 @@ export abstract class SceneFetch<Change> {
       error instanceof CogsplatError
         ? error.code !== "source-changed"
         : error instanceof SourceError && error.retryable;
-    if (!isOfSegment) {
+    if (error instanceof SourceError) this.lostRequests++;
+    if (!isOfSegment || this.lostRequests > MAX_LOST_REQUESTS) {
       this.fail(error);
       return;
     }
@@ -301,8 +311,13 @@ export abstract class SceneFetch<Change> {
   /** Report an error to `onDamage`; without it the fetch ends with the error. */
   private reportDamage(error: unknown, chunks: readonly number[]): void {
     const { onDamage } = this.options;
-    if (onDamage === undefined || !(error instanceof CogsplatError || error instanceof SourceError)) this.fail(error);
-    else for (const chunk of chunks.length === 0 ? [undefined] : chunks) onDamage(error, chunk);
+    try {
+      if (onDamage === undefined || !(error instanceof CogsplatError || error instanceof SourceError)) throw error;
+      for (const chunk of chunks.length === 0 ? [undefined] : chunks) onDamage(error, chunk);
+    } catch (failure) {
+      // The error itself, or one of the caller's function.
+      this.fail(failure);
+    }
     this.chooseSoon();
   }
 }

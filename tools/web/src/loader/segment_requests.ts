@@ -1,5 +1,6 @@
 import type { ByteRange } from "../container/scene_index.js";
 import { windowBytes } from "../schedule/scheduler.js";
+import { GrowingBytes } from "./byte_source.js";
 import { LinkEstimate } from "./link_estimate.js";
 import { nextRequest, type RangeRequest } from "./range_plan.js";
 import type { RetryingReader } from "./retrying_reader.js";
@@ -30,9 +31,8 @@ interface Request {
 /** Range requests in flight; a stopped segment is resumed later from its first missing byte. */
 export class SegmentRequests {
   readonly link = new LinkEstimate();
-  /** Bytes received of each incomplete segment. */
-  readonly partial = new Map<number, number>();
-  private readonly parts = new Map<number, Uint8Array>();
+  /** Received bytes of each incomplete segment. */
+  private readonly parts = new Map<number, GrowingBytes>();
   private readonly requests = new Set<Request>();
 
   /** @param rangeOf - Byte range of a segment in the source of `reader`. */
@@ -41,6 +41,11 @@ export class SegmentRequests {
     private readonly rangeOf: (segment: number) => ByteRange,
     private readonly receiver: SegmentReceiver,
   ) {}
+
+  /** Number of bytes received of each incomplete segment. */
+  get partial(): Map<number, number> {
+    return new Map([...this.parts].map(([segment, bytes]) => [segment, bytes.length]));
+  }
 
   /** Number of requests in flight. */
   get count(): number {
@@ -107,13 +112,12 @@ export class SegmentRequests {
   /** Drop the received bytes of an incomplete segment. */
   forget(segment: number): void {
     this.parts.delete(segment);
-    this.partial.delete(segment);
   }
 
   /** Byte range still missing of a segment. */
   private readonly missing = (segment: number): ByteRange => {
     const { offset, length } = this.rangeOf(segment);
-    const had = this.partial.get(segment) ?? 0;
+    const had = this.parts.get(segment)?.length ?? 0;
     return { offset: offset + had, length: length - had };
   };
 
@@ -154,15 +158,10 @@ export class SegmentRequests {
       const used = rest.subarray(gap, gap + length);
       rest = rest.subarray(gap + used.length);
       request.position += gap + used.length;
-      const bytes = this.parts.get(segment) ?? new Uint8Array(this.rangeOf(segment).length);
-      const had = bytes.length - length;
-      bytes.set(used, had);
-      if (used.length < length) {
-        this.parts.set(segment, bytes);
-        this.partial.set(segment, had + used.length);
-        continue;
-      }
-      this.complete(segment, bytes, request);
+      const bytes = this.parts.get(segment) ?? new GrowingBytes(this.rangeOf(segment).length);
+      bytes.push(used);
+      if (bytes.isComplete) this.complete(segment, bytes.take(), request);
+      else this.parts.set(segment, bytes);
     }
   }
 

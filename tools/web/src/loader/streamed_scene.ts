@@ -134,9 +134,26 @@ export class StreamedScene implements FetchSource {
     const given = sourceOf(source, options.http);
     const reader = new RetryingReader(given, { ...DEFAULT_RETRY, ...options.retry });
     const beginning = new Beginning(reader, FIRST_BYTES);
-    await beginning.waitFor(PREAMBLE_BYTES, options.signal);
-    if (isManifest(beginning.available))
-      return StreamedScene.beginFolder(given, beginning, source, options, isReopened);
+    try {
+      await beginning.waitFor(PREAMBLE_BYTES, options.signal);
+      return isManifest(beginning.available)
+        ? await StreamedScene.beginFolder(given, beginning, source, options, isReopened)
+        : await StreamedScene.beginFile(reader, beginning, source, options, isReopened);
+    } catch (error) {
+      // The rest of a refused file is not received.
+      beginning.stop();
+      throw error;
+    }
+  }
+
+  /** Read the root of a file from its first bytes. */
+  private static async beginFile(
+    reader: RetryingReader,
+    beginning: Beginning,
+    source: string | URL | Blob | ByteSource,
+    options: OpenOptions,
+    isReopened: boolean,
+  ): Promise<StreamedScene> {
     // Other files are refused by their first bytes.
     const { rootLength } = readPreamble(beginning.available);
     // Where the source does not state the file's length, its end does.

@@ -3,6 +3,7 @@ import { FilmStrip } from "./film_strip.js";
 import { MARKUP } from "./markup.js";
 import { formatBytes, parseColour } from "./numbers.js";
 import { Panel } from "./panel.js";
+import { absoluteAddress, sceneName } from "./scene_name.js";
 import { type SceneSource, SceneView } from "./scene_view.js";
 import { describeError, type Sentence } from "./sentences.js";
 import { STYLE } from "./style.js";
@@ -192,10 +193,10 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     const scene = this.scene!;
     if (name === "src" && value !== null) {
       const against = this.getAttribute("against");
-      void this.load(new URL(value, document.baseURI).href);
+      void this.load(absoluteAddress(value, document.baseURI));
       if (against !== null) this.apply("against", against);
     } else if (name === "against") {
-      void this.compare(value === null ? undefined : new URL(value, document.baseURI).href);
+      void this.compare(value === null ? undefined : absoluteAddress(value, document.baseURI));
     } else if (name === "background") {
       const colour = parseColour(value ?? "black");
       if (colour === undefined) return;
@@ -414,7 +415,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
 function fileName(source: SceneSource | undefined): string {
   if (source instanceof File) return source.name;
   if (typeof source !== "string") return "";
-  return decodeURIComponent(new URL(source, location.href).pathname.split("/").at(-1)!);
+  return sceneName(source);
 }
 
 /** Define `<cogsplat-viewer>`, unless another copy of this program has defined it. */

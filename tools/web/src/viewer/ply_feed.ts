@@ -5,6 +5,7 @@ import type { Meter } from "./meter.js";
 import type { PlyRequest, PlyResponse, RateRequest } from "./ply_messages.js";
 import { readPly } from "./ply_reader.js";
 import type { FeedHost, Prefix, SceneFeed } from "./scene_feed.js";
+import { pathOf } from "./scene_name.js";
 import type { SplatLayer } from "./splat_layer.js";
 import type { AllowedWorkers } from "./viewer_workers.js";
 
@@ -117,7 +118,7 @@ export class PlyFeed implements SceneFeed {
 /** Return the source if it is a PLY: by the name of a URL, by the first bytes of a file. */
 export async function plyOf(source: string | Blob | ByteSource): Promise<string | Blob | undefined> {
   if (typeof source === "string") {
-    return new URL(source, location.href).pathname.toLowerCase().endsWith(".ply") ? source : undefined;
+    return pathOf(source).toLowerCase().endsWith(".ply") ? source : undefined;
   }
   if (!(source instanceof Blob)) return undefined;
   const beginning = new TextDecoder("latin1").decode(await source.slice(0, 4).arrayBuffer());

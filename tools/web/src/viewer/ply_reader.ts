@@ -1,4 +1,4 @@
-import { readParts } from "../loader/byte_source.js";
+import { LONGEST_PAUSE, lateness, lengthOf, readParts, withinPause } from "../loader/byte_source.js";
 import { type PackedSplats, type PackRanges, SH_WORDS } from "../scene/packed_splats.js";
 import type { Meter } from "./meter.js";
 import { type PlyLayout, readPlyHeader } from "./ply_header.js";
@@ -32,7 +32,7 @@ export async function readPly(
 ): Promise<void> {
   try {
     const { stream, totalBytes } = await bytesOf(request.source);
-    await new PlyRows(request, totalBytes, post, rest).read(meter.through(readParts(stream, undefined)));
+    await new PlyRows(request, totalBytes, post, rest).read(meter.through(readParts(stream, undefined, LONGEST_PAUSE)));
   } catch (error) {
     const status = error instanceof StatusError ? error.status : undefined;
     post({ type: "failed", status, message: error instanceof Error ? error.message : String(error) }, []);
@@ -50,10 +50,9 @@ async function bytesOf(
   source: Blob | string,
 ): Promise<{ stream: ReadableStream<Uint8Array>; totalBytes: number | undefined }> {
   if (typeof source !== "string") return { stream: source.stream(), totalBytes: source.size };
-  const response = await fetch(source);
+  const response = await withinPause(fetch(source), LONGEST_PAUSE, () => lateness(LONGEST_PAUSE));
   if (!response.ok || response.body === null) throw new StatusError(response.status);
-  const length = response.headers.get("Content-Length");
-  return { stream: response.body, totalBytes: length === null ? undefined : Number(length) };
+  return { stream: response.body, totalBytes: lengthOf(response.headers) };
 }
 
 /** Converts the bytes of one PLY to packed rows. */
@@ -82,6 +81,8 @@ class PlyRows {
       this.pending = concatenateBytes([this.pending, ...parts.splice(0)]);
       waiting = 0;
       await this.packBlocks(false);
+      // The rest of the file, perhaps without end, is not needed.
+      if (this.layout !== undefined && this.row === this.wantedRows) break;
     }
     this.pending = concatenateBytes([this.pending, ...parts]);
     await this.packBlocks(true);
