@@ -48,7 +48,7 @@ class BatchLog:
     """Open log: JSON lines behind a first line that names its kind.
 
     A line with the status ``started`` precedes each encode. If no further line of that output
-    follows, the run was killed, and the output belongs to the batch all the same.
+    follows, the run was killed; the output still belongs to the batch.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class BatchLog:
             os.fsync(self._file.fileno())
 
     def _read_lines(self) -> None:
-        """Read the lines of earlier runs; skip lines that are none, such as half of one."""
+        """Read the lines of earlier runs; skip invalid lines, such as a half-written one."""
         for text in self._file:
             try:
                 line = json.loads(text)

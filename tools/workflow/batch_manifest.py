@@ -62,7 +62,7 @@ class BatchScene:
         return self.output, *self.writes
 
     def require_names(self) -> None:
-        """Refuse names and options that no command line can have, and ``-`` for a stream.
+        """Refuse names and options that no command line can hold, and ``-``, which is a stream.
 
         Raises
         ------
@@ -74,7 +74,7 @@ class BatchScene:
                 raise FormatError(_CODE, f"{text!r}, expected the name of a file, or an option")
 
     def fingerprint(self, folder: Path) -> str:
-        """Return SHA-256, in hexadecimal, of the input's bytes, the output's name and the options.
+        """Return the SHA-256, in hexadecimal, of input bytes, output name and options.
 
         For a URL, length and ETag replace the bytes if the server sends an ETag.
 
@@ -86,7 +86,7 @@ class BatchScene:
         Raises
         ------
         CogsplatError
-            The input cannot be read, or a name is none (`require_names`).
+            The input cannot be read, or `require_names` refuses a name.
         """
         self.require_names()
         digest = hashlib.sha256(json.dumps([self.output, self.words]).encode())
@@ -145,7 +145,7 @@ def read_manifest(path: Path, options: Mapping[str, click.Option]) -> list[Batch
 
 
 def _tables(data: bytes, path: Path) -> list[tuple[str, object]]:
-    """Return the place and the value of each scene of a manifest."""
+    """Return the place, for messages, and the value of each scene of a manifest."""
     try:
         text = data.decode()
         if path.suffix == ".toml":

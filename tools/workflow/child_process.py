@@ -1,4 +1,4 @@
-"""Commands in processes of their own that end with their parent, however it ends."""
+"""Commands in child processes, which end with the parent process even if it is killed."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _INTERRUPTED_STATUS: Final = 130
 def child_process(words: Sequence[str], folder: Path) -> Iterator[subprocess.Popen[str]]:
     """Start a ``cogsplat`` command, which is interrupted if this process ends before the block.
 
-    Its standard input is a pipe that nobody writes to: the operating system closes it with this
-    process, also when it is killed.
+    Standard input of the command is a pipe without data. The operating system closes the pipe when
+    this process ends, even if it is killed.
 
     Parameters
     ----------

@@ -29,9 +29,10 @@ _REPORT_SECONDS: Final = 0.1
 class CompileAhead:
     """Processes that compile the kernels missing from the folder of machine code.
 
-    A context manager; the processes start on entry. `finish` compiles along and returns when all
-    kernels are compiled. Leaving the context ends the processes. A kernel that is not compiled by
-    then is compiled at its first call, as all are if no folder or process is available.
+    A context manager; the processes start on entry. `finish` compiles in this process as well and
+    returns when all kernels are compiled. Leaving the context ends the processes. A kernel that is
+    not compiled by then is compiled at its first call. Without a folder or a process, every kernel
+    is.
 
     Parameters
     ----------

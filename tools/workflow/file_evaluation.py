@@ -100,7 +100,7 @@ class FileEvaluation:
         return cls(source, views, what, background, photos)
 
     def stage_costs(self) -> list[StageCost]:
-        """Return the expected cost of `measure`, to plan the progress."""
+        """Return the expected cost of `measure`, in the unit of `codec.encode.stage_costs`."""
         once = sum(cost.total() for cost in comparison_costs(len(self.source), self.cameras))
         return [StageCost("measure", len(prefix_quality.PREFIX_FRACTIONS) * once)]
 

@@ -48,7 +48,8 @@ class Selection:
     chunks : ChunkRange or None
         Range of chunks.
     least_splats : int or None
-        Least number of splats in the first chunks; `objects` restricts which splats count.
+        Minimum number of splats: the first chunks that hold this number are read. With `objects`,
+        only splats of these objects count.
     size : ByteCount or None
         Length of the file's prefix, whose complete chunks are read.
     sh_degree : int or None
@@ -114,7 +115,7 @@ class LoadedScene:
     without_tails : tuple of int
         Numbers of the chunks whose shN is zero because their tails were not read.
     first_view : Camera or None
-        View that the file says to show first.
+        View to show first, as stored in the file.
     lost_extras : tuple of str
         Extra attributes of the file that some of the decoded chunks lack.
     unrefined : tuple of int
@@ -165,12 +166,12 @@ def read_any(
     zeros: Zeros = IN_MEMORY.zeros,
     progress: Progress = silent,
 ) -> LoadedScene:
-    """Read a scene of any format, COGS included; the arrays of a PLY come from `zeros`.
+    """Read a scene of any format, COGS included; `zeros` allocates the arrays of a PLY.
 
     Raises
     ------
     click.UsageError
-        A part of a scene without chunks.
+        `part` selects chunks of a scene that has none.
     CogsplatError
         The file cannot be read.
     """
@@ -363,7 +364,7 @@ def plan_views(splats: Splats, *, threads: int = 0, progress: Progress = silent)
 
 
 def plan_cameras(splats: Splats, *, threads: int = 0, progress: Progress = silent) -> list[Camera]:
-    """Return the planned cameras of a scene without cameras (`plan_views`)."""
+    """Return the planned scoring cameras of a scene without cameras, covering views included."""
     found = plan_views(splats, threads=threads, progress=progress)
     return found.views + found.covering_views
 
@@ -380,20 +381,21 @@ def evaluation_cameras(
 ) -> tuple[Sequence[Camera], str]:
     """Return the test views and their description for output.
 
+    The first existing source is used: the cameras of `path`, all of ``eval_cameras.json``, the
+    views of `planned`, or test views planned for `splats` as in an encode without cameras.
+
     Parameters
     ----------
     reference : Path
-        File of the scene. Without `path`, all cameras of ``eval_cameras.json`` in its folder are
-        the test views.
+        File of the scene, next to which ``eval_cameras.json`` may be.
     splats : Splats
-        Scene, for which test views are planned if there are no cameras at all: those that an
-        encode without cameras predicts quality in.
+        Scene, for planning test views.
     path : Path or None
         File of cameras.
     every : int
-        Interval of the test views among the cameras of `path` or the planned views; 0 for all.
+        Every n-th camera of `path` or `planned` is a test view; 0 takes all of these cameras.
     planned : sequence of Camera, optional
-        Planned scoring views to hold out test views from, instead of planned test views.
+        Planned scoring views.
     threads : int
         Number of threads that plan views; 0 for all cores.
     progress : Progress

@@ -77,7 +77,8 @@ class OrderChoice:
     Parameters
     ----------
     names : tuple of str
-        Orders, each alone or followed by a rule for a first view. Only ``evaluate`` has several.
+        Names of orders, such as ``contribution``. A rule for splats that a first view shows may
+        follow, as in ``contribution+frustum``. Only ``evaluate`` takes several names.
     ordering : OrderConfig
         Order configuration without a first view.
     first_view : int or None
@@ -93,7 +94,7 @@ class OrderChoice:
 
     @property
     def name(self) -> str:
-        """Name of the first order with its rule, such as ``contribution+frustum``."""
+        """First of `names`: an order with its rule, such as ``contribution+frustum``."""
         return self.names[0]
 
     @property
@@ -257,7 +258,10 @@ def orders_option(command: Callable[..., object]) -> Callable[..., object]:
 def _resolve_orders(
     order: str | tuple[str, ...], first_view: int | None, frustum_share: float | None
 ) -> tuple[str, ...]:
-    """Return the orders, a single order with the rule implied; refuse contradictory options."""
+    """Return the names of the orders; refuse contradictory options.
+
+    A first view adds its rule to a single order that is given without one.
+    """
     names = (order,) if isinstance(order, str) else order
     rules = [split_name(name)[1] for name in names]
     if first_view is None:

@@ -59,7 +59,7 @@ def check_outputs(
 
 
 def check_distinct(*paths: Path) -> None:
-    """Refuse two files to write that are the same file.
+    """Refuse a list of outputs in which two paths name the same file.
 
     Raises
     ------

@@ -103,7 +103,7 @@ class SceneEdits:
         return moved
 
     def camera(self, camera: Camera) -> Camera:
-        """Return the camera for the edited scene whose picture is the same as before."""
+        """Return a camera moved with the scene, so that its picture stays the same."""
         if not self.moves:
             return camera
         turn = None if self.rotate == _STILL else self.rotation
@@ -178,7 +178,7 @@ def scale_factor(text: str) -> float:
     Raises
     ------
     click.BadParameter
-        The text is no such number.
+        The text is no positive finite number.
     """
     try:
         value = float(text)
@@ -227,6 +227,6 @@ def _rotation(degrees: Vector) -> F64:
 
 
 def _exact(value: float) -> float:
-    """Return -1, 0 or 1 for a value within rounding of it: cos(π/2) is 6e-17 in float64."""
+    """Remove rounding errors from values near -1, 0 and 1: cos(π/2) is 6e-17 in float64."""
     whole = round(value)
     return float(whole) if abs(value - whole) < 1e-15 else value

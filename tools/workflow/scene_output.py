@@ -77,7 +77,7 @@ def output_format(out: Path, writing: SceneWriting) -> str:
 
 
 def require_cogs_for_cameras(cameras: Path | None, out: Path, name: str) -> None:
-    """Refuse cameras unless the output is COGS.
+    """Raise an error if cameras are given for an output in another format than COGS.
 
     Raises
     ------

@@ -28,7 +28,7 @@ CHECKPOINT: Final = FileKind(
     "checkpoint of cogsplat tune",
     re.compile(rb"PK\x03\x04.{26}" + _RUN.encode() + rb"\.npy", re.DOTALL),
 )
-"""Kind of these files."""
+"""Kind of checkpoint files."""
 
 # About a hundred arrays with entries of 100 bytes, and 64 KiB in which the directory's end is.
 _MAX_DIRECTORY_BYTES: Final = 1 << 18
@@ -68,8 +68,8 @@ def write_checkpoint(path: Path, run: str, state: Mapping[str, NDArray[np.generi
 def read_checkpoint(path: Path, run: str) -> dict[str, NDArray[np.generic]]:
     """Read the training state of a run, arrays by name.
 
-    The fingerprint is read first, and each array once its header fits the bytes that are stored, so
-    that memory is bounded by the size of the file.
+    The fingerprint is read first. An array is read only if the size in its header matches its
+    stored bytes, so that the size of the file bounds memory.
 
     Parameters
     ----------

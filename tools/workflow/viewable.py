@@ -34,8 +34,8 @@ class Viewable:
     splats : int
         Splats in the file.
     encoded : bool
-        Whether the file was written from a decoded scene: a COGS file by `viewable`, a PLY file by
-        `drawable`.
+        Whether the file is a temporary copy in another format: COGS by `viewable`, PLY by
+        `drawable`. False for a complete COGS file or folder.
     """
 
     path: Path
