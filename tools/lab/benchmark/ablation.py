@@ -42,11 +42,11 @@ class AblationRow:
     more : float
         Relative increase of the bytes over the full encoder.
     roam_db : float
-        PSNR of roam views at that size, interpolated.
+        PSNR of roam views at that held-out PSNR, interpolated, dB.
     encode_s : float
         Shortest encoding time, without scoring, s.
     nearest_db : float
-        Smallest difference of a measured PSNR from the PSNR interpolated at, dB.
+        Distance of the nearest measured PSNR from the PSNR of the interpolation, dB.
     """
 
     technique: str
@@ -88,7 +88,7 @@ class _Point:
 
 
 def changes(sh_degree: int) -> dict[str, Change]:
-    """Return the functions that disable one technique in a configuration, by technique."""
+    """Return functions that disable one technique in an encoder configuration, by technique."""
     from cogsplat.codec.encode.config import Ablation
 
     def without(**flags: bool) -> Change:

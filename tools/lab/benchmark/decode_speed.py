@@ -42,7 +42,7 @@ _ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
 
 _LIBRARY: Final = "@adobe/spz/dist/spz.js"
 
-# Arguments: the library's module, an SPZ file, how often to load it. Prints seconds as JSON.
+# Arguments: the library's module, an SPZ file, number of loads. Prints seconds per load as JSON.
 _LOAD_SPZ: Final = """
 import { readFileSync } from 'node:fs';
 import { pathToFileURL } from 'node:url';
@@ -80,7 +80,7 @@ class Way:
 
     @property
     def label(self) -> str:
-        """Label for tables."""
+        """Kernels or numpy, and thread count, as text for tables."""
         threads = f"{self.threads} thread" + "s" * (self.threads != 1)
         by = "kernels" if self.kernels else "numpy"
         return f"{by}, {threads if self.threads else 'plain'}"
@@ -120,7 +120,7 @@ class Timing:
 
     @property
     def median_ratio(self) -> float:
-        """Median over the pairs of decode time over copy time."""
+        """Median ratio of decode time to copy time over the interleaved pairs."""
         pairs = zip(self.decode_s, self.copy_s, strict=True)
         return statistics.median(decode / copy for decode, copy in pairs)
 

@@ -69,7 +69,7 @@ class Model:
 
 @dataclass(frozen=True, eq=False)
 class ModelQuality:
-    """A model with its picture quality at each scale."""
+    """A model, and its picture quality by downscaling factor of the pictures."""
 
     model: Model
     figures: dict[int, PictureFigures]

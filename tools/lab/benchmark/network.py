@@ -88,9 +88,9 @@ class SlowLink:
     fetched_seconds : float
         Time of a download without decoding.
     opened_seconds, first_chunk_seconds, last_chunk_seconds : float
-        Time until the index, the first and the last chunk when streaming.
+        Time until the index, the first and the last chunk are available when streaming.
     decoded_seconds : float
-        Time of `cogsplat.decode` of the address.
+        Time of `cogsplat.decode` of the file's URL.
     """
 
     file_bytes: int
@@ -177,7 +177,7 @@ def _copies(file: CogsFile, chunks: int) -> tuple[Root, list[Segment]]:
 
 
 def _parts(file: CogsFile, chunk: int) -> tuple[int | None, ...]:
-    """Return the rows of a chunk's head, refinement and tail in the segment table, or None."""
+    """Return the segment-table rows of a chunk's head, refinement and tail; None if absent."""
     rows = file.chunk_rows(chunk)
     return rows.head, rows.refinement, rows.tail
 
@@ -211,7 +211,7 @@ def large_file(path: Path, tries: int, seed: int = 1, place: Path | None = None)
     seed : int
         Seed of the random choice.
     place : Path, optional
-        Folder of objects to serve instead of the file.
+        Folder that holds the file as objects (SPEC 3.4), to serve instead of the file.
     """
     chosen = random.Random(seed)
     with served(place or path) as (url, _):
@@ -353,7 +353,7 @@ def _print(found: object, as_json: bool) -> None:
 
 @click.group()
 def main() -> None:
-    """Measure reading over a network."""
+    """Measure random access, slow links and concurrent clients over a network."""
 
 
 @main.command()

@@ -76,7 +76,7 @@ def unpack(
 
 
 def words_of_band(degree: int) -> int:
-    """Return the number of words per splat in an SH band."""
+    """Return the number of 32-bit words of one splat in the packed SH band of a degree."""
     return _BANDS[degree - 1][0]
 
 

@@ -80,7 +80,7 @@ class PartitionComparison:
 def compare(
     splats: Splats, cameras: Sequence[Camera], cuboids: int, seconds: float = 60.0
 ) -> PartitionComparison:
-    """Partition a scene by four methods.
+    """Partition a scene into cells by four methods; compare the cells.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def _measured(
 )
 @json_option
 def main(scene: Path, cameras: Path, cuboids: int, seconds: float, as_json: bool) -> None:
-    """Compare partitions of a scene's space into cells."""
+    """Compare partitions of SCENE into cells: fetched splats per visible splat, and time."""
     found = compare(cogsplat.read(scene), cogsplat.read_cameras(cameras), cuboids, seconds)
     if as_json:
         print_json(asdict(found))

@@ -120,7 +120,7 @@ class Row(_Measured):
     Parameters
     ----------
     method, quality_db
-        The method.
+        Profile or foreign format, and its nominal quality if any.
     refused : str
         Reason code if the format cannot store the scene; all figures are 0 then.
     file_bytes : int
@@ -132,7 +132,7 @@ class Row(_Measured):
     held_out_ssim, worst_ssim, roam_ssim : float
         SSIM in the same views.
     photos_db, photo_loss_db : float or None
-        PSNR against photos of the held-out views, and the source's PSNR against photos minus it.
+        PSNR against photos of the held-out views, and its distance below the source's PSNR.
     encode_s, decode_s : float
         Time from arrays to a file, with scoring, and from the file to arrays, s.
     """
@@ -164,12 +164,12 @@ class Row(_Measured):
 
 @dataclass(frozen=True)
 class BenchPrefix(_Measured):
-    """PSNR of one prefix of a file.
+    """Size and PSNR of one prefix of a file.
 
     Parameters
     ----------
     method, quality_db
-        The method.
+        Profile or foreign format, and its nominal quality if any.
     prefix_bytes : int
     splats : int
         Splats in the prefix.
@@ -189,7 +189,7 @@ class StageTime(_Measured):
     Parameters
     ----------
     method, quality_db
-        The method.
+        Profile or foreign format, and its nominal quality if any.
     stage : str
         Name of the stage in `EncodeReport`.
     wall_s, cpu_s : float
@@ -271,9 +271,9 @@ def stage_cost(
     for profile in profiles:
         request = EncodeRequest(config=EncodeConfig(profile=profile), cameras=scored_on)
         encode = stage_costs(splats, request, scored=True)
-        steps = _steps(profile, qualities)
-        for index in range(len(steps)):
-            has_prefixes = _measures_prefixes(profile, index, len(steps))
+        found = _nominal_qualities(profile, qualities)
+        for index in range(len(found)):
+            has_prefixes = _measures_prefixes(profile, index, len(found))
             prefixes = _PREFIXES * compared[0].cost if has_prefixes else 0.0
             files.append((*encode, *compared, StageCost("prefixes", prefixes)))
     files += [tuple(compared)] * len(formats)
@@ -337,8 +337,8 @@ def run(
     return Bench(tuple(rows), tuple(prefixes), tuple(stages))
 
 
-def _steps(profile: str, qualities: Sequence[float] | None) -> Sequence[float | None]:
-    """Return the nominal qualities at which a profile is measured."""
+def _nominal_qualities(profile: str, qualities: Sequence[float] | None) -> Sequence[float | None]:
+    """Return the nominal qualities of a profile to measure, dB; one None if it has none."""
     return sorted(qualities or QUALITIES[profile]) if profile in QUALITIES else [None]
 
 
@@ -358,8 +358,8 @@ def _cogs_methods(
 
     methods: list[_Method] = []
     for profile in profiles:
-        steps = _steps(profile, qualities)
-        for index, quality_db in enumerate(steps):
+        found = _nominal_qualities(profile, qualities)
+        for index, quality_db in enumerate(found):
             config = EncodeConfig(profile=profile, threads=given.threads)
             if quality_db is not None:
                 config = EncodeConfig(profile=profile, quality_db=quality_db, threads=given.threads)
@@ -371,7 +371,7 @@ def _cogs_methods(
                     _encoder(given, config, progress),
                     lambda path: cogsplat.decode(path, threads=given.threads),
                     scored=True,
-                    prefixes=_measures_prefixes(profile, index, len(steps)),
+                    prefixes=_measures_prefixes(profile, index, len(found)),
                 )
             )
     return methods
@@ -380,7 +380,7 @@ def _cogs_methods(
 def _encoder(
     given: BenchInput, config: EncodeConfig, progress: Progress
 ) -> Callable[[Path], EncodeReport]:
-    """Return a function that encodes the scene to a path."""
+    """Return a function that encodes the scene to its argument, a path."""
     from cogsplat.codec.encode.request import EncodeRequest
 
     def write(path: Path) -> EncodeReport:
@@ -397,7 +397,7 @@ def _encoder(
 
 
 def _foreign_methods(given: BenchInput, names: Sequence[str]) -> list[_Method]:
-    """Return a method for each foreign format."""
+    """Return the method that writes and reads each of the named foreign formats."""
     from . import c3dgs_npz
 
     methods: list[_Method] = []
@@ -419,7 +419,7 @@ def _foreign_methods(given: BenchInput, names: Sequence[str]) -> list[_Method]:
 
 
 def _writer(given: BenchInput, format_: Format) -> Callable[[Path], None]:
-    """Return a function that writes the scene to a path in a foreign format."""
+    """Return a function that writes the scene in a foreign format to its argument, a path."""
     write_scene = format_.write
     if write_scene is None:
         raise ValueError(f"format {format_.name!r} is not written, expected one of {FOREIGN}")

@@ -157,7 +157,7 @@ def _measure_in_process(
 
 
 def _timed(work: Callable[..., None], *arguments: object) -> tuple[float, float, int]:
-    """Run an operation; return its wall-clock time, processor time, s, and peak memory, bytes."""
+    """Run an operation; return wall-clock and processor time, s, and peak memory, bytes."""
     start, cpu = time.perf_counter(), time.process_time()
     work(*arguments)
     return time.perf_counter() - start, time.process_time() - cpu, _peak_bytes()
@@ -180,7 +180,7 @@ def _synthesise(splats: int, scene: Path) -> None:
 def _encode(
     scene: Path, out: Path, views: int, preset: str, memory: int | None, threads: int
 ) -> None:
-    """Encode a scene file with synthetic training views."""
+    """Encode a scene file with synthetic training views; `memory` is the limit in bytes."""
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.request import EncodeRequest
 
@@ -230,7 +230,7 @@ def charts(steps: Sequence[Step]) -> dict[str, str]:
 
 
 def _counts(text: str) -> list[int]:
-    """Parse the value of --splats."""
+    """Parse the value of --splats: splat counts, separated by commas."""
     try:
         counts = sorted({int(part) for part in text.split(",")})
     except ValueError:

@@ -262,7 +262,7 @@ def _sample_snapshots(seconds: Sequence[float], count: int = 24) -> list[int]:
 
 
 def _snapshot(page: Page, contender: Contender, number: int) -> Splats:
-    """Return the splats of one snapshot of the page."""
+    """Return the splats that the page had decoded at the time of one snapshot."""
     if contender.way == "bytes":
         size = page.evaluate("(number) => window.bytes(number)", number)
         return _first_rows(contender.path, int(size) // _SPLAT_BYTES)

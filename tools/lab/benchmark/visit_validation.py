@@ -46,7 +46,8 @@ _FRAME_SECONDS: Final = 1 / 30
 class PageState(TypedDict):
     """Chunks that the page had decoded at one time.
 
-    A chunk is a tuple of its number, whether it is refined, and whether its tail is decoded.
+    `seconds` is the time since the scene was opened. A chunk is a tuple of its number, whether it
+    is refined, and whether its tail is decoded.
     """
 
     seconds: float
@@ -86,7 +87,7 @@ def run_browser(
     budget_splats: int,
     splats_per_second: float,
 ) -> tuple[Browser, list[PageState]]:
-    """Run a visit in Chromium; return the browser's delays and the decoded chunks at given times.
+    """Follow a camera path in Chromium; return its delays, and the chunks decoded at given times.
 
     Parameters
     ----------
@@ -130,7 +131,7 @@ def run_browser(
 
 
 def _pose(pose: Pose) -> dict[str, object]:
-    """Convert a pose to the JSON of the page."""
+    """Return a pose as the JSON object that the page's script takes."""
     return {
         "position": pose.position.tolist(),
         "rotation": np.asarray(pose.rotation).ravel().tolist(),
