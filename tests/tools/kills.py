@@ -175,9 +175,11 @@ class Killer:
         Empty folder.
     rng : Random
         Moments of the kills.
+    stack : ExitStack
+        Receives the object store, which ends with it.
     """
 
-    def __init__(self, name: str, base: Path, rng: random.Random) -> None:
+    def __init__(self, name: str, base: Path, rng: random.Random, stack: ExitStack) -> None:
         self.command = COMMANDS[name]
         self.tally = Tally()
         self._name = name
@@ -186,7 +188,8 @@ class Killer:
         self._count = 0
         self._sessions: list[int] = []
         self._bucket: Callable[[str], set[str]] | None = None
-        self._stack = ExitStack()
+        self._stack = stack
+        self._url = ""
         if name == "upload":
             self._start_store()
         self._prepared = base / "prepared"
@@ -199,10 +202,6 @@ class Killer:
         assert code == 0, Path(f"{scratch}.txt").read_text()
         self.expected = digests(folder, self.command.outputs)
         assert set(self.expected) == set(self.command.outputs)
-
-    def close(self) -> None:
-        """Stop the object store."""
-        self._stack.close()
 
     def chain(self) -> None:
         """Kill the command some times in one folder, then let it finish, and check what it left."""
@@ -260,7 +259,8 @@ class Killer:
         """Return the command line for a folder."""
         if self._name != "upload":
             return self.command.words
-        return [*self.command.words, f"s3://bucket/{folder.name}", "--concurrency", "2"]
+        store = ["--endpoint", self._url, "--region", "us-east-1", "--concurrency", "2"]
+        return [*self.command.words, f"s3://bucket/{folder.name}", *store]
 
     def _prepare(self) -> None:
         """Write the inputs, and load what the command needs into this process."""
@@ -289,13 +289,8 @@ class Killer:
     def _start_store(self) -> None:
         """Start an object store; obstore is used in forked processes alone, as it has threads."""
         url = self._stack.enter_context(s3_server())
-        os.environ.update(
-            AWS_ENDPOINT=url,
-            AWS_REGION="us-east-1",
-            AWS_ACCESS_KEY_ID="key",
-            AWS_SECRET_ACCESS_KEY="secret",
-            AWS_ALLOW_HTTP="true",
-        )
+        os.environ.update(AWS_ACCESS_KEY_ID="key", AWS_SECRET_ACCESS_KEY="secret")
+        self._url = url
         self._bucket = lambda prefix: listed(url, prefix)
 
     def _check_store(self, folder: Path, *, complete: bool) -> None:
@@ -323,12 +318,9 @@ def listed(url: str, prefix: str) -> set[str]:
 
 @contextmanager
 def killer(name: str, base: Path, seed: int) -> Iterator[Killer]:
-    """Provide the kills of a command; refuse children that outlive it."""
-    made = Killer(name, base, random.Random(f"{name} {seed}"))
-    try:
-        yield made
-    finally:
-        made.close()
+    """Provide the kills of a command."""
+    with ExitStack() as stack:
+        yield Killer(name, base, random.Random(f"{name} {seed}"), stack)
 
 
 def run() -> int:
