@@ -1,4 +1,5 @@
 import asyncio
+import struct
 from functools import partial
 
 import httpx
@@ -200,6 +201,80 @@ def test_http2_shares_a_connection_and_survives_its_end(monkeypatch):
             assert source.traffic.failures >= 1
             assert len(server.asked) > len(ranges)
     assert server.connections == 2
+
+
+PREFACE = b"\x00\x00\x00\x04\x00\x00\x00\x00\x00"
+"""An empty SETTINGS frame, with which every server begins."""
+
+
+def frame(kind, flags, stream, payload=b""):
+    """Return an HTTP/2 frame."""
+    return struct.pack(">IBBI", len(payload), kind, flags, stream)[1:] + payload
+
+
+def field(name, value):
+    """Return a header in HPACK, literal and not indexed."""
+    return b"\x00" + bytes([len(name)]) + name + bytes([len(value)]) + value
+
+
+def informational():
+    """Return a block of headers of a status that is not final."""
+    return frame(1, 4, 1, field(b":status", b"103"))
+
+
+HEAD = frame(1, 4, 1, field(b":status", b"206") + field(b"content-range", b"bytes 0-65535/400000"))
+
+HOSTILE_FRAMES = {
+    "informational": (b"", informational()),
+    "pings": (b"", frame(6, 0, 0, bytes(8))),
+    "settings": (b"", PREFACE),
+    "window-updates": (HEAD, frame(8, 0, 0, struct.pack(">I", 1))),
+    "empty-data": (HEAD, frame(0, 0, 1)),
+    "one-byte": (HEAD, frame(0, 0, 1, b"A")),
+    "continuations": (frame(1, 0, 1, field(b"a", b"b")), frame(9, 0, 1, field(b"c", b"d"))),
+    "reset": (b"", frame(3, 0, 1, struct.pack(">I", 11))),
+    "goaway": (b"", frame(7, 0, 0, bytes(8))),
+    "push": (b"", frame(5, 4, 1, struct.pack(">I", 2) + field(b":method", b"GET"))),
+    "unknown": (b"", frame(200, 255, 77, b"x" * 100)),
+    "long": (b"", b"\xff\xff\xff\x00\x00\x00\x00\x00\x01" + b"x" * 1000),
+    "bad-headers": (b"", frame(1, 4, 1, b"\xff\xff\xff\xff\xff\xff\xff")),
+    "no-status": (b"", frame(1, 4, 1, field(b"a", b"b"))),
+    "status-of-letters": (frame(1, 4, 1, field(b":status", b"2OO")), b""),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE_FRAMES)
+def test_frames_without_end_are_left(name, monkeypatch):
+    beginning, repeated = HOSTILE_FRAMES[name]
+
+    async def serve(reader, writer):
+        async def drain():
+            while await reader.read(65536):
+                pass
+
+        reading = asyncio.create_task(drain())
+        await asyncio.sleep(0.05)
+        writer.write(PREFACE + beginning)
+        try:
+            while True:
+                writer.write(repeated * 10)
+                await writer.drain()
+                await asyncio.sleep(0.01)
+        except ConnectionError:
+            writer.close()
+        finally:
+            reading.cancel()
+
+    with listening(serve) as port:
+        only_http2 = partial(httpx.AsyncClient, http1=False, http2=True)
+        monkeypatch.setattr(http_transport, "new_client", lambda options: only_http2())
+        url = f"http://127.0.0.1:{port}/c.cogs"
+        network = NetworkOptions(
+            pause_seconds=0.01, idle_seconds=0.2, connect_seconds=0.2, retries=1
+        )
+        with pytest.raises(StorageError) as caught:
+            RangeSource(HttpTransport(url, network), url, network).read(0, 65536)
+        assert caught.value.code in ("network-timeout", "connection-broken", "http-status")
 
 
 def test_the_module_imports_without_the_extra():
