@@ -126,11 +126,10 @@ class _PublicBackend(httpcore.AsyncNetworkBackend):
         addresses = await _resolve(host, port)
         public = [address for address in addresses if is_public(address)]
         if not public:
-            found = ", ".join(map(str, addresses)) or "no address"
+            # The addresses are not named: users could map a private network by messages.
             raise StorageError(
                 "private-address",
-                f"{host}: resolves to {found}, expected a public address; private ones are not "
-                "allowed here",
+                f"{host}: has no public address, expected one; private addresses are not allowed",
             )
         for address in public[:-1]:
             try:
