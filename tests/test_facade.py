@@ -16,8 +16,10 @@ from cogsplat.codec.encode.config import PROFILE_NAMES, EncodeConfig
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.errors import Cancelled, DataError, FormatError, StorageError, TruncatedError
+from cogsplat.codec.geometry import rotations
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.splats import Splats, empty
+from cogsplat.codec.streams.grid import MAX_VALUE
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.storage.source import FileSource
 
@@ -222,6 +224,62 @@ def test_scenes_that_cannot_be_used_are_refused(tmp_path, broken, code):
         cogsplat.encode(replace(scene(), **broken), tmp_path / "out.cogs", cameras=ring())
     assert caught.value.code == code
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("profile", PROFILE_NAMES)
+@pytest.mark.parametrize("factor", [2.0**100, 2.0**-100, 2.0**-130])
+def test_quaternions_of_any_size_are_normalised(tmp_path, factor, profile):
+    config = replace(KEEP, profile=profile)
+    splats = scene(60, 1)
+    written = []
+    for name, quats in (("unit", rotations.unit(splats.quats)), ("extreme", splats.quats * factor)):
+        path = tmp_path / f"{name}.cogs"
+        quats = quats.astype(np.float32)
+        cogsplat.encode(replace(splats, quats=quats), path, cameras=ring(), config=config)
+        written.append(path.read_bytes())
+    if factor == 2.0**-130:
+        # Denormal numbers are less precise.
+        assert len(written[0]) == pytest.approx(len(written[1]), rel=0.1)
+    else:
+        assert written[0] == written[1]
+
+
+# Squares and exponentials of such values overflow, where numpy warns; cameras show few splats.
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("profile", PROFILE_NAMES)
+@pytest.mark.parametrize("names", [["sh0"], ["shN"], ["scales"], ["scales", "sh0", "shN"]])
+def test_values_at_the_formats_limits_are_encoded_again(tmp_path, names, profile):
+    signs = np.random.default_rng(5)
+    splats = scene(60, 1)
+    extreme = {
+        name: signs.choice([-MAX_VALUE, MAX_VALUE], getattr(splats, name).shape).astype(np.float32)
+        for name in names
+    }
+    config = replace(KEEP, profile=profile)
+    found = replace(splats, **extreme)
+    again = ""
+    for name in ("once.cogs", "again.cogs"):
+        try:
+            cogsplat.encode(found, tmp_path / name, cameras=ring(), config=config)
+        except DataError as error:
+            again = error.code
+            break
+        found = cogsplat.decode(tmp_path / name)
+        assert not found.invalid_rows().any()
+    # The sum of two decoded values can be beyond the limit of one.
+    assert again in ("", "value-range")
+    assert (tmp_path / "once.cogs").exists()
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_scenes_that_no_planned_view_shows(tmp_path):
+    splats = replace(scene(60, 1), scales=np.full((60, 3), MAX_VALUE, np.float32))
+    with pytest.raises(DataError) as caught:
+        cogsplat.encode(splats, tmp_path / "out.cogs", preset="fast")
+    assert caught.value.code == "value-range"
+    archive = replace(KEEP, profile="near-lossless")
+    cogsplat.encode(splats, tmp_path / "out.cogs", config=archive, preset="fast")
+    assert (cogsplat.decode(tmp_path / "out.cogs").scales == np.float32(MAX_VALUE)).all()
 
 
 def test_cameras_that_cannot_be_used_are_refused(tmp_path):

@@ -74,7 +74,8 @@ def score_scene(splats: Splats, request: EncodeRequest, progress: Progress) -> S
     Raises
     ------
     DataError
-        ``no-cameras``, ``cameras-see-nothing``, ``empty-scene``.
+        ``no-cameras``, ``cameras-see-nothing``, ``empty-scene``; ``value-range`` where no splat
+        is in the planned views.
     """
     if request.cameras is None and request.scores is None and len(splats):
         return _score_planned(splats, request, progress)
@@ -118,17 +119,29 @@ def _score_planned(splats: Splats, request: EncodeRequest, progress: Progress) -
     tests, origin = request.test_views, "given" if request.test_views else "none"
     if planned.test_views and not tests:
         tests, origin = planned.test_views, "planned"
+    without_views = ScoredViews(None, (), tests, settings.jitter, EncodeReport(test_views=origin))
     if not planned.views:
-        return ScoredViews(None, (), tests, settings.jitter, EncodeReport(test_views=origin))
-    scores = score(
-        splats,
-        planned.views,
-        settings,
-        covering=planned.covering_views,
-        workspace=request.workspace,
-        executor=request.executor,
-        progress=progress,
-    )
+        return without_views
+    try:
+        scores = score(
+            splats,
+            planned.views,
+            settings,
+            covering=planned.covering_views,
+            workspace=request.workspace,
+            executor=request.executor,
+            progress=progress,
+        )
+    except DataError as error:
+        if error.code != "cameras-see-nothing":
+            raise
+        if request.config.profile == "near-lossless":
+            return without_views
+        raise DataError(
+            "value-range",
+            f"none of {len(splats)} splats reaches a pixel of the planned views, expected means "
+            "and log scales that a picture can show",
+        ) from error
     report = EncodeReport(views="planned", test_views=origin, coverage=planned.coverage)
     return ScoredViews(scores, planned.views, tests, settings.jitter, report)
 

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.splats import Splats
+
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+
+# Rows looked at together.
+_BLOCK = 1 << 18
 
 
 def unit(quats: F32) -> F32:
@@ -17,6 +24,26 @@ def unit(quats: F32) -> F32:
     wide /= np.sqrt(np.square(wide).sum(axis=1, keepdims=True))
     wide[wide[:, 0] < 0] *= -1
     return wide.astype(np.float32)
+
+
+def normalise_extremes(splats: Splats) -> Splats:
+    """Return splats whose quaternions can be squared in float32: others are normalised.
+
+    Parameters
+    ----------
+    splats : Splats
+        Valid splats, returned as they are if no quaternion's largest component is beyond 2^±30.
+    """
+    extreme: list[int] = []
+    for start in range(0, len(splats), _BLOCK):
+        largest = np.abs(splats.quats[start : start + _BLOCK]).max(axis=1)
+        rows = np.flatnonzero((largest > 2.0**30) | (largest < 2.0**-30))
+        extreme += (start + rows).tolist()
+    if not extreme:
+        return splats
+    quats = splats.quats.copy()
+    quats[extreme] = unit(quats[extreme])
+    return replace(splats, quats=quats)
 
 
 def matrices(quats: F32 | F64) -> F64:

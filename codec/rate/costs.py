@@ -201,6 +201,11 @@ def costs(splats: Splats, scores: Scores, energy: F64 | None = None) -> Costs:
     # Sensitivities are measured in some of the views only. A splat outside these views has zero
     # sensitivity, though its errors are visible elsewhere: its costs are the typical ones.
     unmeasured = (found.opacities + found.means.sum(axis=1) <= 0.0) & (robust_energy(scores) > 0.0)
+    # Sensitivities of colours and sizes near the format's limits overflow.
+    per_splat = [getattr(measured, name) for name in Costs.__dataclass_fields__]
+    for values in per_splat:
+        if values.ndim == 1:
+            unmeasured |= ~np.isfinite(values)
     return Costs(
         *(
             np.where(unmeasured, getattr(estimated, name), getattr(measured, name))

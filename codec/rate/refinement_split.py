@@ -92,16 +92,22 @@ def split(
         radix, shift = _best_radix(codes[:, component], int(grid.levels[component]), limit)
         radices.append(radix)
         shifts.append(shift)
+    stored = grid.dequantise(codes)
+    whole = Split(stored, grid, stored, None)
     if max(radices) == 1:
-        stored = grid.dequantise(codes)
-        return Split(stored, grid, stored, None)
+        return whole
     grid = _extend_below(grid, shifts)
     codes = grid.quantise(values)
     fine = grid.dequantise(codes)
     digits = refinement_digits.write(attribute, codes, grid, radices)
     coarse_codes = codes // np.array(radices, np.uint32)
     coarse_grid = _fit_coarse_grid(grid, radices, coarse_codes, fine, weights)
-    return Split(coarse_grid.dequantise(coarse_codes), coarse_grid, fine, digits)
+    coarse = coarse_grid.dequantise(coarse_codes)
+    if (coarse_grid.quantise(coarse) != coarse_codes).any():
+        # The writer of the head quantises again. On a grid of millions of levels float32 can round
+        # a value to the next level, whose digits would lead beyond the fine grid.
+        return whole
+    return Split(coarse, coarse_grid, fine, digits)
 
 
 def _best_radix(codes: U32, levels: int, limit: int) -> tuple[int, int]:

@@ -35,8 +35,10 @@ from .file_app import READ_HEADERS, FileApp, Message, Receive, Send, refuse
 from .threaded_server import HOST
 
 _BACKLOG: Final = 1024
-# asyncio keeps 256 KiB for each connection with TLS, beside OpenSSL's own buffers.
-_MAX_TLS_CONNECTIONS: Final = 200
+# A connection with TLS takes 450 KB, of which 256 KiB are asyncio's buffer.
+_MAX_TLS_CONNECTIONS: Final = 150
+# Requests in flight at most; with HTTP/2 a connection can have `_MAX_STREAMS` of them.
+_MAX_REQUESTS: Final = MAX_CONNECTIONS
 # Largest head of a request, bytes.
 _MAX_HEAD_BYTES: Final = 1 << 14
 # Time between two attempts to accept a connection while there is no room, and between two checks.
@@ -228,7 +230,7 @@ class FileServer:
         hypercorn discards what is sent to a peer that left, so that the application would send all
         of a file to it.
         """
-        if self.requests >= self.connections.limit:
+        if self.requests >= _MAX_REQUESTS:
             self.connections.close_longest_idle()
             await refuse(send, HTTPStatus.SERVICE_UNAVAILABLE, {"Retry-After": "1"})
             return

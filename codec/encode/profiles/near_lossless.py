@@ -120,9 +120,11 @@ def _quat_step(bound: float) -> float:
 
 def _means(means: F32, bound: float, sort: bool) -> tuple[NDArray[np.int64], Stream]:
     """Quantise means within a bound; store float32 where no grid is fine enough."""
-    rows, stream, decoded = chunk_means(means, 2 * bound * _SLACK, sort)
-    if _largest_difference(decoded, means[rows]) <= bound:
-        return rows, stream
+    # The bound of scales below those of float64 is 0.
+    if bound > 0:
+        rows, stream, decoded = chunk_means(means, 2 * bound * _SLACK, sort)
+        if _largest_difference(decoded, means[rows]) <= bound:
+            return rows, stream
     # Coordinates too large for the bound on any grid: as they are.
     rows = np.arange(len(means), dtype=np.int64)
     return rows, float32.write(Attribute.MEANS, means)

@@ -1,5 +1,6 @@
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from cogsplat.codec.geometry import rotations
+from cogsplat.codec.splats import empty
 
 checked = settings(derandomize=True, deadline=None, max_examples=100)
 component = st.floats(-1, 1, width=32)
@@ -147,3 +149,16 @@ def test_aligned_gaussians_become_unrotated():
     assert permuted[1].tolist() == [1, 3, 2]
     none = rotations.largest_w(quats[:0], scales[:0])
     assert (none[0].shape, none[1].shape) == ((0, 4), (0, 3))
+
+
+def test_only_extreme_quaternions_of_splats_are_normalised(monkeypatch):
+    monkeypatch.setattr(rotations, "_BLOCK", 10)
+    splats = replace(empty(0, 35), quats=3 * random_quats(8, 35))
+    assert rotations.normalise_extremes(splats) is splats
+    quats = splats.quats.copy()
+    for row, factor in ((0, 2.0**-120), (17, 2.0**110), (34, 2.0**-40)):
+        quats[row] *= factor
+    found = rotations.normalise_extremes(replace(splats, quats=quats)).quats
+    expected = splats.quats.copy()
+    expected[[0, 17, 34]] = rotations.unit(expected[[0, 17, 34]])
+    np.testing.assert_array_equal(found, expected)

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from cogsplat.codec.rate import refinement_split
 from cogsplat.codec.streams import grid as grids
-from cogsplat.codec.streams import records, scalar
+from cogsplat.codec.streams import records, refinement_digits, scalar
 from cogsplat.codec.streams.records import Attribute, Kind
 
 
@@ -89,3 +89,17 @@ def test_any_values_come_back(rows, step, most, seed):
     assert (np.abs(parts.fine - values) <= bound).all()
     assert np.isfinite(parts.coarse).all()
     assert (parts.grid.minimum <= parts.grid.maximum).all()
+
+
+def test_values_are_not_split_where_their_codes_do_not_come_back():
+    # Float32 holds few values in so small a range, and a grid of 2^24 levels many more.
+    values = np.repeat(np.float32([39.991257, 39.995628, 40.0]), [8, 4, 18])[:, None]
+    for radix in range(2, 17):
+        _, parts = split(values, 1e-12, (radix,))
+        codes = parts.grid.quantise(parts.coarse).astype(np.int64)
+        if parts.digits is not None:
+            stored = digits_of(parts.digits)
+            grid, (radix,) = refinement_digits.parse(stored, 1)
+            codes = codes * radix + stored.plane(0, stored.rows)[:, None]
+            assert (codes < grid.levels).all()
+        assert np.abs(parts.fine - values).max() < 1e-5

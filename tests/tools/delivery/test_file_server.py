@@ -14,7 +14,7 @@ from cogs_samples import assert_same, file_of
 import cogsplat
 from cogsplat.codec.errors import MissingExtraError, StorageError
 from cogsplat.formats.network import http_transport
-from cogsplat.tools.delivery import connection_limit
+from cogsplat.tools.delivery import connection_limit, file_server
 from cogsplat.tools.delivery.file_app import FileApp
 from cogsplat.tools.delivery.file_server import Certificate, FileServer, running
 from cogsplat.tools.delivery.shaped_link import LinkQuality, ShapedLink
@@ -225,16 +225,12 @@ def test_new_connections_wait_for_room(scene, monkeypatch):
             other.close()
 
 
-def test_requests_beyond_the_limit_are_refused_for_now(scene, large):
+def test_requests_beyond_the_limit_are_refused_for_now(scene, large, monkeypatch):
+    monkeypatch.setattr(file_server, "_MAX_REQUESTS", 1)
     with served(scene.parent) as server, connected(server) as unread:
         unread.sendall(request("large.cogs"))
         unread.recv(1)
-        server.connections.limit = 1
         with connected(server) as peer:
-            # The second connection was accepted while there was room for it.
-            server.connections.limit = 2
-            wait_for(lambda: len(server.connections) == 2)
-            server.connections.limit = 1
             peer.sendall(request())
             answer = peer.recv(1000)
             assert answer.startswith(b"HTTP/1.1 503")
