@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -148,6 +147,9 @@ def _room_for(folder: Path, names: list[str], force: bool, *, needed: bool) -> I
         yield
     except BaseException:
         if made:
-            # A folder that existed before holds files of the user.
-            shutil.rmtree(folder, ignore_errors=True)
+            # Only files of our own: others may have been put there since.
+            with suppress(OSError):
+                for name in names:
+                    (folder / name).unlink(missing_ok=True)
+                folder.rmdir()
         raise

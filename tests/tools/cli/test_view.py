@@ -6,6 +6,7 @@ import os
 import re
 import signal
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 from urllib.request import ProxyHandler, build_opener
 
@@ -14,7 +15,9 @@ from chromium import executable
 from running import Run, SmallScene, program
 
 import cogsplat
+from cogsplat.codec.errors import StorageError
 from cogsplat.formats.storage.images import decode_image
+from cogsplat.tools.cli import export_html
 
 BLOCK = re.compile(rb'<script type="application/x-cogs-base64">([^<]*)</script>')
 
@@ -143,3 +146,17 @@ def test_a_browser_draws_the_page(run: Run, small: SmallScene, tmp_path: Path) -
     # Above the line of text at the bottom.
     pixels = decode_image(picture.read_bytes(), "PNG")[:190, :, :3]
     assert len({tuple(pixel) for row in pixels[::4, ::4].tolist() for pixel in row}) > 20
+
+
+def test_a_folder_of_a_page_that_fails_keeps_the_files_of_others(
+    run: Run, small: SmallScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site = tmp_path / "site"
+
+    def fail(*_: object) -> Iterator[bytes]:
+        (site / "notes.txt").write_text("mine")
+        raise StorageError("io", "fails")
+
+    monkeypatch.setattr(export_html, "_blocks", fail)
+    assert run("export-html", small.cogs, site, "--folder").code == 4
+    assert [path.name for path in site.iterdir()] == ["notes.txt"]
