@@ -377,7 +377,9 @@ class RangeFetcher:
         async for part in response.parts:
             self._received += len(part)
             with self.arrival:
-                has_progressed |= backoff.add_bytes(body.receive(at, part, self.size))
+                new_bytes = body.receive(at, part, self.size)
+                # A body that starts over is received again: it is no progress, however far it gets.
+                has_progressed |= not head.is_whole and backoff.add_bytes(new_bytes)
                 at += len(part)
                 self._set_size_of_body(body, request)
                 request.position = min(body.received, request.end)

@@ -5,7 +5,6 @@ import errno
 import subprocess
 import sys
 import tempfile
-import warnings
 from pathlib import Path
 
 import pytest
@@ -13,11 +12,13 @@ from cogs_samples import assert_same, file_of
 from fault_server import Exchange, Fault, FaultServer, broken_after, right, serving, stating, status
 
 import cogsplat
-from cogsplat.codec.errors import CogsplatError, CogsplatWarning
+from cogsplat.codec.errors import CogsplatError
 from cogsplat.formats.network import http_transport, range_source
 from cogsplat.formats.network.download import download
 from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.formats.network.open_url import open_url
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*the server ignores range requests")
 
 QUICK = NetworkOptions(pause_seconds=0.01, idle_seconds=0.25, connect_seconds=0.25)
 
@@ -31,12 +32,10 @@ def data() -> bytes:
 
 def outcome_of(server: FaultServer, network: NetworkOptions = QUICK) -> str:
     """Return the reason code of decoding, or ``works``."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", CogsplatWarning)
-        try:
-            found = cogsplat.decode(server.url(), network=network)
-        except CogsplatError as error:
-            return error.code if error.message.isprintable() else error.message
+    try:
+        found = cogsplat.decode(server.url(), network=network)
+    except CogsplatError as error:
+        return error.code if error.message.isprintable() else error.message
     assert_same(found, cogsplat.decode(server.data))
     return "works"
 
@@ -452,11 +451,23 @@ def test_a_range_that_was_read_does_not_end_the_download_of_the_whole_file(data:
 
     with (
         serving(FaultServer(data, [right], always=slow_whole)) as server,
-        warnings.catch_warnings(),
+        open_url(server.url(), QUICK) as source,
     ):
-        warnings.simplefilter("ignore", CogsplatWarning)
-        with open_url(server.url(), QUICK) as source:
-            for offset in range(66_000, len(data), 20_000):
-                length = min(20_000, len(data) - offset)
-                assert source.read(offset, length) == data[offset : offset + length]
+        for offset in range(66_000, len(data), 20_000):
+            length = min(20_000, len(data) - offset)
+            assert source.read(offset, length) == data[offset : offset + length]
     assert len(server.asked) == 2
+
+
+def test_a_whole_file_is_begun_five_times_at_most(data: bytes) -> None:
+    async def further(exchange: Exchange) -> None:
+        """Send 20 KiB more than the last time; all of it is received again."""
+        exchange.head(200, {"Content-Length": str(len(data))})
+        exchange.writer.write(data[: len(exchange.server.asked) * 20_480])
+        await exchange.writer.drain()
+        await asyncio.sleep(0.02)
+        exchange.break_off()
+
+    with serving(FaultServer(data, always=further)) as server:
+        assert outcome_of(server) == "connection-broken"
+    assert len(server.asked) == 5
