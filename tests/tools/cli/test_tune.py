@@ -1,6 +1,7 @@
 """tune: a smaller file of fewer splats, checkpoints to go on from, and what is refused."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +33,10 @@ def test_a_scene_becomes_smaller_and_is_told(run: Run, small: SmallScene, tmp_pa
     assert 0.9 * 20_000 < out.stat().st_size <= 20_000
     decoded, trained = cogsplat.decode(out), cogsplat.read(ply)
     assert len(decoded) <= len(trained) == round(0.9 * len(cogsplat.read(small.ply)))
-    assert "measured" in told.out
+    predicted = re.search(r"predicted +([\d.]+) dB in 2 views left out of the", told.out)
+    assert predicted is not None, told.out
+    seen = run("compare", small.ply, out, "--cameras", small.cameras, "--json").json["test"]
+    assert float(predicted[1]) == pytest.approx(seen["psnr_db"], abs=0.1)  # type: ignore[index]
     assert "trained: 1,800 splats" in told.err
     assert "stored: " in told.err
     again = run("tune", small.ply, out, "--cameras", small.cameras, *SHORT)
