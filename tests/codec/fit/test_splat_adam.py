@@ -64,7 +64,7 @@ def test_moments_survive_selection_and_checkpoints():
     fewer = copy(moved.take(rows))
     some = Gradients(**{name: getattr(later, name)[rows].copy() for name in Gradients.names()})
     rates = {name: rate[rows].copy() for name, rate in rates_of(splats).items()}
-    SplatAdam.from_state(adam.select(rows).state()).step(fewer, some, rates)
+    SplatAdam.from_state(adam.select(rows).state(), fewer).step(fewer, some, rates)
     adam.step(moved, later, rates_of(splats))
     for name in Gradients.names():
         np.testing.assert_array_equal(getattr(fewer, name), getattr(moved, name)[rows])
