@@ -4,6 +4,7 @@ Run as ``python tests/fuzz/make_corpus.py``; the bytes are the same every time. 
 finds is added to the folder of its target by hand, under a name that says what it does.
 """
 
+import io
 import json
 import struct
 import sys
@@ -134,6 +135,11 @@ def harm(folder: Path) -> Iterator[tuple[str, str, bytes]]:
     # An object stored under the number 2²⁶, and a frame of 2⁶⁴ - 1 bytes.
     pickles = {"large_memo": b"\x80\x02}r\x00\x00\x00\x04."}
     pickles["large_frame"] = b"\x80\x04\x95" + b"\xff" * 8 + b"}."
+    # Tuples of eight references to the tuple before, whose hash and text take seconds to hours.
+    levels = (b"(" + 8 * (b"h" + bytes([k])) + b"tq" + bytes([k + 1]) + b"0" for k in range(16))
+    nested = b"K\0q\0000" + b"".join(levels) + b"h\x10"
+    pickles["key_of_nested_tuples"] = b"\x80\x02}" + nested + b"K\x01s."
+    pickles["id_of_nested_tuples"] = b"\x80\x02" + nested + b"Q."
     for name, pickled in pickles.items():
         with zipfile.ZipFile(folder / "a.pt", "w") as archive:
             archive.writestr(zipfile.ZipInfo("archive/data.pkl"), pickled)
@@ -172,9 +178,35 @@ def own(folder: Path) -> Iterator[tuple[str, str, bytes]]:
         yield "upload", vector, manifest
 
 
+def own_harm(folder: Path) -> Iterator[tuple[str, str, bytes]]:
+    """Yield files of our own kinds that took too much, or met a traceback."""
+    page = io.BytesIO()
+    np.save(page, np.zeros(3))
+    yield "checkpoint", "plain_array", page.getvalue()
+    directory = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 1, 1, 1000, 0, 0)
+    yield "checkpoint", "directory_before_the_file", directory
+    path = folder / "a.npz"
+    write_checkpoint(path, own_files.RUN, {"steps": np.array(3)})
+    yield "checkpoint", "missing_arrays", path.read_bytes()
+    for name, run in (("zeros", own_files.RUN), ("zeros_of_another_run", "f" * 64)):
+        write_checkpoint(path, run, {})
+        with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
+            entry = zipfile.ZipInfo("splats.means.npy")
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(entry, bytes(1 << 24))
+        yield "checkpoint", name, path.read_bytes()
+    scene = {"input": "a.ply", "output": "a.cogs"}
+    names = {"nul": "a\0b", "surrogate": "\ud800", "long_name": "n" * 500, "stream": "-"}
+    for name, text in names.items():
+        yield "batch_jsonl", name, json.dumps({**scene, "input": text}).encode()
+    same = [json.dumps(scene), json.dumps({**scene, "output": "./a.cogs"})]
+    yield "batch_jsonl", "two_spellings", "\n".join(same).encode()
+    yield "batch_toml", "scene_of_a_number", b"scene = 3\n"
+
+
 def main() -> None:
     """Write all files; those of the COGS target are the conformance vectors."""
-    for made in (scenes, harm, own):
+    for made in (scenes, harm, own, own_harm):
         with tempfile.TemporaryDirectory() as folder:
             for target, name, data in made(Path(folder)):
                 path = CORPUS / target / name
