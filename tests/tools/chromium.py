@@ -24,9 +24,18 @@ _ARGUMENTS: Final = (
     "--enable-unsafe-swiftshader",
     "--force-color-profile=srgb",
     "--disable-lcd-text",
+    # A watchdog ends the graphics process where a busy machine keeps it from answering. After the
+    # second time Chromium would give no page WebGL until it is restarted.
+    "--disable-gpu-watchdog",
+    "--disable-gpu-process-crash-limit",
+    "--disable-domain-blocking-for-3d-apis",
 )
-# Software pictures on a busy machine take seconds.
+# Longest time without a new byte, splat or picture: software pictures on a busy machine take
+# seconds.
 PATIENCE_MS: Final = 60_000
+# Looks at a viewer that goes on without meeting a condition, and the time between two.
+_MAX_LOOKS: Final = 3000
+_BETWEEN_LOOKS_MS: Final = 200
 # Pictures that are looked at until one is as it should be.
 _ATTEMPTS: Final = 60
 
@@ -83,12 +92,39 @@ def statistics(page: Page) -> Statistics:
 
 
 def wait_until(page: Page, condition: str) -> Statistics:
-    """Wait until a condition on the statistics `s` holds, in JavaScript, and return them."""
-    page.wait_for_function(
-        f"() => {{ const s = window.cogsplatViewer?.statistics; return s && ({condition}); }}",
-        timeout=PATIENCE_MS,
-    )
-    return statistics(page)
+    """Wait until a condition on the statistics `s` holds, in JavaScript, and return them.
+
+    However slow the machine, the viewer has time as long as it makes progress.
+
+    Raises
+    ------
+    AssertionError
+        There was no new byte, splat or picture for `PATIENCE_MS`; the message has the statistics.
+    """
+    from playwright.sync_api import TimeoutError as PlaywrightTimeoutError
+
+    last = ""
+    for _ in range(_MAX_LOOKS):
+        try:
+            found = page.wait_for_function(
+                f"""(last) => {{
+                  const s = window.cogsplatViewer?.statistics;
+                  if (s === undefined) return false;
+                  if ({condition}) return "met";
+                  const now = [s.state, s.bytes, s.splats, s.frames].join(" ");
+                  return now !== last && now;
+                }}""",
+                arg=last,
+                timeout=PATIENCE_MS,
+            )
+        except PlaywrightTimeoutError:
+            break
+        last = str(found.json_value())
+        if last == "met":
+            return statistics(page)
+        page.wait_for_timeout(_BETWEEN_LOOKS_MS)
+    told = page.evaluate("() => window.cogsplatViewer?.statistics ?? 'no viewer'")
+    raise AssertionError(f"{condition}: no progress for {PATIENCE_MS} ms: {told}")
 
 
 def look_from(page: Page, camera: Camera) -> None:

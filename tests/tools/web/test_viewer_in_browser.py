@@ -167,6 +167,18 @@ def test_it_comes_back_when_webgl_is_lost(
     assert psnr(picture(page), ours(small, camera())) >= 38
 
 
+def test_pictures_come_back_as_often_as_the_graphics_process_ends(
+    page: Page, browser: Browser, server: FaultyServer
+) -> None:
+    open_whole(page, server)
+    session = browser.new_browser_cdp_session()
+    # By default Chromium gives no page WebGL after the second time.
+    for _ in range(2):
+        frames = statistics(page)["frames"]
+        session.send("Browser.crashGpuProcess")
+        wait_until(page, f"{COMPLETE} && s.frames > {frames}")
+
+
 def test_graphics_that_build_no_program_are_said(page: Page, server: FaultyServer) -> None:
     page.add_init_script(
         """{

@@ -1,5 +1,5 @@
-// Hostile servers against the loader, for as long as one likes: node scripts/fuzz_loader.mjs --seconds 1200 --seed 7
-// A case that breaks a promise of the loader is printed as JSON, for test/loader_cases/.
+// Runs the loader against scripted hostile servers: node scripts/fuzz_loader.mjs --seconds 1200 --seed 7
+// Prints each case in which the loader breaks a promise, as JSON for test/loader_cases.json.
 import { parseArgs } from "node:util";
 import { makeCase, runCase } from "../build/test/loader_cases.js";
 
