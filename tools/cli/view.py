@@ -65,6 +65,8 @@ def view(
 
     A server on 127.0.0.1 serves the viewer and the scene to browsers of this machine until Ctrl-C.
     Scenes of other formats than COGS are not encoded.
+
+    At most 640 connections are open, fewer where ulimit -n is below 704.
     """
     shown = not (quiet or as_json)
     with ExitStack() as open_things:

@@ -18,6 +18,9 @@ MAX_CONNECTIONS: Final = 640
 IDLE_SECONDS: Final = 60.0
 """Time after which a connection is closed whose peer completes no request and reads no block."""
 
+MAX_HEAD_BYTES: Final = 1 << 14
+"""Largest head of a request, bytes."""
+
 CROWDED_IDLE_SECONDS: Final = 5.0
 """The same time while new connections wait for room: 64 KiB in it are 100 kbit/s."""
 

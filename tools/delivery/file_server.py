@@ -26,6 +26,7 @@ from cogsplat.tools.terminal.output import print_error_line
 
 from .connection_limit import (
     MAX_CONNECTIONS,
+    MAX_HEAD_BYTES,
     Connection,
     OpenConnections,
     connection_limit,
@@ -39,8 +40,6 @@ _BACKLOG: Final = 1024
 _MAX_TLS_CONNECTIONS: Final = 150
 # Requests in flight at most; with HTTP/2 a connection can have `_MAX_STREAMS` of them.
 _MAX_REQUESTS: Final = MAX_CONNECTIONS
-# Largest head of a request, bytes.
-_MAX_HEAD_BYTES: Final = 1 << 14
 # Time between two attempts to accept a connection while there is no room, and between two checks.
 _PAUSE_SECONDS: Final = 0.05
 _CHECK_SECONDS: Final = 1.0
@@ -184,7 +183,7 @@ class FileServer:
         loop = asyncio.get_running_loop()
         serving = asyncio.current_task()
         assert serving is not None
-        reader = asyncio.StreamReader(_MAX_HEAD_BYTES)
+        reader = asyncio.StreamReader(MAX_HEAD_BYTES)
         transport: asyncio.Transport | None = None
 
         def close() -> None:
@@ -347,8 +346,8 @@ class _Hypercorn:
         config = self._config = Config()
         config.include_server_header = False
         config.errorlog = None
-        config.h11_max_incomplete_size = _MAX_HEAD_BYTES
-        config.h2_max_header_list_size = _MAX_HEAD_BYTES
+        config.h11_max_incomplete_size = MAX_HEAD_BYTES
+        config.h2_max_header_list_size = MAX_HEAD_BYTES
         config.h2_max_concurrent_streams = _MAX_STREAMS
         if certificate is not None:
             config.certfile = str(certificate.certificate)

@@ -10,8 +10,7 @@ from typing import Final
 
 from cogsplat.formats.storage.atomic import open_for_read
 
-# Opening does not wait where the file was replaced by a pipe; Windows has neither option, nor pipes
-# in folders.
+# O_NONBLOCK: opening a pipe that replaced the file would wait for its other end. Windows lacks it.
 _FLAGS: Final = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
 

@@ -8,12 +8,20 @@ import socketserver
 import sys
 import time
 from contextlib import suppress
+from http.client import LineTooLong
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any, Final
+from io import BufferedIOBase
+from typing import Any, Final, cast
 
 from cogsplat.formats.storage.atomic import storage_errors
 
-from .connection_limit import IDLE_SECONDS, OpenConnections, connection_limit, limit_buffers
+from .connection_limit import (
+    IDLE_SECONDS,
+    MAX_HEAD_BYTES,
+    OpenConnections,
+    connection_limit,
+    limit_buffers,
+)
 
 HOST: Final = "127.0.0.1"
 """Loopback address to listen on, so that no other machine can connect."""
@@ -92,6 +100,39 @@ class ThreadedServer(ThreadingHTTPServer):
             super().handle_error(request, client_address)  # type: ignore[arg-type]
 
 
+class _HeadReader:
+    """Reader of a connection that limits the head of a request.
+
+    http.server accepts heads of 6.5 MB.
+
+    Parameters
+    ----------
+    file : BufferedIOBase
+        Reader of the socket.
+
+    Attributes
+    ----------
+    left : int
+        Bytes that the head may still have.
+    """
+
+    def __init__(self, file: BufferedIOBase) -> None:
+        self._file = file
+        self.left = 0
+
+    def readline(self, size: int) -> bytes:
+        """Return a line, of `size` bytes at most."""
+        line = self._file.readline(min(size, self.left + 1))
+        self.left -= len(line)
+        if self.left < 0:
+            raise LineTooLong("head of a request")
+        return line
+
+    def close(self) -> None:
+        """Close the reader."""
+        self._file.close()
+
+
 class ThreadedHandler(BaseHTTPRequestHandler):
     """Handler of one connection's requests, which reports the peer's progress."""
 
@@ -99,8 +140,22 @@ class ThreadedHandler(BaseHTTPRequestHandler):
     timeout = IDLE_SECONDS
     server: ThreadedServer
 
+    def setup(self) -> None:
+        """Prepare the connection."""
+        super().setup()
+        self._head = _HeadReader(self.rfile)
+        self.rfile = cast(BufferedIOBase, self._head)
+
+    def handle_one_request(self) -> None:
+        """Handle one request; close the connection if its first line alone is too long."""
+        self._head.left = MAX_HEAD_BYTES
+        try:
+            super().handle_one_request()
+        except LineTooLong:
+            self.close_connection = True
+
     def parse_request(self) -> bool:
-        """Parse a request."""
+        """Parse a request; http.server answers with status 431 if its head is too long."""
         self.progress()
         return super().parse_request()
 

@@ -3,7 +3,7 @@
 import socket
 import threading
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from http.client import HTTPConnection, HTTPResponse, IncompleteRead
 from pathlib import Path
 
@@ -180,3 +180,13 @@ def test_a_scene_that_changes_breaks_its_answer_off(server: SceneServer, tmp_pat
     with pytest.raises(IncompleteRead):
         answer.read()
     connection.close()
+
+
+def test_long_heads_are_refused(server: SceneServer) -> None:
+    assert ask(server, "/scene.cogs", Cookie="a" * 15_000)[1] == CONTENT
+    fields = {f"Field_{index}": "a" * 1000 for index in range(20)}
+    assert ask(server, "/scene.cogs", **fields)[0].status == 431
+    with socket.create_connection((HOST, server.server_port), timeout=60) as peer:
+        peer.sendall(b"GET /" + b"a" * 17_000)
+        with suppress(ConnectionResetError):
+            assert peer.recv(1) == b""
