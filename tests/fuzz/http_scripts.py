@@ -1,12 +1,12 @@
 """Web servers by script: what is wrong with each response to a reader, as JSON.
 
 A script has ``via`` (``file``, ``folder`` or ``s3``), ``how`` it is read (``decode``, ``stream``,
-``chunks``), ``answers`` to the first requests, and ``always`` for all others. An empty answer is
-right. Its keys change it: ``status``; ``headers`` by name, null for none, with ``$first``,
-``$last``, ``$end`` and ``$size`` of the request; ``body`` (``range``, ``whole``, ``other``,
-``empty``) or ``text``; ``times`` that the body is sent, below 0 without end; ``flip`` of a bit;
-``cut`` after bytes; ``chunked``; ``before``, a count of 100 Continue; ``raw`` in place of the head;
-``drip``, bytes per write; ``after`` (``keep``, ``close``, ``reset``, ``stall``).
+``chunks``), ``idle`` seconds of its timeout, ``answers`` to the first requests, and ``always`` for
+all others. An empty answer is right. Its keys change it: ``status``; ``headers`` by name, null for
+none, with ``$first``, ``$last``, ``$end`` and ``$size`` of the request; ``body`` (``range``,
+``whole``, ``other``, ``empty``) or ``text``; ``times`` that the body is sent, below 0 without end;
+``flip`` of a bit; ``cut`` after bytes; ``chunked``; ``before``, a count of 100 Continue; ``raw`` in
+place of the head; ``drip``, bytes per write; ``after`` (``keep``, ``close``, ``reset``, ``stall``).
 """
 
 import asyncio
@@ -78,6 +78,12 @@ def how_of(script: dict[str, Any]) -> str:
     """Return by which function the scene of a script is read."""
     found = script.get("how")
     return found if found in ("stream", "chunks") else "decode"
+
+
+def idle_seconds_of(script: dict[str, Any]) -> float:
+    """Return the reader's timeout: short, unless the script must not meet it on a busy machine."""
+    found = script.get("idle")
+    return 1.0 if found == 1 else 0.1
 
 
 def server_of(script: dict[str, Any]) -> FaultServer:

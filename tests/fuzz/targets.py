@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import http_scripts
 import numpy as np
@@ -185,7 +186,12 @@ def _cogs(path: Path) -> None:
 _HTTP_SECONDS = 60
 
 # Waits are short, and a request is repeated twice; a scene is 2 to 12 requests.
-_HTTP = {"idle_seconds": 0.1, "connect_seconds": 0.2, "pause_seconds": 0.001, "retries": 2}
+_HTTP: dict[str, Any] = {
+    "connect_seconds": 1.0,
+    "longest_wait_seconds": 0.01,
+    "pause_seconds": 0.001,
+    "retries": 2,
+}
 _HTTP_REQUESTS = 400
 _HTTP_SENT_BYTES = 64 << 20
 
@@ -213,7 +219,9 @@ def _http(path: Path) -> None:
     with serving(server):
         store = {"endpoint": f"http://127.0.0.1:{server.port}", "skip_signature": "true"}
         network = NetworkOptions(
-            **_HTTP, longest_wait_seconds=0.01, options_of_store=store | {"region": "us-east-1"}
+            **_HTTP,
+            idle_seconds=http_scripts.idle_seconds_of(script),
+            options_of_store=store | {"region": "us-east-1"},
         )
         url = {"s3": "s3://bucket/scene.cogs", "folder": server.url("scene/")}.get(
             via, server.url()
