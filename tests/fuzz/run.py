@@ -65,24 +65,32 @@ def main() -> None:
 
 
 def _mutate(name: str, count: int, findings: Path) -> None:
+    from http_scripts import made_script
     from mutations import mutated
     from seeds import corpus
     from targets import TARGETS, run_once
 
     for target in TARGETS.values() if name == "all" else [TARGETS[name]]:
         refused = runs = 0
-        for seed_name, data in corpus(target.name).items():
-            for seed in range(count):
-                changed = mutated(data, seed)
-                runs += 1
-                try:
-                    refused += run_once(target, changed) is not None
-                except Exception:
-                    findings.mkdir(parents=True, exist_ok=True)
-                    path = findings / f"{target.name}-{seed_name}-{seed}"
-                    path.write_bytes(changed)
-                    print(f"{path}: not a refusal")
-                    raise
+        inputs = [
+            (f"{seed_name}-{seed}", mutated, (data, seed))
+            for seed_name, data in corpus(target.name).items()
+            for seed in range(count)
+        ]
+        if target.name == "http":
+            # Most mutations of a script are no script any more: as many are made anew.
+            inputs += [(f"made-{seed}", made_script, (seed,)) for seed in range(len(inputs))]
+        for label, make, arguments in inputs:
+            changed = make(*arguments)
+            runs += 1
+            try:
+                refused += run_once(target, changed) is not None
+            except Exception:
+                findings.mkdir(parents=True, exist_ok=True)
+                path = findings / f"{target.name}-{label}"
+                path.write_bytes(changed)
+                print(f"{path}: not a refusal")
+                raise
         print(f"{target.name}: {runs} mutations, {refused} refused")
 
 
