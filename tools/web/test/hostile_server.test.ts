@@ -10,6 +10,7 @@ import { HttpSource } from "../src/loader/http_source.js";
 import { LinkEstimate } from "../src/loader/link_estimate.js";
 import { RetryingReader } from "../src/loader/retrying_reader.js";
 import { StreamedScene } from "../src/loader/streamed_scene.js";
+import { Visit } from "../src/loader/visit.js";
 import { SceneFile } from "../src/scene/scene_file.js";
 import { type Case, makeCase, runCase } from "./loader_cases.js";
 import { padSegments } from "./padded_file.js";
@@ -46,12 +47,15 @@ for (const [what, fault] of [
   });
 }
 
-test("a byte now and then is no progress", async () => {
-  const server = always({ part: 1, pause: 10 });
-  await assert.rejects(streamFrom(server, 100), /bytes in 100 ms, expected 16384/);
-  assert.equal(server.ranges.length, 1 + RETRY.retries);
-  assert.equal(server.open, 0);
-});
+for (const pause of [10, 1]) {
+  test(`a byte every ${pause} ms is no progress`, async () => {
+    const server = always({ part: 1, pause });
+    await assert.rejects(streamFrom(server, 100), /bytes in 100 ms, expected 16384/);
+    assert.equal(server.ranges.length, 1 + RETRY.retries);
+    assert.ok(server.bytes <= 4 * 100, `${server.bytes} bytes`);
+    assert.equal(server.open, 0);
+  });
+}
 
 test("an answer may take any time in parts that are progress, and while its reader pauses", async () => {
   const server = new ScriptedServer(PADDED, () => ({ part: 16_384, pause: 30 }));
@@ -87,6 +91,20 @@ test("a body of zeros without end is refused by its first bytes", async () => {
   await new Promise((resolve) => setTimeout(resolve, 5));
   assert.equal(server.open, 0);
 });
+
+for (const client of ["stream", "visit"] as const) {
+  test(`a ${client} that ends stops the first request, whose other bytes it does not need`, async () => {
+    // Behind the root and the first head, the first answer has a segment to be skipped.
+    const server = new ScriptedServer(PADDED, (number) =>
+      number === 0 ? { end: 30_000, ending: "stall" } : undefined,
+    );
+    const scene = await StreamedScene.open(URL_OF_SCENE, { http: server.http, retry: RETRY });
+    const changes = client === "stream" ? scene.stream() : (await Visit.begin(scene)).changes();
+    for await (const _ of changes) assert.equal(server.open > 0, true);
+    await new Promise((resolve) => setTimeout(resolve, 5));
+    assert.equal(server.open, 0);
+  });
+}
 
 test("reads leave no listener at the signal of their caller", async () => {
   const abort = new AbortController();
@@ -198,12 +216,14 @@ test("a connection of single bytes is measured in little memory", () => {
 const kept = JSON.parse(readFileSync(join(process.cwd(), "test", "loader_cases.json"), "utf8")) as readonly {
   readonly name: string;
   readonly seed: number;
+  /** How the case ends. */
+  readonly end: string;
   readonly case: Case;
 }[];
 
-for (const { name, seed, case: given } of kept) {
+for (const { name, seed, end, case: given } of kept) {
   test(`finding stays mended: ${name}`, async () => {
-    await runCase(given, seed);
+    assert.equal((await runCase(given, seed)).end, end);
   });
 }
 

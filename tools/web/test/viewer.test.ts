@@ -1,4 +1,5 @@
 import assert from "node:assert/strict";
+import { getEventListeners } from "node:events";
 import { test } from "node:test";
 import { loadKernels } from "../src/kernels/load.js";
 import { SceneFile } from "../src/scene/scene_file.js";
@@ -8,6 +9,7 @@ import { OrbitCamera } from "../src/viewer/orbit.js";
 import { plyOf } from "../src/viewer/ply_feed.js";
 import { RowSlots } from "../src/viewer/row_slots.js";
 import { absoluteAddress, sceneName } from "../src/viewer/scene_name.js";
+import { type WidgetModel, WidgetSource } from "../src/viewer/widget_source.js";
 import { vectorBytes } from "./vectors.js";
 
 const kernels = await loadKernels();
@@ -149,4 +151,25 @@ test("names of files that are no proper addresses are shown, and do not stop the
   assert.equal(await plyOf("http://[::1/scene.PLY"), "http://[::1/scene.PLY");
   assert.equal(absoluteAddress("50%25.cogs", "https://example.org/a/"), "https://example.org/a/50%25.cogs");
   assert.equal(absoluteAddress("http://[::1/a", "https://example.org/"), "http://[::1/a");
+});
+
+test("a read from a notebook ends with its signal, whether or not the kernel answers", async () => {
+  const abort = new AbortController();
+  const sent: { readonly id: number }[] = [];
+  let answer: Parameters<WidgetModel["on"]>[1] = () => undefined;
+  const model: WidgetModel = {
+    send: (content) => sent.push(content as { id: number }),
+    on: (_, act) => (answer = act),
+    off: () => undefined,
+  };
+  const source = new WidgetSource(model, 100);
+  const silent = source.read({ offset: 0, length: 10 }, { signal: abort.signal });
+  const answered = source.read({ offset: 10, length: 2 }, { signal: abort.signal });
+  answer({ type: "bytes", id: sent[1]!.id }, [new DataView(Uint8Array.of(7, 8).buffer)]);
+  for await (const part of (await answered).parts) assert.deepEqual([...part], [7, 8]);
+  abort.abort(new Error("enough"));
+  await assert.rejects(silent, /enough/);
+  assert.equal(getEventListeners(abort.signal, "abort").length, 0);
+  // An answer that comes too late is dropped.
+  answer({ type: "bytes", id: sent[0]!.id }, [new DataView(new ArrayBuffer(10))]);
 });

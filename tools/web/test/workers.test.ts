@@ -61,3 +61,30 @@ test("a worker's refusal keeps its reason code", async () => {
     (error) => error instanceof CogsplatError && error.code === "code-range",
   );
 });
+
+for (const event of ["onerror", "onmessageerror"] as const) {
+  test(`a worker that ends in ${event} ends the stream`, async () => {
+    const scene = await StreamedScene.open(new Blob([new Uint8Array(vectorBytes("valid", "chunks"))]), {
+      service: (index) =>
+        new DecoderPool(index, {
+          workers: 1,
+          makeWorker: () => {
+            const worker: WorkerLike = {
+              onmessage: null,
+              onerror: null,
+              onmessageerror: null,
+              postMessage: ({ type }) => {
+                const message = { message: "out of memory" } as ErrorEvent & MessageEvent;
+                if (type === "chunk") queueMicrotask(() => worker[event]?.(message));
+              },
+              terminate: () => undefined,
+            };
+            return worker;
+          },
+        }),
+    });
+    await assert.rejects(async () => {
+      for await (const _update of scene.stream());
+    }, /worker/);
+  });
+}

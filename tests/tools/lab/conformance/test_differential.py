@@ -52,6 +52,15 @@ def test_a_decoder_that_differs_is_found(tmp_path: Path, fault: str) -> None:
     assert again.disagreements[0].mutant == report.disagreements[0].mutant
 
 
+def test_readers_may_differ_where_only_verifiers_must_refuse(tmp_path: Path) -> None:
+    fault = "answer.update(ok=False, code='zstd-frame') if answer.get('ok') and {} else None"
+    for asked, differs in (("not request['verify']", False), ("request['verify']", True)):
+        strict = shlex.split(broken_decoder(tmp_path, fault.format(asked)))
+        report = fuzz([ours("numpy"), strict], vector_files(VECTORS), seed=1, count=24)
+        assert bool(report.disagreements) == differs
+        assert report.verdicts["accepted"]
+
+
 def test_a_decoder_that_hangs_has_said_something_else(tmp_path: Path) -> None:
     hangs = broken_decoder(tmp_path, "time.sleep(60) if 'path' in request else None")
     commands = [ours("numpy"), shlex.split(hangs)]

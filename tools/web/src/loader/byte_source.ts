@@ -83,6 +83,7 @@ export function readParts(
         waited += performance.now() - start;
         count += part.value.length;
         if (count >= PROGRESS_BYTES) count = waited = 0;
+        else if (waited >= longestPause) throw lateness(longestPause, count);
         return { done: false, value: part.value };
       } catch (error) {
         close();

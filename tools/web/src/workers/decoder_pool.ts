@@ -7,6 +7,7 @@ import type { Request, Response } from "./messages.js";
 export interface WorkerLike {
   onmessage: ((event: MessageEvent<Response>) => void) | null;
   onerror: ((event: ErrorEvent) => void) | null;
+  onmessageerror?: ((event: MessageEvent) => void) | null;
   postMessage(message: Request): void;
   terminate(): void;
 }
@@ -41,6 +42,8 @@ export class DecoderPool implements ChunkService {
       const worker = make();
       worker.onmessage = ({ data }) => this.onAnswer(data);
       worker.onerror = (event) => this.onCrash(number, event.message);
+      // Without this, an answer that cannot be read would be waited for.
+      worker.onmessageerror = () => this.onCrash(number, "an unreadable message");
       worker.postMessage({ type: "scene", index });
       return worker;
     });
