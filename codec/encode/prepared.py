@@ -1,4 +1,4 @@
-"""Order the splats of a scene and cut them into chunks: the steps before quantisation."""
+"""Order the splats of a scene and cut the order into chunks: the steps before quantisation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Arrays of a checkpoint, checked before training resumes from them."""
+"""Check the arrays of a checkpoint before training resumes."""
 
 from __future__ import annotations
 

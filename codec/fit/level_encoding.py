@@ -35,7 +35,7 @@ _ROW_ATTRIBUTE: Final = "row"
 def make_levels(
     splats: Splats, request: LevelsRequest, *, progress: Progress = silent
 ) -> EncodedScene:
-    """Train levels of detail from a trained scene, or from points, and encode them.
+    """Train and encode levels of detail, from a trained scene or from points.
 
     Parameters
     ----------

@@ -238,7 +238,7 @@ def compare(
 def _at(
     qualities: tuple[ViewQuality, ...], views: Sequence[ViewDistance]
 ) -> tuple[ViewQuality, ...]:
-    """Return qualities with the distances of their views, where these were measured."""
+    """Return qualities with the distance of each view, as far as distances were measured."""
     if not views:
         return qualities
     return tuple(

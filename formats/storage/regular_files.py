@@ -87,7 +87,7 @@ class ForeignFileError(StorageError):
 
 
 def file_identities(path: StrPath) -> tuple[object, ...]:
-    """Return what two paths of one file have in common.
+    """Return the identities of a file: two paths of one file have at least one in common.
 
     Returns
     -------
@@ -136,7 +136,7 @@ def check_auxiliary(path: StrPath, kind: FileKind, *, inputs: Iterable[StrPath] 
 
 @contextmanager
 def replace_auxiliary(path: StrPath, kind: FileKind) -> Iterator[BinaryIO]:
-    """Write an auxiliary file beside and rename it, as `atomic_write` does.
+    """Write an auxiliary file under a temporary name, then rename it, as `atomic_write` does.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Temporary folders, of which later processes remove those that killed processes left."""
+"""Temporary folders; a later process removes the folder of a killed process."""
 
 from __future__ import annotations
 

@@ -276,7 +276,7 @@ class _TensorUnpickler(pickle._Unpickler):
         self.stack.pop()
 
     def refuse(self) -> None:
-        """Refuse an opcode for other values."""
+        """Refuse an opcode that makes no allowed value."""
         raise pickle.UnpicklingError("a set, bytes or an object, expected tensors and dictionaries")
 
     def _set_items(self, items: list[object]) -> None:

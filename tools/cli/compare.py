@@ -194,7 +194,7 @@ def compare(
 
 
 def _scored_note(every: int) -> str:
-    """Return which of the given cameras are test views, and whether B's encoder left them out."""
+    """Return a note on the interval of the test views and on the encoder's."""
     if not every:
         return "all cameras, those that the encoder scored among them"
     if every == LEFT_OUT_EVERY:

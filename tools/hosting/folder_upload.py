@@ -232,7 +232,7 @@ def find_unused(bucket: Bucket, *, older_than: timedelta) -> UnusedObjects:
 
 
 def delete_unused(unused: UnusedObjects, bucket: Bucket, *, older_than: timedelta) -> UnusedObjects:
-    """Delete the objects found by `find_unused` if still no manifest references them.
+    """Delete the unused objects of `find_unused`, after reading all manifests again.
 
     The manifests are read again. Since `find_unused`, perhaps minutes ago if the user had to
     confirm, another upload may have written a manifest that references some of these objects.

@@ -53,12 +53,12 @@ class BatchScene:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """All files and URLs that the encode reads."""
+        """Input files and URLs of the encode."""
         return self.input, *self.reads
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """All files and URLs that the encode writes."""
+        """Output files and URLs of the encode."""
         return self.output, *self.writes
 
     def require_names(self) -> None:

@@ -29,7 +29,7 @@ from cogsplat.tools.workflow.compile_ahead import CompileAhead
 from .synth import MOST_SPLATS
 
 # Enough for every object to be whole. On two cores the demonstration took 50 s at a first run,
-# which compiles kernels, and up to 135 s beside other work.
+# which compiles kernels, and up to 135 s on a busy machine.
 _DEMO_SPLATS: Final = 60_000
 
 
