@@ -22,7 +22,6 @@ from seeds import VECTORS
 
 import cogsplat
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.streams import decoding_tiers
 from cogsplat.tools.lab.conformance.folder_vectors import folder_of_file
 
 # Of a body without end, bytes at a time; the reader has to leave.
@@ -38,8 +37,6 @@ def files() -> dict[str, bytes]:
     """Return the file of each way to read, and another one under ``other``."""
     small = (VECTORS / "valid" / "vq.cogs").read_bytes()
     # Longer than the first request, so that ranges are asked for.
-    # Loaded here: loaded in a thread, they change the filters of warnings of all others.
-    decoding_tiers.use_compiled(True)
     large = file_of("vq", 2500, 3, 500)
     other = (VECTORS / "valid" / "chunks.cogs").read_bytes()
     return {"file": large, "folder": small, "s3": small, "other": other}
