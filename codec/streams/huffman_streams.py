@@ -8,6 +8,7 @@ left. RFC 8878 (4.2.2) allows none of them.
 from __future__ import annotations
 
 import struct
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -20,6 +21,9 @@ _FIRST_HUFFMAN_TYPE: Final = 2
 # RFC 8878, 3.1.1.3.1.1: by size format, bits of each of the two sizes, and bytes of the header.
 _SIZE_BITS: Final = (10, 10, 14, 18)
 _HEADER_BYTES: Final = (3, 3, 4, 5)
+
+# Symbols of a section of literals from which a table of several codes per lookup pays (measured).
+_MIN_SYMBOLS_FOR_STEPS: Final = 1000
 
 # Codes of at most 11 bits (RFC 8878, 4.2.1): five lookups take at most 55 of 56 bits.
 _LOOKUPS: Final = 5
@@ -62,12 +66,19 @@ class _Code:
 
     def __init__(self, weights: list[int]) -> None:
         self.bits = sum(1 << weight >> 1 for weight in weights).bit_length() - 1
-        ordered = sorted(weight for weight in weights if weight)
-        lengths = np.repeat(
-            [self.bits + 1 - weight for weight in ordered], [1 << weight >> 1 for weight in ordered]
-        )
-        self.lengths: list[int] = lengths.tolist()
-        # Of all whole codes within the bits of a lookup: their bits, and 256 times their number.
+        self.lengths: list[int] = []
+        for weight in sorted(weight for weight in weights if weight):
+            self.lengths += [self.bits + 1 - weight] * (1 << weight >> 1)
+
+    @cached_property
+    def single_steps(self) -> list[int]:
+        """Entries as in `steps`, of one code each."""
+        return [length + 256 for length in self.lengths]
+
+    @cached_property
+    def steps(self) -> list[int]:
+        """Of the whole codes within a lookup: their bits, and 256 times their number."""
+        lengths = np.array(self.lengths)
         windows = np.arange(len(lengths))
         used = np.zeros_like(windows)
         codes = np.zeros_like(windows)
@@ -78,7 +89,8 @@ class _Code:
                 break
             used += following * whole
             codes += whole
-        self.steps: list[int] = (used + 256 * codes).tolist()
+        found: list[int] = (used + 256 * codes).tolist()
+        return found
 
 
 def _literals(
@@ -115,8 +127,10 @@ def _ends_exactly(stream: memoryview, symbols: int, code: _Code) -> bool:
     if not stream or not stream[-1]:
         return False
     at = 8 * len(stream) - 9 + stream[-1].bit_length()
-    bits, steps = code.bits, code.steps
+    bits = code.bits
     mask = (1 << bits) - 1
+    # A quarter of the symbols of a section.
+    steps = code.steps if 4 * symbols >= _MIN_SYMBOLS_FOR_STEPS else code.single_steps
     while at > _WORD_BITS and symbols > _LOOKUPS * _MAX_CODE_BITS:
         low = at - _WORD_BITS
         word = int.from_bytes(stream[low >> 3 : (low >> 3) + 8], "little") >> (low & 7)

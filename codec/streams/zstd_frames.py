@@ -35,21 +35,27 @@ _HAS_BATCH_CALL: Final = "multi_decompress_to_buffer" in zstandard.backend_featu
 _MIN_BATCH_FRAMES: Final = 8
 
 _local = threading.local()
-_is_exact: ContextVar[bool] = ContextVar("cogsplat_exact_frames", default=False)
+# Hashes of the frames whose streams were checked; None where they are not to be checked.
+_exact: ContextVar[set[int] | None] = ContextVar("cogsplat_exact_frames", default=None)
 
 
 @contextmanager
-def exact_streams() -> Iterator[None]:
+def exact_streams(known: set[int] | None = None) -> Iterator[None]:
     """Within the block, refuse Huffman streams that do not end with their last code (SPEC 6.3).
 
     Verifiers must check this. Readers may skip the check, which takes longer than decoding itself.
     The check applies to frames that the same thread decompresses.
+
+    Parameters
+    ----------
+    known : set of int, optional
+        Hashes of frames that earlier blocks have checked; this block adds its own.
     """
-    token = _is_exact.set(True)
+    token = _exact.set(set() if known is None else known)
     try:
         yield
     finally:
-        _is_exact.reset(token)
+        _exact.reset(token)
 
 
 def decompress(stored: memoryview, length: int, where: str) -> bytes:
@@ -79,7 +85,7 @@ def decompress(stored: memoryview, length: int, where: str) -> bytes:
         raise FormatError(
             "zstd-frame", f"{where}: a frame of {len(raw)} bytes, expected {length}", clause="6.3"
         )
-    if _is_exact.get() and not _has_exact_streams(stored):
+    if not _has_exact_streams(stored):
         raise FormatError(
             "zstd-frame",
             f"{where}: a Huffman stream that does not end with its last code, expected its first "
@@ -110,8 +116,9 @@ def decompress_located(stored: memoryview, frames: U64, sizes: U64) -> bytes | N
     except zstandard.ZstdError:
         # The caller decompresses frame by frame instead, which raises the error of the damaged one.
         return None
-    is_sound = not _is_exact.get() or all(map(_has_exact_streams, _parts(stored, frames)))
-    return raw if is_sound else None
+    if _exact.get() is None or all(map(_has_exact_streams, _parts(stored, frames))):
+        return raw
+    return None
 
 
 def _parts(stored: memoryview, frames: U64) -> list[memoryview]:
@@ -130,8 +137,20 @@ def _decompress_batch(stored: memoryview, frames: U64, sizes: U64) -> bytes:
 
 
 def _has_exact_streams(stored: memoryview) -> bool:
-    """Tell whether the Huffman streams of a frame that libzstd accepts end with their last code."""
-    return huffman_streams.end_exactly(stored, _header_bytes(stored[4]))
+    """Tell whether the Huffman streams of a frame that libzstd accepts end with their last code.
+
+    Always true outside of `exact_streams`.
+    """
+    known = _exact.get()
+    if known is None:
+        return True
+    # The key of Python's hash is random: a file cannot contain another frame of a known hash.
+    key = hash(bytes(stored))
+    if key not in known:
+        if not huffman_streams.end_exactly(stored, _header_bytes(stored[4])):
+            return False
+        known.add(key)
+    return True
 
 
 def _header_bytes(descriptor: int) -> int:

@@ -51,8 +51,10 @@ def checks(file: ChunkDecoder) -> Iterator[Check]:
         codebooks; cameras; compensation; view table; then head, refinement, opacities, tail with
         attributes, and bounding box of every chunk.
     """
+    # Several checks decode the same frames.
+    known: set[int] = set()
     for check in _checks(file):
-        yield replace(check, run=exact_streams()(check.run))
+        yield replace(check, run=exact_streams(known)(check.run))
 
 
 def _checks(file: ChunkDecoder) -> Iterator[Check]:
