@@ -9,9 +9,9 @@ from cogsplat.codec.streams import zstd_frames
 from cogsplat.formats.cogs import (
     canonical_msgpack,
     decoded_rows,
-    index,
     layout,
     reader,
+    segment_rows,
     verification,
 )
 from cogsplat.tools.lab.conformance import (
@@ -245,7 +245,7 @@ READER = [
     ),
     Mutant(
         "layers of compensation stand in any order",
-        index._layer_rows,
+        segment_rows.layer_rows,
         "if not np.array_equal(owners, np.arange(len(rows))):",
         "if not np.array_equal(np.sort(owners), np.arange(len(rows))):",
         ("5.9",),
