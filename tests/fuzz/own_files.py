@@ -1,4 +1,4 @@
-"""Fuzz targets for files of our own that others may have changed: checkpoints, logs, manifests.
+"""Fuzz targets for checkpoints, logs and manifests, which other programs may have changed.
 
 Each reads an input as a command does, within `MOST_BYTES` of memory and `MOST_SECONDS` of its
 thread's time.
@@ -97,7 +97,7 @@ def checkpoint_states() -> Iterator[tuple[str, CheckpointArrays]]:
 
 @bounded
 def read_tune_checkpoint(path: Path) -> None:
-    """Resume a run: every array fits the others, or nothing is restored."""
+    """Resume a run; check that all its arrays have one row per splat."""
     state = read_checkpoint(path, RUN)
     run = tuning_run()
     run.restore(state)
@@ -163,7 +163,7 @@ def vector_manifest(vector: str, folder: Path) -> bytes:
 
 
 def _place_objects(folder: Path) -> None:
-    """Write the objects beside a manifest."""
+    """Write the objects of a manifest into its folder."""
     (folder / "segments").mkdir()
     for name, data in _vector_objects().items():
         (folder / name).write_bytes(data)

@@ -236,7 +236,7 @@ class Killer:
         self._check_store(folder, complete=True)
 
     def _check_processes(self) -> None:
-        """Wait for the children of killed commands to end; those that go on are a fault."""
+        """Wait for the children of killed commands to end; count a fault if any runs on."""
         until = time.monotonic() + MOST_SECONDS_OF_ORPHANS
         while left := [number for session in self._sessions for number in running(session)]:
             if time.monotonic() > until:
