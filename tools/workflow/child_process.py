@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import _thread
 import os
 import subprocess
 import sys
-import threading
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,11 +12,9 @@ from typing import Final
 
 import cogsplat
 
-# Time in which an interrupted command removes its temporary files, seconds. Compiled functions may
-# run for seconds before Python sees the interrupt.
-_GRACE_SECONDS: Final = 5.0
-
-_INTERRUPTED_STATUS: Final = 130
+# Runs a command until it is finished or its standard input ends. A name, because commands import
+# this room.
+_CHILD_MODULE: Final = "cogsplat.tools.child_command"
 
 
 @contextmanager
@@ -47,7 +42,7 @@ def child_process(words: Sequence[str], folder: Path) -> Iterator[subprocess.Pop
     try:
         try:
             process = subprocess.Popen(
-                [sys.executable, "-P", "-m", __name__, *words],
+                [sys.executable, "-P", "-m", _CHILD_MODULE, *words],
                 cwd=folder,
                 env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
                 stdin=read_end,
@@ -60,24 +55,3 @@ def child_process(words: Sequence[str], folder: Path) -> Iterator[subprocess.Pop
         yield process
     finally:
         os.close(write_end)
-
-
-def _end_with_parent() -> None:
-    """Wait for the end of standard input, then interrupt this process."""
-    while os.read(0, 1):
-        pass
-    _thread.interrupt_main()
-    time.sleep(_GRACE_SECONDS)
-    os._exit(_INTERRUPTED_STATUS)
-
-
-def main() -> None:
-    """Run a ``cogsplat`` command until it is finished or the parent process ends."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    from cogsplat.tools.main import main as run_command
-
-    run_command()
-
-
-if __name__ == "__main__":
-    main()
