@@ -7,6 +7,7 @@ import os
 import re
 import secrets
 import shutil
+import stat
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -76,9 +77,14 @@ def _remove_stale(parent: Path) -> None:
     with os.scandir(parent) as entries:
         for entry in entries:
             match = _NAME.fullmatch(entry.name)
-            if not match or match[1] != host_digits() or not entry.is_dir(follow_symlinks=False):
+            if not match or match[1] != host_digits():
                 continue
-            if entry.stat(follow_symlinks=False).st_uid == os.getuid():
+            try:
+                status = entry.stat(follow_symlinks=False)
+            except FileNotFoundError:
+                # Another process removed it since the folder was listed.
+                continue
+            if stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid():
                 _remove_unlocked(Path(entry.path))
 
 

@@ -67,3 +67,20 @@ def test_folders_of_killed_processes_are_removed_and_no_others(parent: Path) -> 
         with scratch_folder() as second:
             assert {folder.name, second.name} < set(names(parent))
     assert names(parent) == sorted([link, *others])
+
+
+def test_folders_that_another_process_removes_meanwhile_are_no_error(
+    parent: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names_of_stale = [f"cogsplat-{host_digits()}-{number:016x}" for number in range(2)]
+    for name in names_of_stale:
+        (parent / name).mkdir()
+    remove = module._remove_unlocked
+
+    def remove_all(folder: Path) -> None:
+        for name in names_of_stale:
+            remove(parent / name)
+
+    monkeypatch.setattr(module, "_remove_unlocked", remove_all)
+    with scratch_folder() as folder:
+        assert names(parent) == [folder.name]
