@@ -344,6 +344,10 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     const progress = this.find("#progress");
     const text = totalSplats > 0 ? texts.join(" · ") : "Opening …";
     if (progress.textContent !== text) progress.textContent = text;
+    progress.title =
+      predictedDb === undefined
+        ? ""
+        : "PSNR against the source: the mean of the encoder's test views, none of them close up";
     this.panel?.update(statistics, this.find("canvas"));
     if (state !== this.lastState) this.onState(state);
     this.dispatchEvent(new Event("cogsplat-change"));
