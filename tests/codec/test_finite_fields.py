@@ -21,7 +21,13 @@ def settings() -> Iterator[object]:
     seen = set()
     for package in (cogsplat.codec, cogsplat.formats):
         for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-            for kind in vars(importlib.import_module(found.name)).values():
+            try:
+                module = importlib.import_module(found.name)
+            except ModuleNotFoundError as error:
+                if error.name != "torch":
+                    raise
+                continue
+            for kind in vars(module).values():
                 if isinstance(kind, type) and dataclasses.is_dataclass(kind) and kind not in seen:
                     seen.add(kind)
                     try:

@@ -20,7 +20,9 @@ _METRICS_COST: Final = 8.5e-7
 _ROAMING_VIEWS: Final = 2
 
 
-def comparison_costs(splats: int, cameras: Sequence[Camera]) -> list[StageCost]:
+def comparison_costs(
+    splats: int, cameras: Sequence[Camera], *, close: bool = True
+) -> list[StageCost]:
     """Return the costs of the stages of `view_quality.compare`.
 
     Parameters
@@ -29,14 +31,14 @@ def comparison_costs(splats: int, cameras: Sequence[Camera]) -> list[StageCost]:
         Number of splats of the reference.
     cameras : sequence of Camera
         Test views, at least one.
+    close : bool
+        Whether close views are measured as well.
     """
     once = versions_cost(splats, cameras, 1, renders=2) / (1 + _ROAMING_VIEWS)
-    close = min(1.0, CLOSE_VIEWS / len(cameras)) * once
-    return [
-        StageCost("test", once),
-        StageCost("close", close),
-        StageCost("roam", _ROAMING_VIEWS * once),
-    ]
+    costs = [StageCost("test", once)]
+    if close:
+        costs.append(StageCost("close", min(1.0, CLOSE_VIEWS / len(cameras)) * once))
+    return [*costs, StageCost("roam", _ROAMING_VIEWS * once)]
 
 
 def versions_cost(

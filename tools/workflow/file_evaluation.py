@@ -101,7 +101,8 @@ class FileEvaluation:
 
     def stage_costs(self) -> list[StageCost]:
         """Return the expected cost of `measure`, in the unit of `codec.encode.stage_costs`."""
-        once = sum(cost.total() for cost in comparison_costs(len(self.source), self.cameras))
+        costs = comparison_costs(len(self.source), self.cameras, close=False)
+        once = sum(cost.total() for cost in costs)
         return [StageCost("measure", len(prefix_quality.PREFIX_FRACTIONS) * once)]
 
     def measure(

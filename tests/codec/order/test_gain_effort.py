@@ -8,7 +8,7 @@ from cogsplat.codec.order.gain_effort import GainEffort
     [{"until": 0.0}, {"until": 1.1}, {"growth": 0.0}, {"views": 0}, {"until": float("nan")}],
 )
 def test_an_effort_that_would_never_end_or_look_at_nothing_is_refused(wrong):
-    with pytest.raises(ValueError, match="expected until"):
+    with pytest.raises(ValueError, match="until"):
         GainEffort(**wrong)
 
 

@@ -266,7 +266,7 @@ def stage_cost(
     from cogsplat.codec.encode.request import EncodeRequest
     from cogsplat.codec.encode.stage_costs import stage_costs
 
-    compared = comparison_costs(splats, cameras)
+    compared = comparison_costs(splats, cameras, close=False)
     files: list[tuple[StageCost, ...]] = []
     for profile in profiles:
         request = EncodeRequest(config=EncodeConfig(profile=profile), cameras=scored_on)
