@@ -2,13 +2,21 @@ import pytest
 
 from cogsplat.codec.order.gain_effort import GainEffort
 
+RANGES = "expected until above 0 to 1, growth above 0 and at least 1 view$"
+
 
 @pytest.mark.parametrize(
-    "wrong",
-    [{"until": 0.0}, {"until": 1.1}, {"growth": 0.0}, {"views": 0}, {"until": float("nan")}],
+    ("wrong", "message"),
+    [
+        ({"until": 0.0}, RANGES),
+        ({"until": 1.1}, RANGES),
+        ({"growth": 0.0}, RANGES),
+        ({"views": 0}, RANGES),
+        ({"until": float("nan")}, "^until nan, expected a finite number$"),
+    ],
 )
-def test_an_effort_that_would_never_end_or_look_at_nothing_is_refused(wrong):
-    with pytest.raises(ValueError, match="until"):
+def test_an_effort_that_would_never_end_or_look_at_nothing_is_refused(wrong, message):
+    with pytest.raises(ValueError, match=message):
         GainEffort(**wrong)
 
 

@@ -191,7 +191,10 @@ def test_the_bound_of_means_is_relative_to_the_median_size():
 @pytest.mark.parametrize("name", ["means", "scales", "quats", "opacities", "sh0", "shN"])
 @pytest.mark.parametrize("limit", [0.0, -1.0, float("nan")])
 def test_bounds_that_nothing_meets_are_refused(name, limit):
-    with pytest.raises(ValueError, match=name):
+    message = f"bound {name} {limit}, expected more than 0"
+    if math.isnan(limit):
+        message = f"{name} nan, expected a finite number"
+    with pytest.raises(ValueError, match=f"^{message}$"):
         NearLosslessBounds(**{name: limit})
 
 
