@@ -272,8 +272,11 @@ def test_frames_without_end_are_left(name, monkeypatch):
         network = NetworkOptions(
             pause_seconds=0.01, idle_seconds=0.2, connect_seconds=0.2, retries=1
         )
-        with pytest.raises(StorageError) as caught:
-            RangeSource(HttpTransport(url, network), url, network).read(0, 65536)
+        with (
+            pytest.raises(StorageError) as caught,
+            RangeSource(HttpTransport(url, network), url, network) as source,
+        ):
+            source.read(0, 65536)
         assert caught.value.code in ("network-timeout", "connection-broken", "http-status")
 
 

@@ -221,16 +221,13 @@ def test_a_prefix_of_a_source_fetches_ahead_as_well(server):
 
 
 def test_threads_end_with_their_sources(server):
-    # Threads of other tests of this process may still wait for their servers.
-    before = set(threading.enumerate())
     open_url(server.url()).close()
     with (
         pytest.raises(StorageError, match="no such file"),
         serving(FaultServer(DATA, always=status(404))) as other,
     ):
         open_url(other.url())
-    later = set(threading.enumerate()) - before
-    assert not [thread for thread in later if "fetches" in thread.name]
+    assert not [thread for thread in threading.enumerate() if "fetches" in thread.name]
 
 
 def test_a_file_that_is_wanted_whole_is_asked_for_at_once(server):
