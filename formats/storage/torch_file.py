@@ -189,8 +189,16 @@ def read_state_dict(path: StrPath) -> dict[str, F32]:
     StorageError
         The file cannot be read.
     DataError
-        ``torch-file``: another format, or objects other than named arrays.
+        ``torch-file``: another format, objects other than named arrays, or no arrays.
     """
+    arrays = _read_arrays(path)
+    if not arrays:
+        raise _refusal(path, "no arrays")
+    return arrays
+
+
+def _read_arrays(path: StrPath) -> dict[str, F32]:
+    """Return the arrays of a file by name, perhaps none. Raises as `read_state_dict`."""
     with _open_archive(path) as archive:
         if sum(entry.file_size for entry in archive.infolist()) > _MAX_BYTES:
             raise _refusal(path, f"more than {_MAX_BYTES} bytes")

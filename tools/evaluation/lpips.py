@@ -143,7 +143,8 @@ def read_lpips(path: Path) -> Lpips:
     StorageError
         The file cannot be read.
     DataError
-        ``lpips-weights``: the format is unknown, or arrays are missing or of a wrong shape.
+        ``torch-file``: another format, or no arrays; ``lpips-weights``: arrays are missing or of a
+        wrong shape.
     """
     arrays = read_state_dict(path)
     layers: dict[int, dict[str, F32]] = {}
