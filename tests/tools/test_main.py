@@ -283,7 +283,8 @@ def test_stopping_an_encode_leaves_nothing(small: SmallScene, tmp_path: Path, nu
         program(arguments), stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     ) as process:
         assert process.stderr is not None
-        assert process.stderr.readline().startswith("score 0/")
+        # Where the kernels are not cached yet, compiling them comes first.
+        assert any(line.startswith("score 0/") for line in process.stderr)
         process.send_signal(getattr(signal, number))
         told = process.stderr.read()
         assert process.wait(timeout=60) == 130
