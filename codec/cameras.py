@@ -30,12 +30,14 @@ class Camera:
         Translation of the pose, scene units.
     name : str
         Name in the source, often an image's file name.
+    target : (3,) float64, optional
+        Point in front of the camera that an orbit turns around, world coordinates.
 
     Raises
     ------
     DataError
-        ``bad-camera``: a size below 1, a focal length that is not positive and finite, or an
-        invalid rotation.
+        ``bad-camera``: a size below 1, a focal length that is not positive and finite, an invalid
+        rotation, or a target that does not lie in front of the camera.
     """
 
     width: int
@@ -47,6 +49,7 @@ class Camera:
     rotation: NDArray[np.float64]
     translation: NDArray[np.float64]
     name: str = ""
+    target: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         label = f"camera {self.name!r}"
@@ -86,6 +89,23 @@ class Camera:
                 "bad-camera",
                 f"{label}: the rotation is off orthonormal by {error:.3g} or mirrored, "
                 f"expected a proper rotation within {_ROTATION_TOLERANCE}",
+            )
+        if self.target is not None:
+            self._check_target(np.ascontiguousarray(self.target, dtype=np.float64), label)
+
+    def _check_target(self, target: NDArray[np.float64], label: str) -> None:
+        """Store the target as float64; refuse one that does not lie in front of the camera."""
+        object.__setattr__(self, "target", target)
+        if target.shape != (3,) or not np.isfinite(target).all():
+            raise DataError(
+                "bad-camera", f"{label}: target {target.tolist()}, expected three finite numbers"
+            )
+        depth = float((self.rotation[2] * target).sum() + self.translation[2])
+        if not depth > 0:
+            raise DataError(
+                "bad-camera",
+                f"{label}: the target lies at depth {depth:.6g}, expected above 0, in front of "
+                "the camera",
             )
 
     @property

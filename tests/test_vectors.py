@@ -160,6 +160,11 @@ def test_root_says_what_the_manifest_says(entry):
                 assert getattr(view, key) == expected[key]
             assert view.rotation.ravel().tolist() == expected["rotation"]
             assert view.translation.tolist() == expected["translation"]
+            target = None if view.target is None else view.target.tolist()
+            assert target == expected.get("target")
+        for key in ("up", "core_box"):
+            value = getattr(file.root, key)
+            assert (None if value is None else value.tolist()) == info.get(key)
 
 
 @pytest.mark.parametrize("entry", VALID, ids=name_of)

@@ -27,9 +27,13 @@ from .canonical_msgpack import Value
 from .msgpack_map import CheckedMap
 
 U32 = NDArray[np.uint32]
+F64 = NDArray[np.float64]
 
 HASH_BYTES: Final = 16
 """Bytes of a segment's SHA-256 that are stored (SPEC 5.3)."""
+
+# Largest difference between the squared length of a direction and 1 (SPEC 4.2).
+_UNIT_TOLERANCE: Final = 1e-3
 
 # Maximum length of an unknown word in messages, characters.
 _SHOWN: Final = 40
@@ -176,7 +180,7 @@ class Root:
     codebooks : sequence of CodebookEntry
         Codebooks of the file.
     first_view : Camera or None
-        Camera where a viewer starts.
+        Camera where a viewer starts; its target is what an orbit turns around.
     segments : SegmentTable
         Segments listed in the root; pages list the others.
     chunks : ChunkTable
@@ -187,6 +191,10 @@ class Root:
         Types of the splats' extra attributes.
     levels : sequence of Level
         Levels of detail, coarsest first; may be empty.
+    up : (3,) float64 or None
+        Unit vector against gravity in the frame of the means; None for the ``U`` of the axes.
+    core_box : (6,) float64 or None
+        Bounding box as `box`, without stray splats such as floaters and sky.
     """
 
     writer: str
@@ -201,6 +209,8 @@ class Root:
     pages: Sequence[PageEntry] = field(default=())
     attributes: Sequence[AttributeType] = field(default=())
     levels: Sequence[Level] = field(default=())
+    up: NDArray[np.float64] | None = None
+    core_box: NDArray[np.float64] | None = None
 
 
 def _column(values: NDArray[np.generic], dtype: str) -> bytes:
@@ -256,7 +266,11 @@ def root_map(root: Root) -> dict[str, Value]:
         "chunks": chunk_columns(root.chunks),
     }
     if root.first_view is not None:
-        value["first_view"] = _camera_value(root.first_view)
+        value["first_view"] = camera_map(root.first_view)
+    if root.up is not None:
+        value["up"] = [float(x) for x in root.up]
+    if root.core_box is not None:
+        value["core_box"] = [float(x) for x in root.core_box]
     if root.attributes:
         value["attributes"] = [_attribute_value(kind) for kind in root.attributes]
     if root.levels:
@@ -285,9 +299,9 @@ def _attribute_value(kind: AttributeType) -> dict[str, Value]:
     return value
 
 
-def _camera_value(camera: Camera) -> dict[str, Value]:
-    """Return the first view as a msgpack map (SPEC 4.4)."""
-    return {
+def camera_map(camera: Camera) -> dict[str, Value]:
+    """Return a camera, and its target if it has one, as a msgpack map (SPEC 4.4)."""
+    value: dict[str, Value] = {
         "width": camera.width,
         "height": camera.height,
         "fx": float(camera.fx),
@@ -297,6 +311,9 @@ def _camera_value(camera: Camera) -> dict[str, Value]:
         "rotation": [float(x) for x in camera.rotation.reshape(-1)],
         "translation": [float(x) for x in camera.translation],
     }
+    if camera.target is not None:
+        value["target"] = [float(x) for x in camera.target]
+    return value
 
 
 def parse_segments(value: Value, where: str) -> SegmentTable:
@@ -396,11 +413,15 @@ def parse_root(value: Value, where: str) -> Root:
         kernel_px=_kernel_px(root),
         antialiased=root.pop("antialiased", bool),
     )
-    box = np.array(root.numbers("box", 6))
-    if not (box[:3] <= box[3:]).all():
-        raise root.error("box", "corners not ordered, expected minimum, maximum")
+    box = _box(root, "box")
     codebooks = [_codebook(v, where) for v in root.array("codebooks", layout.MAX_CODEBOOKS)]
-    first_view = _camera(root.pop("first_view", dict), where) if root.has("first_view") else None
+    first_view = None
+    if root.has("first_view"):
+        first_view = parse_camera(
+            CheckedMap(root.pop("first_view", dict), f"{where}, first_view", "4.4"), "first view"
+        )
+    up = _up(root) if root.has("up") else None
+    core_box = _box(root, "core_box", within=box) if root.has("core_box") else None
     attributes = _attributes(root, where)
     levels = _levels(root, where)
     entries = root.array("pages", layout.MAX_PAGES) if root.has("pages") else []
@@ -421,6 +442,8 @@ def parse_root(value: Value, where: str) -> Root:
         pages=pages,
         attributes=attributes,
         levels=levels,
+        up=up,
+        core_box=core_box,
     )
 
 
@@ -440,6 +463,25 @@ def parse_page(value: Value, entry: PageEntry, where: str) -> tuple[SegmentTable
             clause="5.6",
         )
     return segments, chunks
+
+
+def _box(root: CheckedMap, name: str, *, within: F64 | None = None) -> F64:
+    """Return a checked bounding box, which lies inside another if one is given."""
+    box = np.array(root.numbers(name, 6))
+    if not (box[:3] <= box[3:]).all():
+        raise root.error(name, "corners not ordered, expected minimum, maximum")
+    if within is not None and not ((within[:3] <= box[:3]).all() and (box[3:] <= within[3:]).all()):
+        raise root.error(name, f"{box.tolist()}, expected corners inside {within.tolist()}")
+    return box
+
+
+def _up(root: CheckedMap) -> F64:
+    """Return the checked direction against gravity, a unit vector."""
+    up = root.numbers("up", 3)
+    square = up[0] * up[0] + up[1] * up[1] + up[2] * up[2]
+    if not abs(square - 1.0) <= _UNIT_TOLERANCE:
+        raise root.error("up", f"{up}, of squared length {square:g}, expected a unit vector")
+    return np.array(up)
 
 
 def _axes(root: CheckedMap) -> str:
@@ -551,18 +593,38 @@ def _page(value: Value, where: str) -> PageEntry:
     return entry
 
 
-def _camera(value: Value, where: str) -> Camera:
-    """Parse the first view (SPEC 4.4)."""
-    view = CheckedMap(value, f"{where}, first_view", "4.4")
+def parse_camera(view: CheckedMap, name: str) -> Camera:
+    """Parse a camera, and its target if it has one (SPEC 4.4).
+
+    Parameters
+    ----------
+    view : CheckedMap
+        Map with the keys of a camera. Keys read before are not read again; others are unknown keys.
+    name : str
+        Name of the camera that is returned.
+
+    Raises
+    ------
+    FormatError
+        ``root-missing``, ``root-type``, ``root-value``.
+    UnsupportedError
+        ``root-must-understand``.
+    """
     width = view.integer("width", 1, 65535)
     height = view.integer("height", 1, 65535)
     fx, fy = view.positive("fx"), view.positive("fy")
     cx, cy = view.number("cx"), view.number("cy")
     rotation = np.array(view.numbers("rotation", 9)).reshape(3, 3)
     try:
-        camera = Camera(width, height, fx, fy, cx, cy, rotation, np.zeros(3), "first view")
+        camera = Camera(width, height, fx, fy, cx, cy, rotation, np.zeros(3), name)
     except DataError as error:
-        raise FormatError("root-value", f"{where}, first_view: {error}", clause="4.4") from error
-    translation = np.array(view.numbers("translation", 3))
+        raise view.error("rotation", str(error)) from error
+    camera = replace(camera, translation=np.array(view.numbers("translation", 3)))
+    if view.has("target"):
+        target = np.array(view.numbers("target", 3))
+        try:
+            camera = replace(camera, target=target)
+        except DataError as error:
+            raise view.error("target", str(error)) from error
     view.finish()
-    return replace(camera, translation=translation)
+    return camera

@@ -94,3 +94,18 @@ def test_poses_of_another_shape_are_refused(shape):
 def test_errors_name_the_camera():
     with pytest.raises(DataError, match=r"camera 'IMG_7\.jpg': size 0x4"):
         Camera(0, 4, 1.0, 1.0, 0.0, 0.0, np.eye(3), np.zeros(3), "IMG_7.jpg")
+
+
+def test_a_target_lies_in_front_of_the_camera():
+    camera = oracle.camera()
+    ahead = camera.position + 2.0 * camera.rotation[2]
+    kept = replace(camera, target=ahead.astype(np.float32)).target
+    assert kept is not None
+    assert kept.dtype == np.float64
+    for target in (
+        camera.position,
+        camera.position - camera.rotation[2],
+        ahead[:2],
+        ahead * np.nan,
+    ):
+        refused(target=target)

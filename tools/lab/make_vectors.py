@@ -164,7 +164,8 @@ def _rows_sha256(rows: reference_decoder.Rows) -> str:
     return _sha256(struct.pack(f"<{len(values)}f", *values))
 
 
-_INFO: Final = ("origin", "axes", "colour_space", "kernel_px", "antialiased", "first_view")
+_INFO: Final = ("origin", "axes", "colour_space", "kernel_px", "antialiased", "first_view", "up",
+                "core_box")  # fmt: skip
 
 
 def _valid_entry(vector: Valid) -> tuple[dict[str, Json], bytes]:

@@ -33,7 +33,8 @@ def chunks(rows, seed=1, *, layers=False):
 
 def camera():
     rotation = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    return Camera(640, 480, 500.5, 499.5, 320.0, 240.0, rotation, np.array([1.0, 2.0, 3.0]))
+    return Camera(640, 480, 500.5, 499.5, 320.0, 240.0, rotation, np.array([1.0, 2.0, 3.0]),
+                  target=np.array([4.0, 5.0, -2.5]))  # fmt: skip
 
 
 def root(**changes):
@@ -48,8 +49,13 @@ def root(**changes):
         segments=segments(7),
         chunks=chunks(3, layers=True),
         pages=[PageEntry(900, 0xFFFFFFFF, 4, 0, (1 << 53) - 1)],
+        up=np.array([0.0, -0.6, 0.8]),
+        core_box=np.array([-1.0, -1.5, -2.0, 0.5, 0.5, 3.0]),
     )
     return dataclasses.replace(plain, **changes)
+
+
+ABSENT = {"first_view": None, "up": None, "core_box": None, "pages": []}
 
 
 def again(value):
@@ -68,7 +74,8 @@ def test_roots_come_back():
     actual = again(expected)
     for name in ("writer", "splats", "sh_degree", "info", "codebooks", "pages"):
         assert getattr(actual, name) == getattr(expected, name), name
-    assert np.array_equal(actual.box, expected.box)
+    for name in ("box", "up", "core_box"):
+        assert np.array_equal(getattr(actual, name), getattr(expected, name)), name
     assert_tables(actual.segments, expected.segments)
     assert_tables(actual.chunks, expected.chunks)
     assert actual.first_view is not None
@@ -79,11 +86,13 @@ def test_roots_come_back():
 
 
 def test_what_is_not_there_stays_away():
-    value = cogs_root.root_map(root(first_view=None, pages=[], chunks=chunks(3)))
-    assert {"first_view", "pages"} & value.keys() == set()
+    value = cogs_root.root_map(root(**ABSENT, chunks=chunks(3)))
+    assert ABSENT.keys() & value.keys() == set()
     assert list(value["chunks"]) == ["splats", "box", "contribution"]
-    actual = again(root(first_view=None, pages=[], chunks=chunks(3)))
-    assert (actual.first_view, list(actual.pages)) == (None, [])
+    actual = again(root(**ABSENT, chunks=chunks(3)))
+    assert (actual.first_view, actual.up, actual.core_box, list(actual.pages)) == (
+        None, None, None, []
+    )  # fmt: skip
     assert not actual.chunks.layer.any()
 
 

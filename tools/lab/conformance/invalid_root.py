@@ -184,6 +184,15 @@ def roots() -> list[Invalid]:
         ),
         *_must_understand(),
         *_first_views(),
+        value("up-two", "up", [0.0, 1.0], "two numbers"),
+        value("up-integers", "up", [0, 1, 0], "integers for floats"),
+        value("up-zero", "up", numbers[:3], "no direction"),
+        value("up-long", "up", [0.0, 1.001, 0.0], "a vector longer than 1"),
+        value("up-nan", "up", [0.0, math.nan, 1.0], "NaN"),
+        wrong("up-text", "up", "y", "a str for an array"),
+        value("core-box-five", "core_box", numbers[:5], "five numbers"),
+        value("core-box-turned", "core_box", [1.0, *numbers[:5]], "minimum above maximum"),
+        value("core-box-outside", "core_box", [*numbers[:5], 8.5], "a corner outside the box"),
         *_codebooks(),
     ]
 
@@ -245,6 +254,11 @@ def _first_views() -> list[Invalid]:
         view("focal-negative", {"fx": -500.0}, "a negative focal length"),
         view("mirrored", {"rotation": mirrored}, "a mirror image for a rotation"),
         view("sheared", {"rotation": sheared}, "a shear for a rotation"),
+        view("target-two", {"target": [0.0, 0.0]}, "a target of two numbers"),
+        view("target-behind", {"target": [0.0, 0.0, -5.0]}, "a target behind the camera"),
+        view("target-at-camera", {"target": [0.0, 0.0, -4.0]}, "a target at the camera's depth"),
+        view("target-infinite", {"target": [0.0, 0.0, math.inf]}, "an infinite target"),
+        view("target-nil", {"target": None}, "nil for an array", "root-type"),
         view("translation-nan", {"translation": [0.0, 0.0, math.nan]}, "NaN"),
         view("focal-integer", {"fy": 500}, "an integer for a float", "root-type"),
     ]

@@ -354,6 +354,7 @@ def _root_values() -> Valid:
         "cy": 540.0,
         "rotation": [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0],
         "translation": [0.5, -1.5, 4.0],
+        "target": [0.25, 7.0, -3.75],
     }
     root = root_keys(
         6,
@@ -365,10 +366,12 @@ def _root_values() -> Valid:
         kernel_px=0.1,
         antialiased=True,
         first_view=view,
+        up=[0.0, -0.6, 0.8],
+        core_box=[-8.0, -7.5, -3.0, 2.0, 2.5, 8.0],
     )
     rows = [ChunkRow(6, (-4.5, -8.0, -4.0, 4.0, 4.0, 8.5), 12.5, 1, 2, 3, 41.25)]
     data = build(Draft(root, [Group(_chunk(6, 1, 0), rows)]))
-    note = "origin, axes, colour space, kernel, first view, layer, cell, object, quality"
+    note = "origin, axes, colour space, kernel, first view, up, layer, cell, object, quality"
     return Valid("root-values", data, ("4.2", "4.4", "5.4"), note)
 
 

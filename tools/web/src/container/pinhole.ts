@@ -15,15 +15,17 @@ export interface Pinhole {
   readonly rotation: readonly number[];
   /** Translation t in x_camera = R·x + t, scene units. */
   readonly translation: readonly number[];
+  /** Point in front of the camera that a viewer turns around, in the space of the means. */
+  readonly target?: readonly number[];
 }
 
 /** Largest difference between an entry of R·Rᵀ and of the identity (SPEC 4.4). */
 const ORTHOGONALITY = 1e-3;
 
-/** Read the root's `first_view`. */
-export function readFirstView(fields: Fields): Pinhole {
+/** Read a camera, and its target if it has one (SPEC 4.4). */
+export function readPinhole(fields: Fields): Pinhole {
   const focal = (value: number) => value > 0 && Number.isFinite(value);
-  const view: Pinhole = {
+  const view = {
     width: fields.integer("width", 1, 65_535),
     height: fields.integer("height", 1, 65_535),
     fx: fields.float("fx", focal, "a focal length"),
@@ -33,8 +35,17 @@ export function readFirstView(fields: Fields): Pinhole {
     rotation: readRotation(fields),
     translation: fields.floats("translation", 3),
   };
+  const target = fields.has("target") ? readTarget(fields, view) : undefined;
   fields.finish();
-  return view;
+  return target === undefined ? view : { ...view, target };
+}
+
+/** Read the target of a camera, which lies in front of it. */
+function readTarget(fields: Fields, { rotation, translation }: Pick<Pinhole, "rotation" | "translation">): number[] {
+  const target = fields.floats("target", 3);
+  const depth = rotation[6]! * target[0]! + rotation[7]! * target[1]! + rotation[8]! * target[2]! + translation[2]!;
+  if (!(depth > 0)) throw fields.outOfRange("target", `a point at depth ${depth}, not in front of the camera`);
+  return target;
 }
 
 function readRotation(fields: Fields): number[] {

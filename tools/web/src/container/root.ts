@@ -1,7 +1,7 @@
 import { CogsplatError } from "../errors.js";
 import { Fields, textBytes } from "./fields.js";
 import { parseMap } from "./msgpack.js";
-import { type Pinhole, readFirstView } from "./pinhole.js";
+import { type Pinhole, readPinhole } from "./pinhole.js";
 import { type ChunkTable, readChunkTable, readSegmentTable, type SegmentTable } from "./tables.js";
 
 /** Contents of a codebook's rows (SPEC 5.5). */
@@ -55,6 +55,10 @@ export interface SceneInfo {
   /** Bounding box of the splats' extents: minimum corner, then maximum corner. */
   readonly box: readonly number[];
   readonly firstView: Pinhole | undefined;
+  /** Unit vector against gravity in the space of the means; undefined for the `U` of the axes. */
+  readonly up: readonly number[] | undefined;
+  /** Bounding box as `box`, without stray splats such as floaters and sky. */
+  readonly coreBox: readonly number[] | undefined;
   readonly attributes: readonly AttributeEntry[];
   /** Levels, coarsest first; empty for a scene without levels. */
   readonly levels: readonly LevelEntry[];
@@ -68,6 +72,9 @@ export interface Root {
   readonly segments: SegmentTable;
   readonly chunks: ChunkTable;
 }
+
+/** Largest difference between the squared length of a direction and 1 (SPEC 4.2). */
+const UNIT_TOLERANCE = 1e-3;
 
 /** Read and check the map of the root, whose CRC was checked. */
 export function readRoot(bytes: Uint8Array): Root {
@@ -85,11 +92,11 @@ export function readRoot(bytes: Uint8Array): Root {
   }
   const kernelPx = fields.float("kernel_px", (value) => value >= 0 && Number.isFinite(value), "finite and at least 0");
   const antialiased = fields.boolean("antialiased");
-  const box = fields.floats("box", 6);
-  if ([0, 1, 2].some((axis) => box[axis]! > box[axis + 3]!))
-    throw fields.outOfRange("box", "a minimum above its maximum");
+  const box = readBox(fields, "box");
   const codebooks = fields.maps("codebooks", 32, readCodebook);
-  const firstView = fields.has("first_view") ? readFirstView(fields.fields("first_view")) : undefined;
+  const firstView = fields.has("first_view") ? readPinhole(fields.fields("first_view")) : undefined;
+  const up = fields.has("up") ? readUp(fields) : undefined;
+  const coreBox = fields.has("core_box") ? readBox(fields, "core_box", box) : undefined;
   const attributes = fields.has("attributes") ? readAttributeEntries(fields) : [];
   const levels = fields.has("levels") ? readLevels(fields) : [];
   const pages = fields.has("pages") ? fields.maps("pages", 128, readPageEntry) : [];
@@ -107,10 +114,31 @@ export function readRoot(bytes: Uint8Array): Root {
     antialiased,
     box,
     firstView,
+    up,
+    coreBox,
     attributes,
     levels,
   } as const;
   return { scene, codebooks, pages, segments, chunks };
+}
+
+/** Read a bounding box, which lies inside another if one is given. */
+function readBox(fields: Fields, key: string, within?: readonly number[]): number[] {
+  const box = fields.floats(key, 6);
+  if ([0, 1, 2].some((axis) => box[axis]! > box[axis + 3]!))
+    throw fields.outOfRange(key, "a minimum above its maximum");
+  if (within && [0, 1, 2].some((axis) => box[axis]! < within[axis]! || box[axis + 3]! > within[axis + 3]!)) {
+    throw fields.outOfRange(key, "a corner outside the box of the scene");
+  }
+  return box;
+}
+
+/** Read the direction against gravity. */
+function readUp(fields: Fields): number[] {
+  const up = fields.floats("up", 3);
+  const square = up[0]! * up[0]! + up[1]! * up[1]! + up[2]! * up[2]!;
+  if (!(Math.abs(square - 1) <= UNIT_TOLERANCE)) throw fields.outOfRange("up", `${up} is no unit vector`);
+  return up;
 }
 
 /** Return whether three letters name one direction of each axis. */
