@@ -86,7 +86,8 @@ export class SceneIndex {
     const preamble = readPreamble(bytes);
     const rootEnd = PREAMBLE_BYTES + preamble.rootLength;
     if (bytes.length < rootEnd) {
-      throw new CogsplatError("root-truncated", `${bytes.length} bytes, the root ends at ${rootEnd}`, PREAMBLE_BYTES);
+      const found = `${bytes.length} of ${preamble.fileLength} bytes, the root ends at ${rootEnd}`;
+      throw new CogsplatError("root-truncated", found, PREAMBLE_BYTES);
     }
     const rootBytes = bytes.slice(PREAMBLE_BYTES, rootEnd);
     if (crc32(rootBytes) !== preamble.rootCrc) {

@@ -112,7 +112,8 @@ export class CogsFeed implements SceneFeed {
       // A truncated file is shown up to its end.
       if (!(error instanceof CogsplatError) || error.code !== "file-truncated") throw error;
       this.damage = error;
-      return StreamedScene.open(new CutSource(source), options);
+      this.meter.reset();
+      return StreamedScene.open(new CutSource(source, error), options);
     });
     signal.throwIfAborted();
     this.scene = scene;
@@ -340,13 +341,18 @@ function knownQuality(quality: number | undefined): number | undefined {
   return quality === undefined || quality === 0 ? undefined : quality;
 }
 
-/** A source whose answers state no file length, so that a truncated file is read up to its end. */
+/** The bytes present of a truncated file, as a file whose length is unknown; reads behind them fail with its error. */
 class CutSource implements ByteSource {
-  constructor(private readonly source: ByteSource) {}
+  /** @param error - Error of the truncated file, at the offset of its end. */
+  constructor(
+    private readonly source: ByteSource,
+    private readonly error: CogsplatError,
+  ) {}
 
-  /** Read a range of the wrapped source; the answer states no file length. */
-  async read(range: ByteRange, options?: ReadOptions): Promise<Answer> {
-    return { ...(await this.source.read(range, options)), total: undefined };
+  async read({ offset, length }: ByteRange, options?: ReadOptions): Promise<Answer> {
+    const present = (this.error.offset ?? Infinity) - offset;
+    if (present <= 0) throw this.error;
+    return { ...(await this.source.read({ offset, length: Math.min(length, present) }, options)), total: undefined };
   }
 
   relative(name: string): ByteSource {

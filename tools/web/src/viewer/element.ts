@@ -1,7 +1,8 @@
 import { Divide } from "./divide.js";
 import { FilmStrip } from "./film_strip.js";
 import { MARKUP } from "./markup.js";
-import { formatBytes, parseColour } from "./numbers.js";
+import { formatBytes, formatShare, parseColour } from "./numbers.js";
+import { RADIANS_PER_PIXEL } from "./orbit.js";
 import { Panel } from "./panel.js";
 import { absoluteAddress, sceneName } from "./scene_name.js";
 import { type SceneSource, SceneView } from "./scene_view.js";
@@ -14,6 +15,12 @@ import { type ViewerWorkers, workersBeside } from "./viewer_workers.js";
 const BUDGET_OF_PHONES = 1_500_000;
 /** Time for which the statistics stay visible after the scene is complete, ms. */
 const QUIET_AFTER = 2500;
+/** Time for which a hint is shown, ms. */
+const HINT_MILLISECONDS = 1800;
+/** Rotation by itself, degrees per second. */
+const ROTATION = 12;
+/** Share of the window's width and height that an element covers which has the page's gestures. */
+const FILLS_WINDOW = 0.95;
 
 const NOTHING: ViewerStatistics = {
   state: "empty",
@@ -45,8 +52,13 @@ const NOTHING: ViewerStatistics = {
  * | `resolution` | `full` draws moving and arriving pictures at full resolution on slow graphics too |
  * | `fill-holes` | `off` leaves holes between splats while the scene arrives |
  * | `controls` | `none` hides the buttons |
+ * | `gestures` | `all`: the wheel and one finger move the camera; `page`: they scroll the page; by default `all` where the element fills the window |
+ * | `lazy` | nothing is fetched until the element is on the screen; `click`: until its button is pressed |
+ * | `poster` | URL of a picture shown until the first picture of the scene |
+ * | `auto-rotate` | turns until a touch, in degrees per second; 12 by default, none where the system asks for reduced motion |
  *
- * It dispatches `cogsplat-change` when `statistics` change. Removing it from the page ends its workers and frees its
+ * It dispatches `cogsplat-change` when `statistics` change, and `cogsplat-view` when the camera has come to rest in
+ * another pose. Removing it from the page ends its workers and frees its
  * memory.
  */
 export class CogsplatViewer extends HTMLElement implements ViewerHandle {
@@ -64,6 +76,9 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     "resolution",
     "fill-holes",
     "controls",
+    "gestures",
+    "poster",
+    "auto-rotate",
   ];
   /** Workers of all viewers; by default the programs next to this one. */
   static workers: ViewerWorkers | undefined = workersBeside(import.meta.url);
@@ -80,6 +95,9 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
   private pose: ViewerPose | undefined;
   private fills = true;
   private quiet: ReturnType<typeof setTimeout> | undefined;
+  private hint: ReturnType<typeof setTimeout> | undefined;
+  /** Rotation to begin with the first picture, degrees per second. */
+  private rotation: number | undefined;
 
   get statistics(): ViewerStatistics {
     const statistics = this.scene?.statistics ?? { ...NOTHING, ...(this.error && { state: "failed" as const }) };
@@ -87,7 +105,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
   }
 
   get view(): ViewerPose | undefined {
-    return this.pose;
+    return this.scene?.view ?? this.pose;
   }
 
   set view(view: ViewerPose | undefined) {
@@ -130,7 +148,49 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     shadow.adoptedStyleSheets = [sheet];
     shadow.innerHTML = MARKUP;
     this.abort = new AbortController();
-    const { signal } = this.abort;
+    this.apply("poster", this.getAttribute("poster"));
+    this.nameScenes();
+    if (this.hasAttribute("lazy") && this.source === undefined) this.wait();
+    else this.start();
+  }
+
+  disconnectedCallback(): void {
+    this.abort?.abort();
+    clearTimeout(this.quiet);
+    clearTimeout(this.hint);
+    this.scene?.dispose();
+    this.scene = undefined;
+    this.shadow.replaceChildren();
+  }
+
+  /** Start when the element comes onto the screen or, with `lazy="click"`, when its button is pressed. */
+  private wait(): void {
+    const { signal } = this.abort!;
+    const begin = (): void => {
+      root.classList.remove("waiting");
+      button.hidden = true;
+      this.start();
+    };
+    const root = this.root!;
+    const button = this.find("#start");
+    root.classList.add("waiting");
+    if (this.getAttribute("lazy") === "click") {
+      button.hidden = false;
+      const options = { signal, once: true };
+      button.addEventListener("click", () => [begin(), this.find("canvas").focus()], options);
+    } else this.watch(signal, (isVisible, observer) => isVisible && [observer.disconnect(), begin()]);
+  }
+
+  /** Call a function when the element enters or leaves the screen. */
+  private watch(signal: AbortSignal, seen: (isVisible: boolean, observer: IntersectionObserver) => void): void {
+    const observer = new IntersectionObserver((entries) => seen(entries.at(-1)!.isIntersecting, observer));
+    observer.observe(this);
+    signal.addEventListener("abort", () => observer.disconnect());
+  }
+
+  /** Make the scene view, and load the scene that the attributes name. */
+  private start(): void {
+    const { signal } = this.abort!;
     const canvas = this.find<HTMLCanvasElement>("canvas");
     try {
       this.scene = new SceneView(
@@ -139,6 +199,12 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
           changed: () => this.updateProgress(),
           failed: (error, which) => this.onFailed(error, which),
           restored: () => this.showMessage(undefined),
+          rested: () => this.dispatchEvent(new Event("cogsplat-view")),
+          drawn: () => undefined,
+          motionEnded: () => this.panel?.showRotation(false),
+          leavesScrolling: () => this.leavesScrolling,
+          left: (input) => this.showHint(input === "finger" ? "Two fingers turn the scene" : wheelHint()),
+          tapped: () => undefined,
         },
         CogsplatViewer.workers,
       );
@@ -155,6 +221,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
       {
         reload: () => void (this.source !== undefined && this.load(this.source)),
         chooseOther: () => this.find<HTMLInputElement>("#file").click(),
+        rotate: (turns) => (turns ? this.rotate(ROTATION) : scene.endMotion(true)),
       },
       signal,
     );
@@ -169,16 +236,10 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     this.updateProgress();
   }
 
-  disconnectedCallback(): void {
-    this.abort?.abort();
-    clearTimeout(this.quiet);
-    this.scene?.dispose();
-    this.scene = undefined;
-    this.shadow.replaceChildren();
-  }
-
   attributeChangedCallback(name: string, before: string | null, value: string | null): void {
-    if (this.scene !== undefined && before !== value) this.apply(name, value);
+    if ((this.scene !== undefined || name === "poster") && before !== value && this.root !== null) {
+      this.apply(name, value);
+    }
   }
 
   private get root(): HTMLElement | null {
@@ -191,7 +252,17 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
 
   private apply(name: string, value: string | null): void {
     const scene = this.scene!;
-    if (name === "src" && value !== null) {
+    if (name === "poster") {
+      const image = this.find<HTMLImageElement>("#poster");
+      image.hidden = value === null;
+      if (value !== null) image.src = absoluteAddress(value, document.baseURI);
+    } else if (name === "gestures") this.chooseGestures();
+    else if (name === "auto-rotate") {
+      const degrees = value === null || value.trim() === "" ? ROTATION : Number(value);
+      const isCalm = matchMedia("(prefers-reduced-motion: reduce)").matches;
+      this.rotation = value === null || isCalm || !Number.isFinite(degrees) ? undefined : degrees;
+      if (scene.isShown) this.rotate(this.rotation);
+    } else if (name === "src" && value !== null) {
       const against = this.getAttribute("against");
       void this.load(absoluteAddress(value, document.baseURI));
       if (against !== null) this.apply("against", against);
@@ -233,6 +304,13 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     click("settings", () => this.togglePanel());
     click("full", () => void this.toggleFullScreen());
     click("again", () => void (this.source !== undefined && this.load(this.source)));
+    this.watch(signal, (isVisible) => {
+      this.scene!.isVisible = isVisible;
+    });
+    const resized = new ResizeObserver(() => this.chooseGestures());
+    resized.observe(this);
+    signal.addEventListener("abort", () => resized.disconnect());
+    window.addEventListener("resize", () => this.chooseGestures(), { signal });
     const file = this.find<HTMLInputElement>("#file");
     file.addEventListener(
       "change",
@@ -285,6 +363,43 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     );
   }
 
+  /** Whether the wheel and one finger scroll the page: the element does not fill the window, or the page is a frame. */
+  private get leavesScrolling(): boolean {
+    return this.root?.classList.contains("embedded") ?? false;
+  }
+
+  private chooseGestures(): void {
+    const asked = this.getAttribute("gestures");
+    const { width, height } = this.getBoundingClientRect();
+    const fills = width >= FILLS_WINDOW * innerWidth && height >= FILLS_WINDOW * innerHeight;
+    const isWhole = this.matches(":fullscreen") || (fills && window === window.top);
+    this.root?.classList.toggle("embedded", asked === "page" || (asked !== "all" && !isWhole));
+  }
+
+  /** Turn about the target by itself, degrees per second, until a person moves. */
+  private rotate(degrees: number | undefined): void {
+    const { scene } = this;
+    if (scene === undefined) return;
+    if (degrees === undefined) {
+      scene.endMotion(true);
+      return;
+    }
+    scene.move((camera, seconds) => {
+      camera.turn((degrees * seconds * Math.PI) / 180 / RADIANS_PER_PIXEL, 0);
+      return true;
+    });
+    this.panel!.showRotation(true);
+  }
+
+  /** Show a short text over the picture. */
+  private showHint(text: string, milliseconds = HINT_MILLISECONDS): void {
+    const toast = this.find("#toast");
+    toast.textContent = text;
+    toast.classList.add("shown");
+    clearTimeout(this.hint);
+    this.hint = setTimeout(() => toast.classList.remove("shown"), milliseconds);
+  }
+
   private togglePanel(): void {
     const panel = this.find("#panel");
     if (this.strip!.isOpen) this.toggleStrip();
@@ -323,7 +438,10 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     const { state, splats, totalSplats, bytes, totalBytes, predictedDb } = statistics;
     root.classList.toggle("empty", state === "empty");
     root.classList.toggle("failed", state === "failed" && !scene.isShown);
-    if (scene.isShown) root.classList.add("shown");
+    if (scene.isShown && !root.classList.contains("shown")) {
+      root.classList.add("shown");
+      if (this.rotation !== undefined) this.rotate(this.rotation);
+    }
     this.find("#hint").textContent =
       state === "empty"
         ? "Drop a .cogs file or a PLY of splats here."
@@ -336,7 +454,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     this.find("#line").setAttribute("aria-valuenow", String(Math.round(100 * (done ? 1 : share))));
     const texts = [
       totalBytes !== undefined && !done
-        ? `${formatBytes(Math.min(bytes, totalBytes))} of ${formatBytes(totalBytes)}`
+        ? formatShare(Math.min(bytes, totalBytes), totalBytes)
         : formatBytes(totalBytes ?? bytes),
       `${splats.toLocaleString()} splats`,
       ...(predictedDb === undefined ? [] : [`${predictedDb.toFixed(1)} dB predicted`]),
@@ -392,7 +510,8 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
       );
       return;
     }
-    const sentence = describeError(error, this.scene?.isShown ?? false);
+    const given = which === "other" ? this.otherSource : this.source;
+    const sentence = describeError(error, this.scene?.isShown ?? false, typeof given === "string" ? given : undefined);
     if (which === "other") {
       this.otherSource = undefined;
       this.nameScenes();
@@ -413,6 +532,11 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     message.querySelector("p")!.textContent = sentence.detail;
     this.find("#again").hidden = !again;
   }
+}
+
+/** Return how the wheel zooms in a page that scrolls. */
+function wheelHint(): string {
+  return `Click the scene, or hold ${/mac/i.test(navigator.userAgent) ? "⌘" : "Ctrl"}, to zoom with the wheel`;
 }
 
 /** Return the file name of a source. */

@@ -10,6 +10,13 @@ export function formatBytes(bytes: number): string {
   return `${unit === 0 ? value : Number(value.toPrecision(3))} ${units[unit]!}`;
 }
 
+/** Format a part of some bytes, such as `120 of 305 kB`. */
+export function formatShare(part: number, whole: number): string {
+  const [texts, ofWhole] = [formatBytes(part), formatBytes(whole)];
+  const unit = ofWhole.slice(ofWhole.indexOf(" "));
+  return `${texts.endsWith(unit) ? texts.slice(0, -unit.length) : texts} of ${ofWhole}`;
+}
+
 /** Parse a CSS colour to R, G, B and opacity from 0 to 1; undefined for an invalid one. */
 export function parseColour(text: string): [number, number, number, number] | undefined {
   if (!CSS.supports("color", text)) return undefined;

@@ -10,7 +10,8 @@ export type Axes = [Vector, Vector, Vector];
 const FIELD_OF_VIEW = 1;
 /** Width that is always visible, as a share of the height; on upright screens the field of view grows for it. */
 const UPRIGHT_WIDTH = 0.7;
-const RADIANS_PER_PIXEL = 0.005;
+/** Turn of the camera for a movement of the pointer, radians per pixel. */
+export const RADIANS_PER_PIXEL = 0.005;
 
 /** Size of the picture to which focal lengths refer, pixels; its width if known. */
 type Picture = { readonly height: number; readonly width?: number };

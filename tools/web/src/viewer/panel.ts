@@ -8,6 +8,8 @@ import type { ViewerStatistics } from "./viewer_handle.js";
 export interface PanelHost {
   reload(): void;
   chooseOther(): void;
+  /** Turn by itself, or stop. */
+  rotate(turns: boolean): void;
 }
 
 /** The settings: a form whose fields take effect at once. */
@@ -18,7 +20,7 @@ export class Panel {
   constructor(
     private readonly form: HTMLFormElement,
     private readonly view: SceneView,
-    host: PanelHost,
+    private readonly host: PanelHost,
     signal: AbortSignal,
   ) {
     this.fields = form.elements;
@@ -36,6 +38,11 @@ export class Panel {
     select.value = known ? colour : "custom";
     this.field("custom").value = colour;
     this.customRow.hidden = known;
+  }
+
+  /** Show whether the camera turns by itself. */
+  showRotation(turns: boolean): void {
+    this.field("turns").checked = turns;
   }
 
   /** Offer the SH degrees of a scene. */
@@ -107,6 +114,7 @@ export class Panel {
       );
     else if (name === "movement") view.controls.movement = field.value as Movement;
     else if (name === "rate") view.meter.bitsPerSecond = Number(field.value) * 1e6;
+    else if (name === "turns") this.host.rotate(field.checked);
     else if (name === "fill") view.fillHoles = field.checked;
     else if (name === "statistics") {
       this.table.hidden = !field.checked;

@@ -3,14 +3,14 @@ import type { ByteSource } from "../loader/byte_source.js";
 import { DEFAULT_RANGES } from "../scene/packed_splats.js";
 import { millisecondsLeft } from "./arrival_forecast.js";
 import { CogsFeed, type FetchOrder } from "./cogs_feed.js";
-import { Controls } from "./controls.js";
+import { Controls, type ControlsHost } from "./controls.js";
 import { DepthSorter } from "./depth_sorter.js";
 import { bulkOf, depthAhead } from "./framing.js";
 import { Meter } from "./meter.js";
 import { OrbitCamera, type Vector } from "./orbit.js";
 import { PicturePace } from "./picture_pace.js";
 import { PlyFeed, plyOf } from "./ply_feed.js";
-import { type PictureOptions, SplatRenderer } from "./renderer.js";
+import { type PictureOptions, SplatRenderer, type View } from "./renderer.js";
 import type { FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
 import { SplatLayer } from "./splat_layer.js";
 import type { ViewerPose, ViewerStatistics } from "./viewer_handle.js";
@@ -26,8 +26,20 @@ const QUIET_MILLISECONDS = 300;
 /** Interval at which the GPU is polled for the end of a picture, ms. */
 const LOOK_MILLISECONDS = 4;
 
+/** Time without a change of the pose after which the view rests, ms. */
+const REST_MILLISECONDS = 200;
+
+/** Moves the camera with each picture until it returns false or a person moves; the time since the last one is in s. */
+export type Motion = (camera: OrbitCamera, seconds: number) => boolean;
+
 /** Callbacks of a scene view. */
-export interface SceneViewHost {
+export interface SceneViewHost extends Pick<ControlsHost, "leavesScrolling" | "left" | "tapped"> {
+  /** Called when the camera has come to rest in another pose. */
+  rested(): void;
+  /** Called after each picture, with its view and its size in pixels. */
+  drawn(view: View, width: number, height: number): void;
+  /** Called when a motion has ended; by a person or by itself. */
+  motionEnded(byPerson: boolean): void;
   /** Called when the statistics or the canvas have changed. */
   changed(): void;
   /** Called on an error of a scene, of the second scene or of WebGL. */
@@ -102,6 +114,11 @@ export class SceneView {
   private wasSettled = false;
   /** Last pose passed to the feeds. */
   private looked = "";
+  /** Last pose of the camera, and the timer that reports its rest. */
+  private seen = "";
+  private resting: ReturnType<typeof setTimeout> | undefined;
+  private motion: Motion | undefined;
+  private visible = true;
   private readonly waiting: (() => void)[] = [];
   private picture: PictureOptions = { background: [0, 0, 0, 1], degree: 3, fill: 0, divide: 0.5 };
   private fills = true;
@@ -120,10 +137,16 @@ export class SceneView {
     const { signal } = this.abort;
     this.controls = new Controls(
       canvas,
-      () => this.camera,
-      () => {
-        this.touched = true;
-        this.redraw();
+      {
+        camera: () => this.camera,
+        touched: () => this.endMotion(true),
+        moved: () => {
+          this.touched = true;
+          this.redraw();
+        },
+        leavesScrolling: () => host.leavesScrolling(),
+        left: (input) => host.left(input),
+        tapped: (x, y, isDouble) => host.tapped(x, y, isDouble),
       },
       signal,
     );
@@ -191,15 +214,45 @@ export class SceneView {
     this.redraw();
   }
 
-  /** Pose set by a program, until a person moves; it applies to later scenes too. */
+  /** Pose of the camera; before a scene is open the one that was set, which applies to later scenes too. */
   get view(): ViewerPose | undefined {
-    return this.pose;
+    const { camera } = this;
+    if (camera === undefined) return this.pose;
+    const [width, height] = this.size(1);
+    const { rotation, translation, focal } = camera.view(height, width);
+    return { width, height, fx: focal[0], fy: focal[1], rotation, translation };
   }
 
   set view(view: ViewerPose | undefined) {
+    this.endMotion(true);
     this.pose = view;
     if (view !== undefined) this.camera?.setPose(view);
     this.redraw();
+  }
+
+  /** Whether the canvas can be seen; motions wait until it is. */
+  set isVisible(visible: boolean) {
+    this.visible = visible;
+    if (this.motion !== undefined) this.redraw();
+  }
+
+  /** Whether a motion moves the camera. */
+  get isMoving(): boolean {
+    return this.motion !== undefined;
+  }
+
+  /** Move the camera by a motion, in place of any other. */
+  move(motion: Motion): void {
+    this.endMotion(false);
+    this.motion = motion;
+    this.redraw();
+  }
+
+  /** End the motion, if any. */
+  endMotion(byPerson: boolean): void {
+    if (this.motion === undefined) return;
+    this.motion = undefined;
+    this.host.motionEnded(byPerson);
   }
 
   /** Change options of pictures. */
@@ -218,6 +271,7 @@ export class SceneView {
 
   /** Replace the scene. */
   async load(source: SceneSource): Promise<void> {
+    this.endMotion(true);
     this.close("main");
     this.close("other");
     this.camera = undefined;
@@ -238,6 +292,7 @@ export class SceneView {
 
   /** Return to the first view. */
   reset(): void {
+    this.endMotion(true);
     this.camera = this.homeCamera?.();
     if (this.camera !== undefined) {
       this.home?.(this.camera);
@@ -276,6 +331,7 @@ export class SceneView {
   /** End loading, workers and drawing, and give the memory back. */
   dispose(): void {
     this.abort.abort();
+    clearTimeout(this.resting);
     this.observer.disconnect();
     this.close("main");
     this.close("other");
@@ -431,7 +487,7 @@ export class SceneView {
     // A pause between two movements is no slow picture.
     const passed = Math.min(time - this.lastFrame, 100);
     this.lastFrame = time;
-    const moves = controls.step(passed / 1000);
+    const moves = [controls.step(passed / 1000), this.stepMotion(passed / 1000)].some(Boolean);
     if (moves) this.lastChange = time;
     const isUrgent = moves || this.dirty;
     if (isUrgent || !this.isSharp) {
@@ -457,12 +513,35 @@ export class SceneView {
     if (this.statistics.upToDate) for (const resolve of this.waiting.splice(0)) resolve();
   };
 
+  /** Move the camera by the motion; return whether one goes on. */
+  private stepMotion(seconds: number): boolean {
+    const { motion, camera } = this;
+    if (motion === undefined || camera === undefined || !this.visible) return false;
+    this.touched = true;
+    if (!motion(camera, seconds) && this.motion === motion) this.endMotion(false);
+    return true;
+  }
+
+  /** Report the camera's rest some time after its last change. */
+  private awaitRest(): void {
+    clearTimeout(this.resting);
+    this.resting = setTimeout(() => {
+      if (this.motion !== undefined || this.controls.active) this.awaitRest();
+      else this.host.rested();
+    }, REST_MILLISECONDS);
+  }
+
   /** Pass a changed pose to the feeds. */
   private passPose(): void {
     const { camera } = this;
     if (camera === undefined) return;
     const [width, height] = this.size(1);
-    const { rotation, focal } = camera.view(height, width);
+    const { rotation, translation, focal } = camera.view(height, width);
+    const seen = [rotation, translation, focal[1] / height].join();
+    if (seen !== this.seen) {
+      this.seen = seen;
+      this.awaitRest();
+    }
     const pose = { rotation, tanX: width / (2 * focal[0]), tanY: height / (2 * focal[1]) };
     const key = JSON.stringify([camera.position, pose, this.other?.layer?.scene.origin]);
     if (key === this.looked) return;
@@ -531,10 +610,12 @@ export class SceneView {
     const start = performance.now();
     const arriving = statistics.state === "streaming" && this.fills && !this.wasSettled;
     const fill = arriving ? 1 - Math.min(statistics.splats / statistics.totalSplats, 1) : 0;
-    const whole = renderer.draw({ ...camera.view(height, width), origin: this.origin }, layers, {
+    const view = camera.view(height, width);
+    const whole = renderer.draw({ ...view, origin: this.origin }, layers, {
       ...this.picture,
       fill,
     });
+    this.host.drawn(view, width, height);
     if (this.drawnRows > 0)
       pace.submitted(start, { scale, splats: layers.reduce((sum, layer) => sum + layer.drawnRows, 0) });
     this.updateStatistics({

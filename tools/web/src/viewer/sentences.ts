@@ -1,4 +1,5 @@
 import { CogsplatError, SourceError } from "../errors.js";
+import { formatShare } from "./numbers.js";
 import { NoWebGlError } from "./renderer.js";
 
 /** A message to a person: a short title, and the cause or remedy. */
@@ -11,8 +12,15 @@ export interface Sentence {
  * Describe an error to a person.
  *
  * @param shown - Whether a part of the scene is visible.
+ * @param address - URL of the scene, which the detail names.
  */
-export function describeError(error: unknown, shown: boolean): Sentence {
+export function describeError(error: unknown, shown: boolean, address?: string): Sentence {
+  const sentence = sentenceOf(error, shown);
+  if (address === undefined || error instanceof NoWebGlError || sentence.detail.includes(address)) return sentence;
+  return { ...sentence, detail: `${sentence.detail} Address: ${address}` };
+}
+
+function sentenceOf(error: unknown, shown: boolean): Sentence {
   if (error instanceof NoWebGlError) {
     return {
       title: "This browser cannot draw the scene",
@@ -69,12 +77,12 @@ function ofFile(error: CogsplatError, shown: boolean): Sentence {
     };
   }
   if (refusal === "truncated") {
-    return shown
-      ? {
-          title: "The file ends early",
-          detail: "The part present is shown; the rest is missing from the file.",
-        }
-      : { title: "The file ends early", detail: `The part present is too short to show. ${message}` };
+    const [, present, whole] = /^(\d+) of (\d+) bytes/.exec(error.detail) ?? [];
+    const there = present === undefined ? message : `${formatShare(Number(present), Number(whole))} are there`;
+    return {
+      title: "The file ends early",
+      detail: shown ? `${there} and shown; the rest is missing.` : `${there}, too little to show.`,
+    };
   }
   if (refusal === "unsupported") {
     return {
