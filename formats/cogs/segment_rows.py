@@ -57,24 +57,14 @@ def tail_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I6
             f"{source.name}: a tail in a scene of SH degree 0, expected none",
             clause="5.4",
         )
-    rows = _rows_by_chunk(table, heads, SegmentKind.TAIL)
-    if rows is None:
-        raise FormatError(
-            "chunk-tails", _misplaced(source, table, heads, SegmentKind.TAIL), clause="5.4"
-        )
-    return rows
+    return _rows_by_chunk(source, table, heads, SegmentKind.TAIL, code="chunk-tails", clause="5.4")
 
 
 def refinement_rows(source: Source, table: SegmentTable, heads: I64) -> I64:
     """Return the segment row of each chunk's refinement (SPEC 5.4); -1 for none."""
-    rows = _rows_by_chunk(table, heads, SegmentKind.REFINEMENT)
-    if rows is None:
-        raise FormatError(
-            "chunk-refinements",
-            _misplaced(source, table, heads, SegmentKind.REFINEMENT),
-            clause="5.4",
-        )
-    return rows
+    return _rows_by_chunk(
+        source, table, heads, SegmentKind.REFINEMENT, code="chunk-refinements", clause="5.4"
+    )
 
 
 def opacity_rows(
@@ -108,36 +98,29 @@ def attribute_rows(source: Source, root: Root, table: SegmentTable, heads: I64) 
             f"{source.name}: a segment of attributes, expected none: the root lists no attributes",
             clause="5.7",
         )
-    rows = _rows_by_chunk(table, heads, SegmentKind.ATTRIBUTES)
-    if rows is None:
-        raise FormatError(
-            "attribute-segments",
-            _misplaced(source, table, heads, SegmentKind.ATTRIBUTES),
-            clause="5.7",
-        )
-    return rows
+    return _rows_by_chunk(
+        source, table, heads, SegmentKind.ATTRIBUTES, code="attribute-segments", clause="5.7"
+    )
 
 
-def _rows_by_chunk(table: SegmentTable, heads: I64, kind: SegmentKind) -> I64 | None:
-    """Return the row of each chunk's segment of a kind, -1 for none; None if one is misplaced."""
+def _rows_by_chunk(
+    source: Source, table: SegmentTable, heads: I64, kind: SegmentKind, *, code: str, clause: str
+) -> I64:
+    """Return the row of each chunk's segment of a kind, -1 for none; raise `code` for misplaced."""
     rows = np.flatnonzero(table.kind == kind)
     owners = table.owner[rows]
     # The head comes first, so a chunk whose page was not read has no segment before that page.
     once = len(np.unique(owners)) == len(owners) and bool((owners < len(heads)).all())
     if not once or bool((heads[owners] > rows).any()):
-        return None
+        raise FormatError(
+            code,
+            f"{source.name}: {kind.name.lower()} segments of chunks {owners.tolist()[:8]}, "
+            f"expected at most one for each of {len(heads)} chunks, behind its head",
+            clause=clause,
+        )
     found = np.full(len(heads), -1, np.int64)
     found[owners] = rows
     return found
-
-
-def _misplaced(source: Source, table: SegmentTable, heads: I64, kind: SegmentKind) -> str:
-    """Return the message for misplaced segments of a kind."""
-    owners = table.owner[table.kind == kind].tolist()
-    return (
-        f"{source.name}: {kind.name.lower()} segments of chunks {owners[:8]}, expected at most one "
-        f"for each of {len(heads)} chunks, behind its head"
-    )
 
 
 def camera_row(source: Source, table: SegmentTable) -> int:
