@@ -325,26 +325,26 @@ def _create_temporary(target: Path) -> tuple[Path, BinaryIO]:
 
 def lock(file: BinaryIO) -> bool:
     """Lock a file while it is open; return False if another process holds the lock."""
+    # Without locks no temporary counts as stale, so that nobody else removes the file.
+    return _try_lock(file) is not False
+
+
+def is_abandoned(file: BinaryIO) -> bool:
+    """Whether no process holds the lock of a file; False where files cannot be locked."""
+    return _try_lock(file) is True
+
+
+def _try_lock(file: BinaryIO) -> bool | None:
+    """Lock a file; return False if another process holds the lock, None if there are no locks."""
     if sys.platform == "win32":
-        return True
+        return None
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     except OSError:
-        # A file system without locks, where no temporary counts as stale.
-        return True
-    return True
-
-
-def is_abandoned(file: BinaryIO) -> bool:
-    """Whether no process holds the lock of a file; False where files cannot be locked."""
-    if sys.platform == "win32":
-        return False
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
+        # A file system without locks.
+        return None
     return True
 
 
