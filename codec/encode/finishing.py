@@ -15,7 +15,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.scoring.contribution import MAX_VIEW_PARALLEL_SPLATS
 from cogsplat.codec.scoring.reference_views import ReferenceViews
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.views.close_views import close_views, view_distances
+from cogsplat.codec.views.close_views import ViewDistance, close_views, view_distances
 
 from .compensation_fit import compensate_prefixes, placeholder_compensation
 from .config import Target
@@ -83,6 +83,19 @@ class Finisher:
     def evaluator(self) -> PrefixEvaluator:
         """Evaluator with renders of the source in the test views, for search and prediction."""
         return self._evaluator(self.test_views)
+
+    @cached_property
+    def _test_distances(self) -> list[ViewDistance]:
+        """Test views with their distances and close views."""
+        return view_distances(self.source, self.test_views, threads=self.prepared.config.threads)
+
+    @cached_property
+    def _close_evaluator(self) -> PrefixEvaluator:
+        """Evaluator with renders of the source in the close views, of which there is at least one.
+
+        A size search finishes several encodes, which are measured against the same renders.
+        """
+        return self._evaluator([view.camera for view in close_views(self._test_distances)])
 
     def _evaluator(self, views: Sequence[Camera]) -> PrefixEvaluator:
         """Return an evaluator with renders of the source in some views."""
@@ -201,15 +214,14 @@ class Finisher:
 
     def _measure_close(self, encoded: EncodedScene) -> EncodedScene:
         """Return a finished scene with its PSNR in close views added to the report."""
-        found = view_distances(self.source, self.test_views, threads=self.prepared.config.threads)
-        close = close_views(found)
+        close = close_views(self._test_distances)
         values: tuple[float, ...] = ()
         if close:
-            evaluator = self._evaluator([view.camera for view in close])
-            values = tuple(evaluator.views_db(encoded.prefix_splats(len(encoded.chunks))))
+            whole = encoded.prefix_splats(len(encoded.chunks))
+            values = tuple(self._close_evaluator.views_db(whole))
         report = replace(
             encoded.report,
-            test_distances=tuple(view.distance for view in found),
+            test_distances=tuple(view.distance for view in self._test_distances),
             close_psnr_db=values,
             close_distances=tuple(view.distance for view in close),
         )

@@ -192,16 +192,15 @@ def _encode_at_target(
 def _report(scored: ScoredViews, hit: SearchResult, timed: TimedProgress) -> EncodeReport:
     """Return the report of the whole encode."""
     return replace(
-        scored.report,
+        hit.encoded.report,
+        views=scored.report.views,
+        coverage=scored.report.coverage,
+        test_views=scored.report.test_views,
         seconds=timed.seconds,
         cpu_seconds=timed.cpu_seconds,
         scored_views=timed.totals.get("score", 0),
         quality_db=hit.quality_db,
         trials=hit.trials,
-        test_psnr_db=hit.encoded.report.test_psnr_db,
-        test_distances=hit.encoded.report.test_distances,
-        close_psnr_db=hit.encoded.report.close_psnr_db,
-        close_distances=hit.encoded.report.close_distances,
     )
 
 
