@@ -38,12 +38,12 @@ def predicted_facts(made: EncodeReport) -> tuple[tuple[str, str], ...]:
 
 def _text(values: Sequence[float], distances: Sequence[float], views: str) -> str:
     """Return mean and worst PSNR as text; empty without values."""
-    if not values:
+    found = _summarise(values, distances)
+    if found is None:
         return ""
-    place = values.index(min(values))
-    where = f" from {distances[place]:.3g} away" if len(distances) == len(values) else ""
-    mean = sum(values) / len(values)
-    return f"{mean:.2f} dB in {views}; the worst {values[place]:.2f} dB{where}"
+    mean, worst, distance = found
+    where = "" if distance is None else f" from {distance:.3g} away"
+    return f"{mean:.2f} dB in {views}; the worst {worst:.2f} dB{where}"
 
 
 def prediction_report(made: EncodeReport) -> dict[str, object]:
@@ -69,11 +69,26 @@ def prediction_report(made: EncodeReport) -> dict[str, object]:
 
 def _figures(values: Sequence[float], distances: Sequence[float]) -> dict[str, float | None]:
     """Return mean and worst PSNR and the distance of the worst view; None where not measured."""
-    if not values:
+    found = _summarise(values, distances)
+    if found is None:
         return {"psnr_db": None, "worst_psnr_db": None, "worst_distance": None}
-    place = values.index(min(values))
+    mean, worst, distance = found
     return {
-        "psnr_db": round(sum(values) / len(values), 3),
-        "worst_psnr_db": round(values[place], 3),
-        "worst_distance": round(distances[place], 4) if len(distances) == len(values) else None,
+        "psnr_db": round(mean, 3),
+        "worst_psnr_db": round(worst, 3),
+        "worst_distance": None if distance is None else round(distance, 4),
     }
+
+
+def _summarise(
+    values: Sequence[float], distances: Sequence[float]
+) -> tuple[float, float, float | None] | None:
+    """Return mean and worst PSNR, and the distance of the worst view; None without values.
+
+    The distance is None where distances were not measured.
+    """
+    if not values:
+        return None
+    worst = values.index(min(values))
+    distance = distances[worst] if len(distances) == len(values) else None
+    return sum(values) / len(values), values[worst], distance
