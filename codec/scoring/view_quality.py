@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from html import escape
 
 import numpy as np
@@ -79,7 +80,7 @@ class Comparison:
     @property
     def worst(self) -> ViewQuality:
         """The test view with the lowest PSNR."""
-        return min(self.test, key=lambda quality: quality.psnr_db)
+        return worst_view(self.test)
 
 
 def mean_psnr_db(qualities: Sequence[ViewQuality]) -> float:
@@ -90,6 +91,11 @@ def mean_psnr_db(qualities: Sequence[ViewQuality]) -> float:
 def mean_ssim(qualities: Sequence[ViewQuality]) -> float:
     """Return the mean SSIM of some views."""
     return sum(quality.ssim for quality in qualities) / len(qualities)
+
+
+def worst_view(qualities: Sequence[ViewQuality]) -> ViewQuality:
+    """Return the view with the lowest PSNR, the first of several."""
+    return min(qualities, key=lambda quality: quality.psnr_db)
 
 
 def view_qualities(
@@ -212,26 +218,18 @@ def compare(
     """
     distances = view_distances(reference, cameras, threads=threads) if close else []
     near = close_views(distances)
-    sets = {
-        "test": list(cameras),
-        "close": [view.camera for view in near],
-        "roam": roam(reference, cameras),
-    }
-    test, closer, roaming = (
-        view_qualities(
-            reference,
-            other,
-            views,
-            background=background,
-            ssim_border=ssim_border,
-            threads=threads,
-            progress=progress,
-            stage=stage,
-        )
-        if views or stage == "test"
-        else ()
-        for stage, views in sets.items()
+    measure = partial(
+        view_qualities,
+        reference,
+        other,
+        background=background,
+        ssim_border=ssim_border,
+        threads=threads,
+        progress=progress,
     )
+    test = measure(cameras, stage="test")
+    closer = measure([view.camera for view in near], stage="close") if near else ()
+    roaming = measure(roam(reference, cameras), stage="roam")
     return Comparison(_at(test, distances), _at(closer, near), roaming)
 
 

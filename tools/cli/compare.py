@@ -151,7 +151,7 @@ def compare(
                 progress=stages,
             )
         if difference is not None:
-            worst = views[min(range(len(views)), key=lambda k: found.test[k].psnr_db)]
+            worst = views[found.test.index(found.worst)]
             with stages.stage("difference"):
                 _draw_difference(
                     first.splats, second.splats, worst, background, difference, force, threads
@@ -218,26 +218,25 @@ def _figures(qualities: Sequence[ViewQuality]) -> dict[str, object]:
     """Return the JSON object of a set of views; without figures for an empty set."""
     if not qualities:
         return {"views": 0}
-    from cogsplat.codec.scoring.view_quality import mean_psnr_db, mean_ssim
+    from cogsplat.codec.scoring.view_quality import mean_psnr_db, mean_ssim, worst_view
 
-    worst = min(qualities, key=lambda quality: quality.psnr_db)
     return {
         "psnr_db": mean_psnr_db(qualities),
         "ssim": mean_ssim(qualities),
         "views": len(qualities),
-        "worst": asdict(worst),
+        "worst": asdict(worst_view(qualities)),
     }
 
 
 def _print_figures(sets: Mapping[str, Sequence[ViewQuality]]) -> None:
     """Print mean PSNR and SSIM of each set of views, and its worst view."""
-    from cogsplat.codec.scoring.view_quality import mean_psnr_db, mean_ssim
+    from cogsplat.codec.scoring.view_quality import mean_psnr_db, mean_ssim, worst_view
 
     cells = []
     for name, qualities in sets.items():
         if not qualities:
             continue
-        worst = min(qualities, key=lambda quality: quality.psnr_db)
+        worst = worst_view(qualities)
         where = "" if worst.distance is None else f", {worst.distance:.3g} away"
         cells.append(
             (
