@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import click
 
 from cogsplat.formats.scenes.input_files import input_files
-from cogsplat.formats.storage.atomic import check_output
+from cogsplat.formats.storage.atomic import check_output, exists
 from cogsplat.formats.storage.regular_files import FileKind, check_auxiliary, file_identities
 from cogsplat.tools.terminal.standard_streams import given_inputs
 
@@ -49,13 +49,17 @@ def check_outputs(
     written = [path for path in outputs if path is not None]
     auxiliary = auxiliary or {}
     check_distinct(*written, *auxiliary)
+    read: list[Path] = []
+    # A new output is no input: listing a folder of photos may take long.
+    if auxiliary or any(map(exists, written)):
+        read = [file for path in (*given_inputs(), *inputs) for file in input_files(path)]
     for path, kind in auxiliary.items():
         # Others may be hard links of each other, as programs make them of files with equal bytes.
         for other in others:
             check_distinct(other, path)
-        check_auxiliary(path, kind, inputs=_input_files(inputs))
+        check_auxiliary(path, kind, inputs=read)
     for path in written:
-        check_output(path, force=force, inputs=_input_files(inputs))
+        check_output(path, force=force, inputs=read)
 
 
 def check_distinct(*paths: Path) -> None:
@@ -72,9 +76,3 @@ def check_distinct(*paths: Path) -> None:
             other = seen.setdefault(identity, path)
             if other is not path:
                 raise click.UsageError(f"{path}: is the output {other} as well, expected two files")
-
-
-def _input_files(further: Sequence[Path]) -> Iterator[Path]:
-    """Yield the files that the running command reads."""
-    for path in (*given_inputs(), *further):
-        yield from input_files(path)
