@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from .codec.cameras import Camera
 from .codec.encode.config import EncodeConfig, Target
 from .codec.encode.request import EncodeRequest
+from .codec.geometry.rotations import normalise_extremes
 from .codec.progress import OverallProgress, Progress, TimedProgress, silent
 from .codec.splats import Splats
 from .codec.workspace import IN_MEMORY, Workspace
@@ -395,9 +396,12 @@ def _require_output(path: _Path, force: bool, *inputs: object) -> None:
 
 
 def _splats(scene: Splats | _Path, workspace: Workspace | None = None) -> Splats:
-    """Return a scene, read from its file where a path is given; `workspace` stores its arrays."""
+    """Return a scene, read from its file where a path is given; `workspace` stores its arrays.
+
+    Extreme quaternions are normalised, as `read_scene` does.
+    """
     if isinstance(scene, Splats):
-        return scene
+        return normalise_extremes(scene)
     if is_cogs(scene):
         with open_scene(scene) as file:
             return file.decode()

@@ -244,6 +244,18 @@ def test_quaternions_of_any_size_are_normalised(tmp_path, factor, profile):
         assert written[0] == written[1]
 
 
+@pytest.mark.parametrize("factor", [2.0**100, 2.0**-100, 2.0**-130])
+def test_quaternions_of_any_size_are_rendered(tmp_path, factor):
+    splats = scene(60, 1)
+    expected = cogsplat.render(splats, ring()[0])
+    extreme = replace(splats, quats=(splats.quats * factor).astype(np.float32))
+    cogsplat.write(extreme, tmp_path / "a.ply")
+    # Denormal numbers are less precise.
+    tolerance = 1e-3 if factor == 2.0**-130 else 1e-5
+    for given in (extreme, tmp_path / "a.ply"):
+        np.testing.assert_allclose(cogsplat.render(given, ring()[0]), expected, atol=tolerance)
+
+
 # Squares and exponentials of such values overflow, where numpy warns; cameras show few splats.
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("profile", PROFILE_NAMES)

@@ -9,7 +9,6 @@ from types import MappingProxyType
 from typing import Final
 
 from cogsplat.codec.errors import CogsplatWarning
-from cogsplat.codec.geometry.rotations import normalise_extremes
 from cogsplat.codec.order import objects
 from cogsplat.codec.order.orders import split_name
 from cogsplat.codec.progress import Progress, TimedProgress, silent
@@ -88,7 +87,6 @@ def encode(
     """
     timed = TimedProgress(progress)
     _require_encodable(splats, request, size_of, preview)
-    splats = normalise_extremes(splats)
     scored = score_scene(splats, request, timed)
     if len(splats):
         _warn_of_coverage(scored.report)

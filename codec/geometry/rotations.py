@@ -27,17 +27,24 @@ def unit(quats: F32) -> F32:
 
 
 def normalise_extremes(splats: Splats) -> Splats:
-    """Return splats whose quaternions can be squared in float32: others are normalised.
+    """Normalise the quaternions whose squared length overflows or vanishes in float32.
+
+    Renderers, training and the encoder square quaternions in float32, so that such a quaternion
+    would be another rotation, or none.
 
     Parameters
     ----------
     splats : Splats
-        Valid splats, returned as they are if no quaternion's largest component is beyond 2^±30.
+        Splats, returned as they are if no quaternion's largest component is beyond 2^±30.
+        Quaternions with NaN or infinity and zero quaternions are kept: `Splats.invalid_rows` finds
+        them.
     """
     extreme: list[int] = []
     for start in range(0, len(splats), _BLOCK):
         largest = np.abs(splats.quats[start : start + _BLOCK]).max(axis=1)
-        rows = np.flatnonzero((largest > 2.0**30) | (largest < 2.0**-30))
+        too_large = (largest > 2.0**30) & (largest < np.inf)
+        too_small = (largest < 2.0**-30) & (largest > 0.0)
+        rows = np.flatnonzero(too_large | too_small)
         extreme += (start + rows).tolist()
     if not extreme:
         return splats

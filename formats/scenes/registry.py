@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from cogsplat.codec.errors import FormatError, UnsupportedError
+from cogsplat.codec.geometry.rotations import normalise_extremes
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.workspace import IN_MEMORY, Zeros
 from cogsplat.formats.cogs.folder_map import MANIFEST_NAME, MANIFEST_SUFFIX
@@ -141,7 +142,7 @@ def is_cogs(path: StrPath) -> bool:
 def read_scene(
     path: StrPath, *, limits: Limits | None = None, zeros: Zeros = IN_MEMORY.zeros
 ) -> Splats:
-    """Read a scene of any foreign format.
+    """Read a scene of any foreign format; normalise extreme quaternions (`normalise_extremes`).
 
     Parameters
     ----------
@@ -165,8 +166,8 @@ def read_scene(
     """
     format_ = format_of(path)
     if format_.reads_into_arrays:
-        return format_.read(path, limits=limits, zeros=zeros)
-    return format_.read(path, limits=limits)
+        return normalise_extremes(format_.read(path, limits=limits, zeros=zeros))
+    return normalise_extremes(format_.read(path, limits=limits))
 
 
 def scene_bytes(path: StrPath) -> int:

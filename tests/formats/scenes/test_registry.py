@@ -136,6 +136,18 @@ def test_splats_pass_through_unchanged(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_scene(tmp_path / "a.ply").means, splats.means)
 
 
+def test_extreme_quaternions_are_normalised_where_they_can_be(tmp_path: Path) -> None:
+    quats = [[3, 0, 4, 0], [0, 0, 2e30, 0], [0, -1e-40, 0, 0], [0, 0, 0, 0], [np.inf, 1, 0, 0],
+             [np.nan, 1e30, 0, 0]]  # fmt: skip
+    splats = replace(empty(0, 6), quats=np.array(quats, np.float32))
+    write_scene(splats, tmp_path / "a.ply")
+    read = read_scene(tmp_path / "a.ply")
+    expected = splats.quats.copy()
+    expected[1:3] = [[0, 0, 1, 0], [0, -1, 0, 0]]
+    np.testing.assert_array_equal(read.quats, expected)
+    assert read.invalid_rows().tolist() == [False, False, False, True, True, True]
+
+
 def test_the_bytes_of_a_scene_are_those_of_all_its_files(tmp_path: Path) -> None:
     splats = synth(1500)
     write_scene(splats, tmp_path / "a.ply")
