@@ -181,8 +181,8 @@ def batch(
     38}}, or TOML with the same keys in [[scene]]. Options are those of encode, true for a flag.
     Paths are relative to the folder of the manifest; URLs such as s3://bucket/a.ply are accepted.
 
-    A line of JSON is printed for each scene. A failed scene does not stop the others; the exit
-    status is then 3. After an interruption, the same command continues.
+    A line of JSON is printed for each scene. A failed scene or a malformed entry does not stop the
+    others; the exit status is then 3. After an interruption, the same command continues.
     """
     options = settable_options(encode)
     scenes = read_manifest(

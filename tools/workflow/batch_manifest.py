@@ -12,7 +12,7 @@ from typing import Final
 
 import click
 
-from cogsplat.codec.errors import DataError, FormatError
+from cogsplat.codec.errors import CogsplatError, DataError, FormatError
 from cogsplat.formats.network.network_options import MIB
 from cogsplat.formats.network.open_url import open_url
 from cogsplat.formats.network.urls import is_url
@@ -43,6 +43,9 @@ class BatchScene:
         Options of ``cogsplat encode``, as words of a command line.
     reads, writes : tuple of str
         Further files that options name, such as cameras and a report.
+    error : CogsplatError or None
+        Error of a malformed entry, which is not encoded. Its `input` and `output` are empty where
+        the entry has none.
     """
 
     input: str
@@ -50,16 +53,17 @@ class BatchScene:
     words: tuple[str, ...]
     reads: tuple[str, ...] = ()
     writes: tuple[str, ...] = ()
+    error: CogsplatError | None = None
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Input files and URLs of the encode."""
-        return self.input, *self.reads
+        """Input files and URLs of the encode; none for a malformed entry."""
+        return () if self.error else (self.input, *self.reads)
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Output files and URLs of the encode."""
-        return self.output, *self.writes
+        """Output files and URLs of the encode; none for a malformed entry."""
+        return () if self.error else (self.output, *self.writes)
 
     def require_names(self) -> None:
         """Refuse names and options that no command line can hold, and ``-``, which is a stream.
@@ -86,8 +90,11 @@ class BatchScene:
         Raises
         ------
         CogsplatError
-            The input cannot be read, or `require_names` refuses a name.
+            The entry is malformed (`error`), the input cannot be read, or `require_names` refuses
+            a name.
         """
+        if self.error is not None:
+            raise self.error
         self.require_names()
         digest = hashlib.sha256(json.dumps([self.output, self.words]).encode())
         if is_url(self.input):
@@ -112,6 +119,9 @@ def _update_by_url(digest: hashlib._Hash, url: str) -> None:
 def read_manifest(path: Path, options: Mapping[str, click.Option]) -> list[BatchScene]:
     """Read a manifest: JSON lines, or TOML with one table ``[[scene]]`` per scene.
 
+    A malformed entry is a scene with a `BatchScene.error`: one that is no object, or has an
+    unknown key or option.
+
     Parameters
     ----------
     path : Path
@@ -122,7 +132,7 @@ def read_manifest(path: Path, options: Mapping[str, click.Option]) -> list[Batch
     Raises
     ------
     FormatError
-        ``bad-manifest``: the file is neither, or has an unknown key or option.
+        ``bad-manifest``: the file is neither.
     DataError
         ``same-output``: two scenes have one output.
     """
@@ -130,7 +140,7 @@ def read_manifest(path: Path, options: Mapping[str, click.Option]) -> list[Batch
         data = file.read(_MAX_BYTES + 1)
     if len(data) > _MAX_BYTES:
         raise FormatError(_CODE, f"{path}: is longer than {_MAX_BYTES} bytes, expected a manifest")
-    scenes = [_scene(table, f"{path}: {where}", options) for where, table in _tables(data, path)]
+    scenes = [_scene(entry, f"{path}: {where}", options) for where, entry in _entries(data, path)]
     folder = path.absolute().parent
     used: set[str] = set()
     for scene in scenes:
@@ -144,8 +154,8 @@ def read_manifest(path: Path, options: Mapping[str, click.Option]) -> list[Batch
     return scenes
 
 
-def _tables(data: bytes, path: Path) -> list[tuple[str, object]]:
-    """Return the place, for messages, and the value of each scene of a manifest."""
+def _entries(data: bytes, path: Path) -> list[tuple[str, object]]:
+    """Return the place, for messages, and the value of each entry: bytes for a line of JSON."""
     try:
         text = data.decode()
         if path.suffix == ".toml":
@@ -159,14 +169,29 @@ def _tables(data: bytes, path: Path) -> list[tuple[str, object]]:
             _CODE, f"{path}: {error}, expected JSON lines, or TOML in a file called .toml"
         ) from None
     return [
-        (f"line {number}", parse_object(line, f"{path}: line {number}", _CODE).values)
+        (f"line {number}", line)
         for number, line in enumerate(data.split(b"\n"), start=1)
         if line.strip()
     ]
 
 
-def _scene(table: object, where: str, options: Mapping[str, click.Option]) -> BatchScene:
-    """Return one scene of a manifest; `where` names its place in messages."""
+def _scene(entry: object, where: str, options: Mapping[str, click.Option]) -> BatchScene:
+    """Return the scene of an entry, with an error if it is malformed; `where` is for messages."""
+    table: object = {}
+    try:
+        table = parse_object(entry, where, _CODE).values if isinstance(entry, bytes) else entry
+        return _well_formed_scene(table, where, options)
+    except CogsplatError as error:
+        given = table if isinstance(table, dict) else {}
+        paths = [given.get("input"), given.get("output")]
+        names = [path if isinstance(path, str) else "" for path in paths]
+        return BatchScene(names[0], names[1], (), error=error)
+
+
+def _well_formed_scene(
+    table: object, where: str, options: Mapping[str, click.Option]
+) -> BatchScene:
+    """Return the scene of an entry, or raise ``bad-manifest``."""
     if not isinstance(table, dict):
         raise FormatError(_CODE, f"{where}: {type(table).__name__}, expected an object")
     unknown = sorted(set(table) - _KEYS)

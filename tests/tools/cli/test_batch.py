@@ -66,23 +66,43 @@ def test_both_forms_of_a_manifest_say_the_same(tmp_path: Path) -> None:
         ('{"input": "a"}', "bad-manifest", "output None, expected paths"),
         ('{"input": "a", "output": "b", "options": {"json": true}}', "bad-manifest", "'json'"),
         ('{"input": "a", "output": "b", "options": {"quality": [1]}}', "bad-manifest", "[1]"),
-        ('{"input": "a", "output": "b"}\n{"input": "c", "output": "b"}', "same-output", "2 scenes"),
-        ('{"input": "a", "output": "b"}\n{"input": "c", "output": "./b"}', "same-output", "./b"),
-        ('{"input": "a", "output": "b"}\n{"input": "c", "output": "x/../b"}', "same-output", ""),
     ],
 )
-def test_manifests_that_are_none_are_refused(
+def test_a_malformed_entry_is_a_scene_with_an_error(
     tmp_path: Path, text: str, code: str, told: str
 ) -> None:
     path = tmp_path / "a.jsonl"
-    path.write_text(text)
-    with pytest.raises(CogsplatError) as error:
+    path.write_text(f"{text}\n{entry('c', 'd')}")
+    malformed, good = read_manifest(path, OPTIONS)
+    assert good == BatchScene("c", "d", ())
+    assert malformed.error is not None
+    assert malformed.error.code == code
+    assert told in malformed.error.message
+    assert malformed.inputs == malformed.outputs == ()
+
+
+def test_a_malformed_entry_of_toml_is_a_scene_with_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text('scene = [1, {input = "a", size = 1}, {input = "c", output = "d"}]')
+    number, key, good = read_manifest(path, OPTIONS)
+    assert good == BatchScene("c", "d", ())
+    assert number.error is not None
+    assert key.error is not None
+    assert (number.error.code, key.error.code) == ("bad-manifest", "bad-manifest")
+    assert "scene 1: int" in number.error.message
+    assert "scene 2: key 'size'" in key.error.message
+
+
+@pytest.mark.parametrize("spelling", ["b", "./b", "x/../b"])
+def test_two_scenes_with_one_output_are_refused(tmp_path: Path, spelling: str) -> None:
+    path = tmp_path / "a.jsonl"
+    path.write_text(f"{entry('a', 'b')}\n{entry('c', spelling)}")
+    with pytest.raises(CogsplatError, match=f"2 scenes with output '{spelling}'") as error:
         read_manifest(path, OPTIONS)
-    assert error.value.code == code
-    assert told in error.value.message
+    assert error.value.code == "same-output"
 
 
-@pytest.mark.parametrize("text", ["scene = 3", "scene = {}", "[[scene", "scene = [1]", "a = " * 9])
+@pytest.mark.parametrize("text", ["scene = 3", "scene = {}", "[[scene", "a = " * 9])
 def test_toml_that_is_no_manifest_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "a.toml"
     path.write_text(text)
@@ -106,6 +126,25 @@ def test_links_to_one_output_are_one_output(tmp_path: Path) -> None:
     with pytest.raises(CogsplatError) as error:
         read_manifest(path, OPTIONS)
     assert error.value.code == "same-output"
+
+
+def test_malformed_entries_fail_alone(run: Run, small: SmallScene, tmp_path: Path) -> None:
+    good = {"input": str(small.ply), "output": "good.cogs", "options": {"quality": 30}}
+    good["options"] |= {"preset": "fast", "cameras": str(small.cameras)}
+    wrong = {"input": str(small.ply), "output": "wrong.cogs", "options": {"qualty": 30}}
+    manifest = tmp_path / "a.jsonl"
+    manifest.write_text("\n".join(['{"input": "a.ply', json.dumps(wrong), json.dumps(good)]))
+    told = run("batch", manifest)
+    assert told.code == 3, told.err
+    cut, unknown, done = (json.loads(line) for line in told.out.splitlines())
+    assert done["status"] == "done"
+    assert (cut["status"], cut["input"], cut["output"]) == ("failed", "", "")
+    assert (unknown["status"], unknown["output"]) == ("failed", "wrong.cogs")
+    for line, place in ((cut, "line 1"), (unknown, "line 2")):
+        assert (line["error"]["code"], line["error"]["exit_code"]) == ("bad-manifest", 3)
+        assert line["error"]["message"].startswith(f"{manifest}: {place}: ")
+    assert {path.name for path in tmp_path.iterdir()} == {"a.jsonl", "a.jsonl.log", "good.cogs"}
+    assert run("batch", manifest, "--json").json["counts"] == {"done": 0, "skipped": 1, "failed": 2}
 
 
 def test_names_that_no_file_can_have_fail_alone(run: Run, tmp_path: Path) -> None:
