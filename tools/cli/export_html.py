@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
 import click
 
 from cogsplat.formats.storage.atomic import (
     atomic_write,
+    exists,
     is_folder,
     open_for_read,
     storage_errors,
 )
+from cogsplat.formats.storage.regular_files import FileKind, replace_auxiliary
 from cogsplat.tools.delivery.viewer_pages import (
     BLOCK_BYTES,
     PAGE_NAME,
@@ -42,6 +46,12 @@ from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath, is_standard_output
 from cogsplat.tools.workflow.output_files import check_outputs
 from cogsplat.tools.workflow.viewable import viewable
+
+# File in the folder of a page while the files are renamed. After a kill, it tells a later export
+# that files of the same names are its own.
+_MARKER_NAME: Final = ".cogsplat-export"
+_MARKER_LINE: Final = b"unfinished export of cogsplat export-html\n"
+_MARKER: Final = FileKind("marker of cogsplat export-html", re.compile(re.escape(_MARKER_LINE)))
 
 
 @click.command(
@@ -87,7 +97,7 @@ def export_html(
     shown = not (quiet or as_json)
     title = display_title(scene)
     with (
-        _room_for(out, sorted([*linked_page(title), SCENE_NAME]), force, needed=folder),
+        _room_for(out, sorted([*linked_page(title), SCENE_NAME]), force, needed=folder) as replace,
         viewable(scene, threads=threads, shown=shown) as given,
         ExitStack() as outputs,
         open_for_read(given.path) as source,
@@ -95,10 +105,13 @@ def export_html(
         if folder:
             # Files are renamed in the reverse of this order, all or none: the page last.
             for name, content in linked_page(title).items():
-                outputs.enter_context(atomic_write(out / name, force=force)).write(content)
-            target = outputs.enter_context(atomic_write(out / SCENE_NAME, force=force))
+                outputs.enter_context(atomic_write(out / name, force=replace)).write(content)
+            target = outputs.enter_context(atomic_write(out / SCENE_NAME, force=replace))
             target.writelines(_blocks(source, given.path))
             written, page = target.tell(), out / PAGE_NAME
+            if not replace:
+                with replace_auxiliary(out / _MARKER_NAME, _MARKER) as marker:
+                    marker.write(_MARKER_LINE)
         else:
             target = outputs.enter_context(atomic_write(out, force=force))
             write_standalone_page(title, _blocks(source, given.path), target)
@@ -120,7 +133,7 @@ def export_html(
 
 
 def _blocks(file: BinaryIO, path: Path) -> Iterator[bytes]:
-    """Yield a file in blocks; errors name it, so that those of writing a block name the output."""
+    """Yield the blocks of a file. Errors of reading a block name this file, not the output."""
     while True:
         with storage_errors(path):
             block = file.read(BLOCK_BYTES)
@@ -130,26 +143,38 @@ def _blocks(file: BinaryIO, path: Path) -> Iterator[bytes]:
 
 
 @contextmanager
-def _room_for(folder: Path, names: list[str], force: bool, *, needed: bool) -> Iterator[None]:
-    """Create a folder and check that `names` can be written there.
+def _room_for(folder: Path, names: list[str], force: bool, *, needed: bool) -> Iterator[bool]:
+    """Prepare the folder of a page; yield whether existing files are replaced.
 
-    A new folder is removed if the block fails. Unless `needed`, nothing is created or checked.
+    The folder is created, and `names` are checked as outputs. Files are replaced with `force`, or
+    where an export was killed between its renames: its marker is in the folder. The marker is
+    removed after the block. A new folder is removed if the block fails. Unless `needed`, nothing is
+    created or checked.
     """
     if not needed:
-        yield
+        yield force
         return
+    marker = folder / _MARKER_NAME
+    outputs = [folder / name for name in names]
     with storage_errors(folder):
         made = not is_folder(folder)
         if made:
             folder.mkdir()
+    was_marked = os.path.lexists(marker)
     try:
-        check_outputs(*(folder / name for name in names), force=force)
-        yield
+        replace = force or was_marked
+        check_outputs(*outputs, force=replace, auxiliary={marker: _MARKER})
+        yield replace
     except BaseException:
-        if made:
-            # Only files of our own: others may have been put there since.
-            with suppress(OSError):
-                for name in names:
-                    (folder / name).unlink(missing_ok=True)
+        with suppress(OSError):
+            if made:
+                # Only files of our own: others may have been put there since.
+                for path in outputs:
+                    path.unlink(missing_ok=True)
+            if not (was_marked or any(map(exists, outputs))):
+                marker.unlink(missing_ok=True)
+            if made:
                 folder.rmdir()
         raise
+    with storage_errors(marker):
+        marker.unlink(missing_ok=True)

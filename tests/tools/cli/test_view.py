@@ -76,6 +76,54 @@ def test_folder_holds_page_and_scene(run: Run, small: SmallScene, tmp_path: Path
     assert "output-is-input" in refused.err
 
 
+KILLED_AT_A_RENAME = """
+import os, signal
+link, left = os.link, [{renames}]
+def kill_after(*names):
+    link(*names)
+    left[0] -= 1
+    if not left[0]:
+        os.kill(os.getpid(), signal.SIGKILL)
+os.link = kill_after
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills by a signal")
+@pytest.mark.parametrize("renames", [1, 5, 6])
+def test_a_folder_whose_export_was_killed_is_written_by_the_same_command(
+    run: Run, small: SmallScene, tmp_path: Path, renames: int
+) -> None:
+    folder = tmp_path / "site"
+    folder.mkdir()
+    (folder / "notes.txt").write_text("mine")
+    words = ["export-html", small.cogs, folder, "--folder"]
+    killed = subprocess.run(
+        program(words, before=KILLED_AT_A_RENAME.format(renames=renames)), check=False
+    )
+    assert killed.returncode == -signal.SIGKILL
+    left = {path.name for path in folder.iterdir()}
+    assert ("scene.cogs" in left, "index.html" in left) == (True, renames == 6)
+    (folder / "notes.txt").write_text("mine, still")
+    told = run(*words)
+    assert told.code == 0, told.err
+    assert {path.name for path in folder.iterdir()} == {
+        *("notes.txt", "index.html", "viewer.css", "viewer.js", "worker.js", "viewer_worker.js"),
+        "scene.cogs",
+    }
+    assert (folder / "scene.cogs").read_bytes() == small.cogs.read_bytes()
+    assert (folder / "notes.txt").read_text() == "mine, still"
+    assert run(*words).code == 2
+
+
+def test_a_marker_of_another_program_is_kept(run: Run, small: SmallScene, tmp_path: Path) -> None:
+    marker = tmp_path / ".cogsplat-export"
+    marker.write_text("mine")
+    told = run("export-html", small.cogs, tmp_path, "--folder")
+    assert told.code == 2
+    assert "[foreign-file]" in told.err
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
+
+
 def test_outputs_that_are_refused_leave_nothing(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
