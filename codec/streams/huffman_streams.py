@@ -77,7 +77,7 @@ class _Code:
 
     @cached_property
     def steps(self) -> list[int]:
-        """Of the whole codes within a lookup: their bits, and 256 times their number."""
+        """Per lookup window, the bits of its whole codes, plus 256 times the code count."""
         lengths = np.array(self.lengths)
         windows = np.arange(len(lengths))
         used = np.zeros_like(windows)

@@ -56,8 +56,8 @@ class NetworkOptions:
     window_bytes : int
         Maximum size of prefetched ranges that are not read yet, bytes of memory.
     unstated_bytes : int
-        Maximum length of a file, bytes, if neither the server nor the file states it. A COGS file
-        states its length.
+        Maximum length of a file of unstated length, bytes: the server sends no length, and the
+        format of the file, unlike COGS, has none.
     allow_private : bool
         Whether to connect to private addresses: loopback, link-local, private networks, metadata
         services of clouds. Set it to False in servers that open the URLs of their users. Every

@@ -68,7 +68,7 @@ class PendingRange:
             self.received = len(self._bytes)
 
     def bytes_at(self, first: int, end: int) -> bytes:
-        """Return the bytes from file offset `first` up to `end`, all of them received."""
+        """Return the received bytes from file offset `first` up to `end`."""
         return bytes(self._bytes[first - self.first : end - self.first])
 
 

@@ -86,7 +86,7 @@ class Transport(Protocol):
 
 
 class SiblingTransport(Transport, Protocol):
-    """Transport with access to other files of its folder."""
+    """Transport of one file that also opens sibling files."""
 
     def sibling(self, name: str) -> Transport:
         """Return a transport for the file `name`, relative to this file, on shared connections."""

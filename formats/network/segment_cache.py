@@ -117,7 +117,7 @@ class SegmentCache:
         return self._folder / f"{key.hex()}.segment"
 
     def _make_folder(self) -> None:
-        """Create the folder with its tag; refuse links and folders of other programs."""
+        """Create and tag the cache folder; refuse links and foreign folders."""
         with storage_errors(self._folder):
             self._folder.parent.mkdir(parents=True, exist_ok=True)
             try:

@@ -234,5 +234,5 @@ def read_regular(path: StrPath, max_bytes: int) -> bytes:
 
 
 def _open_no_link(path: str, flags: int) -> int:
-    """Open a file, but neither through a symbolic link nor waiting for a pipe."""
+    """Open a file; refuse symbolic links, and open pipes without blocking."""
     return os.open(path, flags | _NO_LINKS, 0o666)
