@@ -73,7 +73,8 @@ def test_wheel_is_the_tree_and_nothing_else(tree: Path, wheel: zipfile.Path) -> 
     for package in PACKAGES:
         sources = (tree / package).rglob("*.py")
         expected |= {f"cogsplat/{path.relative_to(tree).as_posix()}" for path in sources}
-    served = ("viewer.html", "viewer.css", "viewer.js", "viewer_worker.js", "worker.js")
+    programs = ("viewer.js", "viewer_extras.js", "viewer_worker.js", "worker.js")
+    served = ("viewer.html", "viewer.css", *programs)
     expected |= {f"cogsplat/tools/web/dist/{name}" for name in served}
     vectors = [path for path in (tree / "tests/vectors").rglob("*") if path.is_file()]
     expected |= {f"cogsplat/{path.relative_to(tree / 'tests').as_posix()}" for path in vectors}

@@ -9,7 +9,14 @@ from pathlib import Path
 from running import ROOT, installed
 
 WEB = ROOT / "tools" / "web"
-SERVED = ("viewer.css", "viewer.html", "viewer.js", "viewer_worker.js", "worker.js")
+SERVED = (
+    "viewer.css",
+    "viewer.html",
+    "viewer.js",
+    "viewer_extras.js",
+    "viewer_worker.js",
+    "worker.js",
+)
 """Built files that the wheel serves; of all built files they alone are committed."""
 
 OLDEST_NODE = 20

@@ -9,7 +9,7 @@ from typing import Any, Final
 from cogsplat.codec.errors import CogsplatError, MissingExtraError
 from cogsplat.formats.cogs.reader import CogsFile
 
-_WORKER_SCRIPTS: Final = ("worker.js", "viewer_worker.js")
+_FURTHER_SCRIPTS: Final = ("worker.js", "viewer_worker.js", "viewer_extras.js")
 # Limit on one read, bytes; the viewer requests at most 4 MiB at a time (SPEC 8.8).
 _MAX_READ_BYTES: Final = 16 << 20
 
@@ -85,7 +85,7 @@ def respond(file: CogsFile, message: object) -> tuple[dict[str, object], list[by
     file : CogsFile
         Open file of the scene.
     message : object
-        Request. ``{"type": "open"}`` requests the scene's name and length, and the worker scripts;
+        Request. ``{"type": "open"}`` requests the scene's name and length, and further scripts;
         ``{"type": "read", "id", "offset", "length"}`` requests bytes. Any other value gets a
         response of type ``"failed"``.
 
@@ -102,7 +102,7 @@ def respond(file: CogsFile, message: object) -> tuple[dict[str, object], list[by
                 "type": "scene",
                 "name": PurePath(file.name).name,
                 "length": file.source_bytes,
-                "programs": [_script(name) for name in _WORKER_SCRIPTS],
+                "programs": [_script(name) for name in _FURTHER_SCRIPTS],
             }, []
         case {"type": "read", "id": int(key), "offset": int(offset), "length": int(length)}:
             if not (offset >= 0 and 0 <= length <= _MAX_READ_BYTES):

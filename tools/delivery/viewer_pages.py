@@ -29,9 +29,10 @@ _POLICY: Final = (
     "worker-src 'self'; connect-src 'self' https:"
 )
 
-# Files that viewer.html loads; worker scripts last.
+# Files that viewer.html loads, and what the viewer loads when it is asked for; worker scripts last.
 _WORKERS: Final = ("worker.js", "viewer_worker.js")
-_LINKED_FILES: Final = ("viewer.css", "viewer.js", *_WORKERS)
+_EXTRAS: Final = "viewer_extras.js"
+_LINKED_FILES: Final = ("viewer.css", "viewer.js", _EXTRAS, *_WORKERS)
 
 # An embedded scene is split into blocks, because browsers limit a text node to half a GiB. The size
 # is a multiple of 3 bytes, so that only the last block's base64 has padding.
@@ -67,7 +68,7 @@ def linked_page(
     --------
     >>> from cogsplat.tools.delivery.viewer_pages import linked_page
     >>> sorted(linked_page("Garden"))
-    ['index.html', 'viewer.css', 'viewer.js', 'viewer_worker.js', 'worker.js']
+    ['index.html', 'viewer.css', 'viewer.js', 'viewer_extras.js', 'viewer_worker.js', 'worker.js']
     """
     second = "" if against is None else f' against="{relative_url(against)}"'
     if against_title is not None:
@@ -93,8 +94,9 @@ def relative_url(name: str) -> str:
 def write_standalone_page(title: str, scene: Iterable[bytes], out: BinaryIO) -> None:
     """Write one HTML page with the viewer and the scene embedded, which needs no server.
 
-    The page's content security policy allows its own script and style, by their hashes, and its
-    embedded workers. It allows no connections.
+    The page's content security policy allows its own scripts and style, by their hashes, and its
+    embedded workers. It allows no connections. One of the scripts is the viewer's extras, a text
+    that runs when it is asked for.
 
     Parameters
     ----------
@@ -106,19 +108,21 @@ def write_standalone_page(title: str, scene: Iterable[bytes], out: BinaryIO) -> 
         The output, UTF-8.
     """
     style, script = _viewer_file("viewer.css").decode(), _viewer_file("viewer.js").decode()
+    extras = _viewer_file(_EXTRAS)
     policy = (
-        f"default-src 'none'; script-src '{_hash(script)}' 'wasm-unsafe-eval'; "
-        f"style-src '{_hash(style)}'; worker-src blob:"
+        f"default-src 'none'; script-src '{_hash(script)}' '{_hash(extras.decode())}' "
+        f"'wasm-unsafe-eval'; style-src '{_hash(style)}'; worker-src blob:"
     )
     page = _replaced(_titled(title), _POLICY, policy)
     page = _replaced(page, _STYLE_TAG, f"<style>{style}</style>")
     before, after = page.split(_SCRIPT_TAG)
     out.write(before.encode())
-    for name in _WORKERS:
-        text = _viewer_file(name)
+    texts = [("extras", extras), *(("worker", _viewer_file(name)) for name in _WORKERS)]
+    for kind, text in texts:
         if b"</script" in text.lower() or b"<!--" in text:
-            raise RuntimeError(f"{name} holds an end of a script, expected none to embed it")
-        out.write(b'<script type="application/x-cogs-worker">' + text + b"</script>\n    ")
+            raise RuntimeError(f"a program ({kind}) holds an end of a script, expected none")
+        tag = f'<script type="application/x-cogs-{kind}">'.encode()
+        out.write(tag + text + b"</script>\n    ")
     for block in scene:
         out.write(b'<script type="application/x-cogs-base64">')
         out.write(base64.b64encode(block))

@@ -67,7 +67,7 @@ def test_folder_holds_page_and_scene(run: Run, small: SmallScene, tmp_path: Path
     told = run("export-html", small.cogs, folder, "--folder")
     assert told.code == 0, told.err
     names = {path.name for path in folder.iterdir()}
-    programs = {"viewer.js", "worker.js", "viewer_worker.js"}
+    programs = {"viewer.js", "viewer_extras.js", "worker.js", "viewer_worker.js"}
     assert names == {"index.html", "viewer.css", "scene.cogs"} | programs
     assert (folder / "scene.cogs").read_bytes() == small.cogs.read_bytes()
     assert run("export-html", small.cogs, folder, "--folder").code == 2

@@ -52,6 +52,7 @@ def test_page_and_its_parts(server: SceneServer) -> None:
     assert ask(server, "/index.html")[1] == body
     for name, kind in {
         "viewer.js": "javascript",
+        "viewer_extras.js": "javascript",
         "worker.js": "javascript",
         "viewer_worker.js": "javascript",
         "viewer.css": "css",

@@ -32,7 +32,12 @@ def test_lone_page_allows_its_own_script_and_style_alone() -> None:
     assert policy is not None
     assert "'self'" not in policy[1]
     assert "connect-src" not in policy[1]
-    for name, tag in (("script", '<script type="module">'), ("style", "<style>")):
+    tags = (
+        ("script", '<script type="module">'),
+        ("script", '<script type="application/x-cogs-extras">'),
+        ("style", "<style>"),
+    )
+    for name, tag in tags:
         inside = page.partition(tag)[2].partition(f"</{name}")[0]
         assert len(inside) > 100
         digest = base64.b64encode(hashlib.sha256(inside.encode()).digest()).decode()
@@ -55,7 +60,8 @@ def test_linked_page_names_the_scene() -> None:
     page = files.pop("index.html").decode()
     assert 'label="&quot;t&quot;" src="scene.cogs">' in page
     referred = set(re.findall(r'(?:src|href)="([^"]+)"', page))
-    assert referred == files.keys() - {"worker.js", "viewer_worker.js"} | {"scene.cogs"}
+    programs = {"viewer_extras.js", "worker.js", "viewer_worker.js"}
+    assert referred == files.keys() - programs | {"scene.cogs"}
 
 
 def test_linked_page_names_what_the_scene_is_compared_with() -> None:

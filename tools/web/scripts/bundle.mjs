@@ -22,10 +22,13 @@ await build({
     cogsplat: "build/src/index.js",
     worker: "build/src/workers/worker.js",
     viewer: "build/src/viewer/page.js",
+    viewer_extras: "build/src/viewer/viewer_extras.js",
     viewer_worker: "build/src/viewer/viewer_worker.js",
     spark: "build/src/adapters/spark.js",
     playcanvas: "build/src/adapters/playcanvas.js",
   },
+  // The viewer imports them when they are asked for.
+  external: ["./viewer_extras.js"],
 });
 // They throw the errors of the library that they are used with.
 const errorsOfLibrary = {
@@ -38,7 +41,15 @@ await build({
   plugins: [errorsOfLibrary],
 });
 for (const file of ["viewer.html", "viewer.css"]) copyFileSync(`viewer/${file}`, `${folder}/${file}`);
-for (const file of ["cogsplat.js", "folders.js", "visit.js", "worker.js", "viewer.js", "viewer_worker.js"]) {
+for (const file of [
+  "cogsplat.js",
+  "folders.js",
+  "visit.js",
+  "worker.js",
+  "viewer.js",
+  "viewer_extras.js",
+  "viewer_worker.js",
+]) {
   const bytes = readFileSync(`${folder}/${file}`);
   console.log(`${folder}/${file}: ${bytes.length} bytes, ${gzipSync(bytes, { level: 9 }).length} gzipped`);
 }

@@ -8,6 +8,7 @@ import { absoluteAddress, sceneName } from "./scene_name.js";
 import { type SceneSource, SceneView } from "./scene_view.js";
 import { describeError, type Sentence } from "./sentences.js";
 import { STYLE } from "./style.js";
+import type { Extras } from "./viewer_extras.js";
 import type { ViewerHandle, ViewerPose, ViewerStatistics } from "./viewer_handle.js";
 import { type ViewerWorkers, workersBeside } from "./viewer_workers.js";
 
@@ -21,6 +22,11 @@ const HINT_MILLISECONDS = 1800;
 const ROTATION = 12;
 /** Share of the window's width and height that an element covers which has the page's gestures. */
 const FILLS_WINDOW = 0.95;
+
+/** Program of the parts that are loaded when they are asked for. */
+export interface ExtrasModule {
+  readonly Extras: typeof Extras;
+}
 
 const NOTHING: ViewerStatistics = {
   state: "empty",
@@ -83,6 +89,9 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
   /** Workers of all viewers; by default the programs next to this one. */
   static workers: ViewerWorkers | undefined = workersBeside(import.meta.url);
 
+  /** Loads the program of the parts that are needed when they are asked for. */
+  static loadExtras: () => Promise<ExtrasModule> = () => import("./viewer_extras.js");
+
   private readonly shadow = this.attachShadow({ mode: "open" });
   private scene: SceneView | undefined;
   private panel: Panel | undefined;
@@ -96,6 +105,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
   private fills = true;
   private quiet: ReturnType<typeof setTimeout> | undefined;
   private hint: ReturnType<typeof setTimeout> | undefined;
+  private extras: Extras | undefined;
   /** Rotation to begin with the first picture, degrees per second. */
   private rotation: number | undefined;
 
@@ -159,7 +169,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     clearTimeout(this.quiet);
     clearTimeout(this.hint);
     this.scene?.dispose();
-    this.scene = undefined;
+    this.scene = this.extras = undefined;
     this.shadow.replaceChildren();
   }
 
@@ -200,11 +210,13 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
           failed: (error, which) => this.onFailed(error, which),
           restored: () => this.showMessage(undefined),
           rested: () => this.dispatchEvent(new Event("cogsplat-view")),
-          drawn: () => undefined,
+          drawn: () => this.extras?.drawn(),
           motionEnded: () => this.panel?.showRotation(false),
           leavesScrolling: () => this.leavesScrolling,
           left: (input) => this.showHint(input === "finger" ? "Two fingers turn the scene" : wheelHint()),
-          tapped: () => undefined,
+          tapped: (x, y, isDouble) => {
+            if (isDouble || this.extras !== undefined) void this.withExtras((extras) => extras.tapped(x, y, isDouble));
+          },
         },
         CogsplatViewer.workers,
       );
@@ -304,6 +316,10 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
     click("settings", () => this.togglePanel());
     click("full", () => void this.toggleFullScreen());
     click("again", () => void (this.source !== undefined && this.load(this.source)));
+    click("measure", () => {
+      this.togglePanel();
+      void this.withExtras((extras) => extras.toggleMeasure());
+    });
     this.watch(signal, (isVisible) => {
       this.scene!.isVisible = isVisible;
     });
@@ -333,6 +349,7 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
           KeyR: () => this.scene!.reset(),
           KeyF: () => void this.toggleFullScreen(),
           KeyG: () => this.togglePanel(),
+          KeyM: () => void this.withExtras((extras) => extras.toggleMeasure()),
           KeyT: () => this.toggleStrip(),
           Escape: () => this.closeAll(),
         }[event.code];
@@ -389,6 +406,29 @@ export class CogsplatViewer extends HTMLElement implements ViewerHandle {
       return true;
     });
     this.panel!.showRotation(true);
+  }
+
+  /** Call a function with the extras, which are loaded before; a person is told where they cannot be. */
+  private async withExtras(act: (extras: Extras) => void): Promise<void> {
+    const { scene } = this;
+    try {
+      const { Extras } = await CogsplatViewer.loadExtras();
+      if (scene === undefined || this.scene !== scene) return;
+      this.extras ??= new Extras({
+        host: this,
+        root: this.root!,
+        canvas: this.find("canvas"),
+        overlay: this.find("#overlay"),
+        lower: this.find(".lower"),
+        tools: this.find("#tools"),
+        scene,
+        hint: (text) => this.showHint(text),
+      });
+    } catch (error) {
+      this.showHint(`A part of the viewer cannot be loaded: ${String(error)}`, 6 * HINT_MILLISECONDS);
+      return;
+    }
+    act(this.extras);
   }
 
   /** Show a short text over the picture. */

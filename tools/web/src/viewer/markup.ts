@@ -25,6 +25,7 @@ export const MARKUP = `
     </select></label>
     <label hidden id="customRow">Colour <input name="custom" type="color" value="#204060" /></label>
     <label>Movement <select name="movement"><option value="orbit">Around the scene</option><option value="fly">Through the scene</option></select></label>
+    <button class="wide" type="button" id="measure">Measure</button>
     <label>Turn by itself <input name="turns" type="checkbox" /></label>
     <label>Connection <select name="rate">
       <option value="Infinity">As it is</option><option value="50">50 Mbit/s</option><option value="20">20 Mbit/s</option><option value="5">5 Mbit/s</option><option value="1">1 Mbit/s</option>
@@ -36,7 +37,7 @@ export const MARKUP = `
     <table id="statistics" hidden><tbody></tbody></table>
     <details class="keys"><summary>Keys</summary>
       <kbd>←</kbd> <kbd>→</kbd> <kbd>↑</kbd> <kbd>↓</kbd> turn · <kbd>W</kbd> <kbd>A</kbd> <kbd>S</kbd> <kbd>D</kbd> <kbd>Q</kbd> <kbd>E</kbd> fly ·
-      <kbd>+</kbd> <kbd>−</kbd> nearer, farther · <kbd>R</kbd> first view · <kbd>F</kbd> full screen · <kbd>G</kbd> settings · <kbd>T</kbd> film strip</details>
+      <kbd>+</kbd> <kbd>−</kbd> nearer, farther · <kbd>R</kbd> first view · <kbd>F</kbd> full screen · <kbd>G</kbd> settings · <kbd>T</kbd> film strip · <kbd>M</kbd> measure · double click: nearer</details>
   </form>
   <div class="foot">
   <div class="tools glass" id="tools" role="toolbar" aria-label="Viewer">

@@ -1,4 +1,5 @@
 import { type CogsplatViewer, defineViewer } from "./element.js";
+import { extrasOfText } from "./extras_text.js";
 import { workersOfTexts } from "./viewer_workers.js";
 import { type WidgetAnswer, type WidgetModel, WidgetSource } from "./widget_source.js";
 
@@ -16,7 +17,10 @@ export function render({ model, el }: { readonly model: WidgetModel; readonly el
   const opened = (answer: WidgetAnswer): void => {
     if (answer.type !== "scene" || source !== undefined) return;
     // Another copy of this program may have defined the element before.
-    (customElements.get("cogsplat-viewer") as typeof CogsplatViewer).workers = workersOfTexts(...answer.programs);
+    const viewer = customElements.get("cogsplat-viewer") as typeof CogsplatViewer;
+    const [decoder, sorter, extras] = answer.programs;
+    viewer.workers = workersOfTexts(decoder, sorter);
+    viewer.loadExtras = () => extrasOfText(extras);
     source = new WidgetSource(model, answer.length);
     element.setAttribute("label", answer.name);
     el.append(element);

@@ -19,7 +19,8 @@ type Picture = { readonly height: number; readonly width?: number };
 /** A camera that orbits, approaches and moves with a target, or flies. */
 export class OrbitCamera {
   private axes: Axes;
-  private target: Vector;
+  /** Point that the camera orbits. */
+  target: Vector;
   private distance: number;
   private readonly down: Vector;
   private focal: readonly [number, number];
@@ -53,13 +54,17 @@ export class OrbitCamera {
     return this.axes[2];
   }
 
-  /** Set the pose; the target keeps its distance. */
+  /** Set the pose; without a target of its own the target keeps its distance. */
   setPose(view: ViewerPose): void {
     const r = view.rotation;
     this.axes = [0, 3, 6].map((i) => [r[i]!, r[i + 1]!, r[i + 2]!]) as Axes;
     const position = [0, 1, 2].map(
       (i) => -this.axes.reduce((sum, axis, k) => sum + axis[i]! * view.translation[k]!, 0),
     );
+    const { target } = view;
+    if (target !== undefined) {
+      this.distance = target.reduce((sum, value, i) => sum + (value - position[i]!) * this.axes[2][i]!, 0);
+    }
     this.target = add(position as Vector, this.axes[2], this.distance);
     this.focal = [view.fx, view.fy];
     this.picture = view;

@@ -1,6 +1,7 @@
 // Program of viewer.html and of every page with a <cogsplat-viewer>. On the viewer's own page it shows the scene of
 // `viewer.html?scene=URL`, the scene that the page names, or the one that it contains.
 import { CogsplatViewer, defineViewer } from "./element.js";
+import { extrasOfText } from "./extras_text.js";
 import { render } from "./notebook.js";
 import { workersOfTexts } from "./viewer_workers.js";
 
@@ -8,6 +9,9 @@ import { workersOfTexts } from "./viewer_workers.js";
 const SCENE_BLOCKS = 'script[type="application/x-cogs-base64"]';
 /** Blocks of a page that contains its workers' programs: the decoder's and the viewer's. */
 const WORKER_BLOCKS = 'script[type="application/x-cogs-worker"]';
+
+/** Block of a page that contains the program of the viewer's extras. */
+const EXTRAS_BLOCK = 'script[type="application/x-cogs-extras"]';
 
 /** Join the file from the blocks of the page, and remove the blocks, so that it is in memory once. */
 function embeddedScene(): Blob | undefined {
@@ -32,6 +36,8 @@ function passKeysTo(viewer: CogsplatViewer): void {
   });
 }
 
+const extras = document.querySelector(EXTRAS_BLOCK)?.textContent;
+if (extras != null) CogsplatViewer.loadExtras = () => extrasOfText(extras);
 const [decoder, viewer] = [...document.querySelectorAll(WORKER_BLOCKS)].map((block) => block.textContent!);
 if (decoder !== undefined && viewer !== undefined) CogsplatViewer.workers = workersOfTexts(decoder, viewer);
 defineViewer();

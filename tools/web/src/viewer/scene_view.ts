@@ -10,7 +10,7 @@ import { Meter } from "./meter.js";
 import { OrbitCamera, type Vector } from "./orbit.js";
 import { PicturePace } from "./picture_pace.js";
 import { PlyFeed, plyOf } from "./ply_feed.js";
-import { type PictureOptions, SplatRenderer, type View } from "./renderer.js";
+import { type PictureOptions, SplatRenderer } from "./renderer.js";
 import type { FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
 import { SplatLayer } from "./splat_layer.js";
 import type { ViewerPose, ViewerStatistics } from "./viewer_handle.js";
@@ -36,8 +36,8 @@ export type Motion = (camera: OrbitCamera, seconds: number) => boolean;
 export interface SceneViewHost extends Pick<ControlsHost, "leavesScrolling" | "left" | "tapped"> {
   /** Called when the camera has come to rest in another pose. */
   rested(): void;
-  /** Called after each picture, with its view and its size in pixels. */
-  drawn(view: View, width: number, height: number): void;
+  /** Called after each picture. */
+  drawn(): void;
   /** Called when a motion has ended; by a person or by itself. */
   motionEnded(byPerson: boolean): void;
   /** Called when the statistics or the canvas have changed. */
@@ -220,7 +220,7 @@ export class SceneView {
     if (camera === undefined) return this.pose;
     const [width, height] = this.size(1);
     const { rotation, translation, focal } = camera.view(height, width);
-    return { width, height, fx: focal[0], fy: focal[1], rotation, translation };
+    return { width, height, fx: focal[0], fy: focal[1], rotation, translation, target: camera.target };
   }
 
   set view(view: ViewerPose | undefined) {
@@ -228,6 +228,14 @@ export class SceneView {
     this.pose = view;
     if (view !== undefined) this.camera?.setPose(view);
     this.redraw();
+  }
+
+  /** Packed rows of the scene, and what to add to a point in the space of the poses for that of the rows' means. */
+  get packed(): { readonly words: Uint32Array; readonly rows: number; readonly shift: Vector } | undefined {
+    const layer = this.main?.layer;
+    if (layer === undefined) return undefined;
+    const shift = this.origin.map((value, axis) => value - layer.scene.origin[axis]!) as Vector;
+    return { words: layer.words, rows: layer.rows, shift };
   }
 
   /** Whether the canvas can be seen; motions wait until it is. */
@@ -610,12 +618,11 @@ export class SceneView {
     const start = performance.now();
     const arriving = statistics.state === "streaming" && this.fills && !this.wasSettled;
     const fill = arriving ? 1 - Math.min(statistics.splats / statistics.totalSplats, 1) : 0;
-    const view = camera.view(height, width);
-    const whole = renderer.draw({ ...view, origin: this.origin }, layers, {
+    const whole = renderer.draw({ ...camera.view(height, width), origin: this.origin }, layers, {
       ...this.picture,
       fill,
     });
-    this.host.drawn(view, width, height);
+    this.host.drawn();
     if (this.drawnRows > 0)
       pace.submitted(start, { scale, splats: layers.reduce((sum, layer) => sum + layer.drawnRows, 0) });
     this.updateStatistics({

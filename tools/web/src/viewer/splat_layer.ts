@@ -72,6 +72,11 @@ export class SplatLayer {
     return Math.min(this.arrived, this.most);
   }
 
+  /** Packed words of all rows. */
+  get words(): Uint32Array {
+    return this.textures.words;
+  }
+
   /** Rows of the last picture. */
   get drawnRows(): number {
     return this.sorted?.rows ?? 0;

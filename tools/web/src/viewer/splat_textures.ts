@@ -95,6 +95,11 @@ export class SplatTextures {
     this.levels = hasLevels ? new RowTexture(1, rows) : undefined;
   }
 
+  /** Packed words of the rows, four each. */
+  get words(): Uint32Array {
+    return this.splats.words;
+  }
+
   private get all(): readonly RowTexture[] {
     return [this.splats, this.order, this.shifts, ...this.bands, ...(this.levels ? [this.levels] : [])];
   }

@@ -37,7 +37,7 @@ export interface ViewerStatistics {
 
 /** A pose and its focal lengths, pixels of a picture of this height; they are scaled to the canvas. */
 export type ViewerPose = Pick<Pinhole, "height" | "fx" | "fy" | "rotation" | "translation"> &
-  Partial<Pick<Pinhole, "width">>;
+  Partial<Pick<Pinhole, "width" | "target">>;
 
 /** Interface of a viewer for programs of the page: `window.cogsplatViewer`, and every `<cogsplat-viewer>`. */
 export interface ViewerHandle {

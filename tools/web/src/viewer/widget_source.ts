@@ -15,7 +15,7 @@ export type WidgetAnswer =
       readonly type: "scene";
       readonly name: string;
       readonly length: number;
-      readonly programs: readonly [string, string];
+      readonly programs: readonly [string, string, string];
     }
   | { readonly type: "bytes"; readonly id: number }
   | { readonly type: "failed"; readonly id: number; readonly message: string };

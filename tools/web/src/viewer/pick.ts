@@ -1,0 +1,101 @@
+import { fromHalf } from "../scene/half_floats.js";
+import { DEFAULT_RANGES, unpackSplats } from "../scene/packed_splats.js";
+import type { Vector } from "./orbit.js";
+
+/** Rows evaluated at most: more take longer than a click may. Of larger scenes an even sample stands for all rows. */
+const MOST_ROWS = 2_000_000;
+/** Extent of a splat that can matter, standard deviations. */
+const REACH = 3;
+/** Least opacity of splats, in 1/255, that count. */
+const LEAST_OPACITY = 6;
+/** Least opacity of a ray that hits anything. */
+const LEAST_HIT = 0.2;
+
+/** A ray in the space of the means. */
+export interface Ray {
+  readonly origin: Vector;
+  /** Unit vector. */
+  readonly direction: Vector;
+  /** Width of a pixel at a distance of 1. */
+  readonly pixel: number;
+}
+
+/** Values of all half floats, made once. */
+let halves: Float32Array | undefined;
+
+/**
+ * Return the distance at which a ray has lost half of the light that the scene takes from it.
+ *
+ * @param words - Packed splats, four words a row (`packed_splats.ts`).
+ * @returns undefined where the ray passes the scene.
+ */
+export function pick(words: Uint32Array, rows: number, { origin, direction, pixel }: Ray): number | undefined {
+  halves ??= Float32Array.from({ length: 65_536 }, (_, half) => fromHalf(half));
+  const reaches = Float32Array.from({ length: 256 }, (_, code) => REACH * Math.exp(-12 + ((code - 1) * 21) / 254));
+  const [ox, oy, oz] = origin;
+  const [dx, dy, dz] = direction;
+  const step = Math.ceil(rows / MOST_ROWS);
+  const near: number[] = [];
+  for (let row = 0; row < rows; row += step) {
+    const at = 4 * row;
+    if (words[at]! >>> 24 < LEAST_OPACITY) continue;
+    const x = halves[words[at + 1]! & 0xffff]! - ox;
+    const y = halves[words[at + 1]! >>> 16]! - oy;
+    const z = halves[words[at + 2]! & 0xffff]! - oz;
+    const along = x * dx + y * dy + z * dz;
+    if (along <= 0) continue;
+    const scales = words[at + 3]!;
+    const largest = Math.max(scales & 255, (scales >>> 8) & 255, (scales >>> 16) & 255);
+    const reach = reaches[largest]! + along * pixel;
+    if (x * x + y * y + z * z - along * along < reach * reach) near.push(row);
+  }
+  return depthOfHalf(
+    near.map((row) => crossing(words.subarray(4 * row, 4 * row + 4), { origin, direction, pixel }, step)),
+  );
+}
+
+/** A splat on the way of a ray. */
+interface Crossing {
+  /** Distance of its densest point on the ray. */
+  readonly distance: number;
+  /** Share of the light that it takes, 0 to 1. */
+  readonly opacity: number;
+}
+
+/** Evaluate a splat along a ray: where it is densest, and what it takes there. */
+function crossing(words: Uint32Array, { origin, direction, pixel }: Ray, weight: number): Crossing {
+  const { means, scales, quats } = unpackSplats({ count: 1, words, sh: [], ranges: DEFAULT_RANGES });
+  const offset = origin.map((value, i) => value - means[i]!) as Vector;
+  const far = Math.hypot(...offset);
+  const [w, x, y, z] = quats as unknown as [number, number, number, number];
+  // Columns of the rotation: the axes of the splat.
+  const axes = [
+    [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
+    [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
+    [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
+  ] as const;
+  let [dd, od, oo] = [0, 0, 0];
+  axes.forEach((axis, i) => {
+    // No splat is thinner than a pixel of the picture.
+    const size = Math.hypot(Math.exp(scales[i]!), far * pixel);
+    const d = (axis[0] * direction[0] + axis[1] * direction[1] + axis[2] * direction[2]) / size;
+    const o = (axis[0] * offset[0] + axis[1] * offset[1] + axis[2] * offset[2]) / size;
+    dd += d * d;
+    od += o * d;
+    oo += o * o;
+  });
+  const opacity = ((words[0]! >>> 24) / 255) * Math.exp(-0.5 * Math.max(oo - (od * od) / dd, 0));
+  return { distance: -od / dd, opacity: 1 - (1 - Math.min(opacity, 0.99)) ** weight };
+}
+
+/** Return the distance at which half of the opacity of all crossings is reached. */
+function depthOfHalf(crossings: readonly Crossing[]): number | undefined {
+  const inOrder = crossings.filter(({ distance }) => distance > 0).sort((a, b) => a.distance - b.distance);
+  const left = inOrder.reduce((light, { opacity }) => light * (1 - opacity), 1);
+  if (1 - left < LEAST_HIT) return undefined;
+  let light = 1;
+  return inOrder.find(({ opacity }) => {
+    light *= 1 - opacity;
+    return 1 - light >= 0.5 * (1 - left);
+  })?.distance;
+}

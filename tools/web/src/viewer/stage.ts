@@ -1,0 +1,49 @@
+import type { Vector } from "./orbit.js";
+import type { SceneView } from "./scene_view.js";
+import type { ViewerPose } from "./viewer_handle.js";
+
+/** What a viewer gives to its extras: its scene, its parts of the page, its messages. */
+export interface Stage {
+  readonly host: HTMLElement;
+  /** Root element of the markup, with the classes of states. */
+  readonly root: HTMLElement;
+  readonly canvas: HTMLCanvasElement;
+  /** Layer over the canvas for elements at places of the scene. */
+  readonly overlay: HTMLElement;
+  /** Column of panels over the tools. */
+  readonly lower: HTMLElement;
+  readonly tools: HTMLElement;
+  readonly scene: SceneView;
+  /** Show a short text over the picture. */
+  hint(text: string): void;
+  /** Return the point of the scene at a place of the canvas, px; undefined where nothing is. */
+  pick(x: number, y: number): Vector | undefined;
+  /** Return the projection of the present pose; undefined before a scene is open. */
+  projection(): Projection | undefined;
+  /** Fly to a pose. */
+  flyTo(pose: ViewerPose): void;
+}
+
+/** Where points of the scene are in a picture. */
+export interface Projection {
+  /** Size of the canvas, CSS pixels. */
+  readonly width: number;
+  readonly height: number;
+  /** Return the place of a point on the canvas, CSS pixels; undefined behind the camera. */
+  place(point: readonly number[]): [number, number] | undefined;
+}
+
+/** Return the projection of a pose onto a canvas of a size in CSS pixels. */
+export function projectionOf(pose: ViewerPose, width: number, height: number): Projection {
+  const { rotation: r, translation: t, fx, fy } = pose;
+  const scale = height / pose.height;
+  return {
+    width,
+    height,
+    place: (point) => {
+      const [x, y, z] = [0, 3, 6].map((row, i) => point.reduce((sum, value, k) => sum + r[row + k]! * value, t[i]!));
+      if (z! <= 0) return undefined;
+      return [width / 2 + (scale * fx * x!) / z!, height / 2 + (scale * fy * y!) / z!];
+    },
+  };
+}
