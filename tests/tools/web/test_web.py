@@ -78,7 +78,8 @@ def test_lock_file_names_no_host_but_the_public_registry() -> None:
 
 @pytest.mark.slow
 def test_bundle_is_small_enough_for_a_page(web_package: Path) -> None:
-    for name, limit in (("cogsplat.js", 42_000), ("worker.js", 22_000)):
+    # The first holds the program of the workers too.
+    for name, limit in (("cogsplat.js", 56_000), ("worker.js", 22_000)):
         size = len(gzip.compress((web_package / "dist" / name).read_bytes(), 9))
         assert size <= limit, f"{name}: {size} bytes gzipped"
 

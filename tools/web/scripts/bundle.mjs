@@ -1,4 +1,4 @@
-// Bundles build/src: the library, the program of its workers and the viewer, without a dependency.
+// Bundles build/src: the library, the programs of its workers, the viewer and the adapters, without a dependency.
 // node scripts/bundle.mjs FOLDER
 import { copyFileSync, readFileSync, rmSync } from "node:fs";
 import { gzipSync } from "node:zlib";
@@ -7,19 +7,37 @@ import { build } from "esbuild";
 const [folder] = process.argv.slice(2);
 rmSync(folder, { recursive: true, force: true });
 const common = {
-  outdir: folder,
   bundle: true,
-  format: "esm",
   target: "es2022",
   minify: true,
   charset: "utf8",
   legalComments: "inline",
-  banner: { js: "/*! cogsplat, Apache-2.0 */" },
 };
+const modules = { ...common, outdir: folder, format: "esm", banner: { js: "/*! cogsplat, Apache-2.0 */" } };
+
+/** Return a program as a text, for workers that a bundler need not find; the page adds the kernels. */
+async function programText(entryPoint) {
+  const kernelsOfPage = {
+    name: "kernels of the page",
+    setup: ({ onLoad }) =>
+      onLoad({ filter: /\/wasm_bytes\.js$/ }, () => ({
+        contents: "export const WASM_DIGITS = self.cogsplatKernels;",
+      })),
+  };
+  const { outputFiles } = await build({
+    ...common,
+    entryPoints: [entryPoint],
+    format: "iife",
+    write: false,
+    plugins: [kernelsOfPage],
+  });
+  return JSON.stringify(outputFiles[0].text.trim());
+}
+
+// Served beside a page as they are: the workers' programs are files.
 await build({
-  ...common,
+  ...modules,
   entryPoints: {
-    cogsplat: "build/src/index.js",
     worker: "build/src/workers/worker.js",
     viewer: "build/src/viewer/page.js",
     viewer_extras: "build/src/viewer/viewer_extras.js",
@@ -27,8 +45,21 @@ await build({
     spark: "build/src/adapters/spark.js",
     playcanvas: "build/src/adapters/playcanvas.js",
   },
+<<<<<<< HEAD
   // The viewer imports them when they are asked for.
   external: ["./viewer_extras.js"],
+=======
+  define: { DECODER_TEXT: "undefined" },
+});
+// For bundlers: the workers' programs are in the modules too.
+await build({
+  ...modules,
+  entryPoints: { cogsplat: "build/src/index.js", element: "build/src/viewer/package_entry.js" },
+  define: {
+    DECODER_TEXT: await programText("build/src/workers/worker.js"),
+    VIEWER_TEXT: await programText("build/src/viewer/viewer_worker.js"),
+  },
+>>>>>>> bae3215b (Start decoding workers in every bundler, and say why where none starts)
 });
 // They throw the errors of the library that they are used with.
 const errorsOfLibrary = {
@@ -36,11 +67,12 @@ const errorsOfLibrary = {
   setup: ({ onResolve }) => onResolve({ filter: /\/errors\.js$/ }, () => ({ path: "./cogsplat.js", external: true })),
 };
 await build({
-  ...common,
+  ...modules,
   entryPoints: { folders: "build/src/loader/folders.js", visit: "build/src/loader/visit.js" },
   plugins: [errorsOfLibrary],
 });
 for (const file of ["viewer.html", "viewer.css"]) copyFileSync(`viewer/${file}`, `${folder}/${file}`);
+<<<<<<< HEAD
 for (const file of [
   "cogsplat.js",
   "folders.js",
@@ -50,6 +82,10 @@ for (const file of [
   "viewer_extras.js",
   "viewer_worker.js",
 ]) {
+=======
+const SIZED = ["cogsplat", "folders", "visit", "worker", "viewer", "viewer_worker", "element", "spark", "playcanvas"];
+for (const file of SIZED.map((name) => `${name}.js`)) {
+>>>>>>> bae3215b (Start decoding workers in every bundler, and say why where none starts)
   const bytes = readFileSync(`${folder}/${file}`);
   console.log(`${folder}/${file}: ${bytes.length} bytes, ${gzipSync(bytes, { level: 9 }).length} gzipped`);
 }

@@ -44,4 +44,5 @@ export {
   type DecodeTask,
   InlineService,
 } from "./workers/decode_task.js";
-export { DecoderPool, type PoolOptions, type WorkerLike } from "./workers/decoder_pool.js";
+export { DecoderPool, type PoolOptions } from "./workers/decoder_pool.js";
+export type { WorkerLike } from "./workers/worker_start.js";

@@ -5,8 +5,9 @@ import { CogsplatError } from "../src/errors.js";
 import { loadKernels } from "../src/kernels/load.js";
 import { StreamedScene } from "../src/loader/streamed_scene.js";
 import { SceneFile } from "../src/scene/scene_file.js";
-import { DecoderPool, type WorkerLike } from "../src/workers/decoder_pool.js";
+import { DecoderPool } from "../src/workers/decoder_pool.js";
 import type { Response } from "../src/workers/messages.js";
+import { findRunningWay, type WorkerLike } from "../src/workers/worker_start.js";
 import { sha256, vectorBytes } from "./vectors.js";
 
 const kernels = await loadKernels();
@@ -62,29 +63,80 @@ test("a worker's refusal keeps its reason code", async () => {
   );
 });
 
+/** A worker that starts and then answers every chunk by an event, or one that cannot be started. */
+function brokenWorker(event: "onerror" | "onmessageerror", starts: boolean, message?: string): WorkerLike {
+  const report = { message } as ErrorEvent & MessageEvent;
+  const worker: WorkerLike = {
+    onmessage: null,
+    onerror: null,
+    onmessageerror: null,
+    postMessage: ({ type }) => {
+      if (type === "chunk") queueMicrotask(() => worker[event]?.(report));
+    },
+    terminate: () => undefined,
+  };
+  queueMicrotask(() => {
+    if (starts) worker.onmessage?.({ data: { ready: true } } as MessageEvent<Response>);
+    else worker.onerror?.(report);
+  });
+  return worker;
+}
+
+async function streamWith(makeWorker: (() => WorkerLike) | undefined): Promise<number> {
+  const scene = await StreamedScene.open(new Blob([new Uint8Array(vectorBytes("valid", "two-books"))]), {
+    service: (index) => new DecoderPool(index, { workers: 1, ...(makeWorker && { makeWorker }) }),
+  });
+  let splats = 0;
+  for await (const update of scene.stream()) splats += update.splats!.count;
+  return splats;
+}
+
 for (const event of ["onerror", "onmessageerror"] as const) {
   test(`a worker that ends in ${event} ends the stream`, async () => {
-    const scene = await StreamedScene.open(new Blob([new Uint8Array(vectorBytes("valid", "chunks"))]), {
-      service: (index) =>
-        new DecoderPool(index, {
-          workers: 1,
-          makeWorker: () => {
-            const worker: WorkerLike = {
-              onmessage: null,
-              onerror: null,
-              onmessageerror: null,
-              postMessage: ({ type }) => {
-                const message = { message: "out of memory" } as ErrorEvent & MessageEvent;
-                if (type === "chunk") queueMicrotask(() => worker[event]?.(message));
-              },
-              terminate: () => undefined,
-            };
-            return worker;
-          },
-        }),
-    });
-    await assert.rejects(async () => {
-      for await (const _update of scene.stream());
-    }, /worker/);
+    await assert.rejects(
+      streamWith(() => brokenWorker(event, true, "out of memory")),
+      /a worker failed \(the option makeWorker\): (out of memory|an unreadable message)/,
+    );
   });
 }
+
+test("a worker that fails without a reason is described without one", async () => {
+  await assert.rejects(
+    streamWith(() => brokenWorker("onerror", true)),
+    (error: Error) => /worker-src/.test(error.message) && !/undefined/.test(error.message),
+  );
+});
+
+const unstartable = {
+  "fails by an event": () => brokenWorker("onerror", false),
+  "fails by an exception": () => {
+    throw new Error("refused");
+  },
+  "does not exist": undefined,
+};
+for (const [how, makeWorker] of Object.entries(unstartable)) {
+  test(`chunks are decoded here, with a message, where a worker ${how}`, async ({ mock }) => {
+    const warn = mock.method(console, "warn", () => undefined);
+    const expected = new SceneFile(vectorBytes("valid", "two-books"), kernels()).index.chunks.splats;
+    assert.equal(
+      await streamWith(makeWorker),
+      expected.reduce((sum, count) => sum + count, 0),
+    );
+    assert.equal(warn.mock.callCount(), 1);
+    const [message] = warn.mock.calls[0]!.arguments as [string];
+    assert.match(message, makeWorker ? /the option makeWorker\): \w/ : /this environment has none/);
+    assert.doesNotMatch(message, /undefined/);
+  });
+}
+
+test("the next way is tried where one fails, and its worker is the one that decodes", async ({ mock }) => {
+  const warn = mock.method(console, "warn", () => undefined);
+  const ways = [
+    { address: "a", start: () => brokenWorker("onerror", false) },
+    { address: "b", start: nodeWorker },
+  ];
+  const running = await findRunningWay(ways, new AbortController().signal);
+  assert.equal(running?.way.address, "b");
+  assert.equal(warn.mock.callCount(), 0);
+  running?.first?.terminate();
+});

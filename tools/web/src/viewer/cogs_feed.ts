@@ -103,7 +103,7 @@ export class CogsFeed implements SceneFeed {
     const { workers } = this;
     const allowed = await workers.found;
     if (allowed === undefined) return new SlicedService(index, await loadKernels());
-    return new DecoderPool(index, { makeWorker: () => workers.takeFirst() ?? allowed.decoder() });
+    return new DecoderPool(index, { running: workers.takeRunning(allowed) });
   };
 
   private async stream(source: ByteSource, signal: AbortSignal): Promise<void> {

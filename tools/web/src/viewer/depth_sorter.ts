@@ -1,4 +1,5 @@
 import { packedMeans } from "../scene/packed_splats.js";
+import { failureText } from "../workers/worker_start.js";
 import { sortByDepth, sortSteps } from "./depth_order.js";
 import type { DepthOrder, SortRequest, SortResponse } from "./sort_messages.js";
 import type { ViewerWorkers } from "./viewer_workers.js";
@@ -24,7 +25,7 @@ export class DepthSorter {
     }
     this.worker = workers.viewer();
     this.worker.onmessage = ({ data }: MessageEvent<SortResponse>) => this.answer?.(data);
-    this.worker.onerror = (event) => failed(`a worker failed: ${event.message}`);
+    this.worker.onerror = (event) => failed(failureText(event.message, workers.address));
     this.send({ type: "allocate", rows }, []);
   }
 

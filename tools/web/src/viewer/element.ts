@@ -40,6 +40,9 @@ const NOTHING: ViewerStatistics = {
   upToDate: false,
 };
 
+/** Base class of elements; a server that renders pages imports this module too, and has none. */
+const PageElement = globalThis.HTMLElement ?? (class {} as typeof HTMLElement);
+
 /**
  * `<cogsplat-viewer src="scene.cogs">`: an interactive view of a scene; a page may have several.
  *
@@ -67,7 +70,7 @@ const NOTHING: ViewerStatistics = {
  * another pose. Removing it from the page ends its workers and frees its
  * memory.
  */
-export class CogsplatViewer extends HTMLElement implements ViewerHandle {
+export class CogsplatViewer extends PageElement implements ViewerHandle {
   static readonly observedAttributes = [
     "src",
     "against",

@@ -1,6 +1,7 @@
 import { SourceError } from "../errors.js";
 import type { ByteSource } from "../loader/byte_source.js";
 import { DEFAULT_RANGES } from "../scene/packed_splats.js";
+import { failureText } from "../workers/worker_start.js";
 import type { Meter } from "./meter.js";
 import type { PlyRequest, PlyResponse, RateRequest } from "./ply_messages.js";
 import { readPly } from "./ply_reader.js";
@@ -92,7 +93,7 @@ export class PlyFeed implements SceneFeed {
         return;
       }
       worker.onmessage = ({ data }: MessageEvent<PlyResponse>) => take(data);
-      worker.onerror = (event) => reject(new Error(`a worker failed: ${event.message}`));
+      worker.onerror = (event) => reject(new Error(failureText(event.message, allowed!.address)));
       worker.postMessage(request);
     });
   }

@@ -1,27 +1,36 @@
-import type { WorkerLike } from "../workers/decoder_pool.js";
+import {
+  findRunningWay,
+  type RunningWay,
+  startsText,
+  TEXT_ADDRESS,
+  type WorkerLike,
+  type WorkerWay,
+} from "../workers/worker_start.js";
 
-/** Makes the workers of a viewer. */
-export interface ViewerWorkers {
-  /** Make a worker that decodes chunks: the program `worker.js`. */
-  decoder(): WorkerLike;
+/** Makes the workers of a viewer: `start` one that decodes chunks, the program `worker.js`. */
+export interface ViewerWorkers extends WorkerWay {
   /** Make a worker that sorts rows or reads a PLY: the program `viewer_worker.js`. */
   viewer(): Worker;
+  /** Workers to try where these cannot be started. */
+  readonly otherwise?: ViewerWorkers;
 }
 
 /** Return workers whose programs are next to the viewer's own, as a policy `worker-src 'self'` allows. */
 export function workersBeside(base: string): ViewerWorkers {
   const start = (name: string) => new Worker(new URL(name, base), { type: "module" });
-  return { decoder: () => start("worker.js"), viewer: () => start("viewer_worker.js") };
+  return {
+    // A bundler may have left no address, which is no fault until a worker is started.
+    get address() {
+      return new URL("worker.js", base).href;
+    },
+    start: () => start("worker.js"),
+    viewer: () => start("viewer_worker.js"),
+  };
 }
 
 /** Return workers whose programs are texts in the page; a policy must allow `worker-src blob:`. */
 export function workersOfTexts(decoder: string, viewer: string): ViewerWorkers {
-  const start = (text: string) => {
-    const url = URL.createObjectURL(new Blob([text], { type: "text/javascript" }));
-    // Not a module: pages opened as local files have no origin from which to fetch one.
-    return () => new Worker(url);
-  };
-  return { decoder: start(decoder), viewer: start(viewer) };
+  return { address: TEXT_ADDRESS, start: startsText(decoder), viewer: startsText(viewer) };
 }
 
 /** Workers, if the page's policy allows any. */
@@ -31,41 +40,31 @@ export class AllowedWorkers {
   /** The workers, once `found` has resolved. */
   known: ViewerWorkers | undefined;
   private first: WorkerLike | undefined;
+  private readonly abort = new AbortController();
 
   /** Start a decoding worker at once: its program arrives together with the first bytes of a scene. */
   constructor(workers: ViewerWorkers | undefined) {
-    this.found = workers === undefined ? Promise.resolve(undefined) : this.start(workers);
+    this.found = workers === undefined ? Promise.resolve(undefined) : this.find(workers);
   }
 
-  /** Take the worker started first, if it is still there. */
-  takeFirst(): WorkerLike | undefined {
+  /** Return the way found, with the worker started first if it is still there. */
+  takeRunning(way: ViewerWorkers): RunningWay {
     const { first } = this;
     this.first = undefined;
-    return first;
+    return { way, first };
   }
 
   close(): void {
-    this.takeFirst()?.terminate();
+    this.abort.abort();
+    this.first?.terminate();
+    this.first = undefined;
   }
 
-  private start(workers: ViewerWorkers): Promise<ViewerWorkers | undefined> {
-    return new Promise((resolve) => {
-      try {
-        const worker = workers.decoder();
-        this.first = worker;
-        // Most browsers report a refusal by an event, some by an exception.
-        worker.onerror = () => {
-          this.close();
-          resolve(undefined);
-        };
-        worker.onmessage = () => {
-          this.known = workers;
-          resolve(workers);
-        };
-      } catch {
-        // The constructor throws SecurityError: without workers, work is done in slices on the main thread.
-        resolve(undefined);
-      }
-    });
+  private async find(workers: ViewerWorkers): Promise<ViewerWorkers | undefined> {
+    const ways = workers.otherwise === undefined ? [workers] : [workers, workers.otherwise];
+    const running = await findRunningWay(ways, this.abort.signal);
+    this.known = running?.way;
+    this.first = running?.first;
+    return this.known;
   }
 }

@@ -1,23 +1,26 @@
 import { CogsplatError } from "../errors.js";
+import { loadKernels } from "../kernels/load.js";
 import type { DecoderIndex } from "../scene/chunk_decoder.js";
-import type { ChunkService, DecodedChunk, DecodeTask } from "./decode_task.js";
+import { type ChunkService, type DecodedChunk, type DecodeTask, SlicedService } from "./decode_task.js";
 import type { Request, Response } from "./messages.js";
-
-/** Part of a browser's `Worker` that a pool uses. */
-export interface WorkerLike {
-  onmessage: ((event: MessageEvent<Response>) => void) | null;
-  onerror: ((event: ErrorEvent) => void) | null;
-  onmessageerror?: ((event: MessageEvent) => void) | null;
-  postMessage(message: Request): void;
-  terminate(): void;
-}
+import { failureText, findRunningWay, type RunningWay, type WorkerLike } from "./worker_start.js";
+import { decoderWays } from "./worker_ways.js";
 
 /** Options of a pool. */
 export interface PoolOptions {
   /** Number of workers; by default one less than the machine has cores, at most 4. */
   readonly workers?: number;
-  /** Makes a worker; by default from `worker.js` next to this file, which a policy `worker-src 'self'` allows. */
+  /**
+   * Makes a worker of the program `cogsplat/worker`. By default its text in this module, which works in every bundler,
+   * and where a policy refuses that, the file `worker.js`.
+   */
   readonly makeWorker?: () => WorkerLike;
+  /**
+   * Way known to work, and a worker already started.
+   *
+   * @internal
+   */
+  readonly running?: RunningWay;
 }
 
 interface Task {
@@ -26,36 +29,46 @@ interface Task {
   readonly reject: (error: unknown) => void;
 }
 
-/** Decoder in workers. No memory is shared, so pages need no cross-origin isolation. */
+/**
+ * Decoder in workers. No memory is shared, so pages need no cross-origin isolation.
+ *
+ * Where no worker can be started, chunks are decoded on the caller's thread, and a message in the console says why.
+ */
 export class DecoderPool implements ChunkService {
-  private readonly workers: WorkerLike[];
+  private workers: readonly WorkerLike[] = [];
   private readonly tasks = new Map<number, Task>();
-  private readonly load: number[];
+  private load: number[] = [];
   private nextId = 0;
+  private address = "";
+  /** Codebooks that arrived before the workers ran. */
+  private early: Request[] = [];
+  private readonly abort = new AbortController();
+  /** Resolves when workers run, to undefined, or to the decoder on this thread. */
+  private readonly opened: Promise<ChunkService | undefined>;
+  private local: ChunkService | undefined;
 
   constructor(index: DecoderIndex, options: PoolOptions = {}) {
-    const cores = globalThis.navigator?.hardwareConcurrency ?? 2;
-    const count = options.workers ?? Math.max(1, Math.min(4, cores - 1));
-    const make = options.makeWorker ?? makeWorker;
-    this.load = new Array<number>(count).fill(0);
-    this.workers = this.load.map((_, number) => {
-      const worker = make();
-      worker.onmessage = ({ data }) => this.onAnswer(data);
-      worker.onerror = (event) => this.onCrash(number, event.message);
-      // Without this, an answer that cannot be read would be waited for.
-      worker.onmessageerror = () => this.onCrash(number, "an unreadable message");
-      worker.postMessage({ type: "scene", index });
-      return worker;
-    });
+    this.opened = this.open(index, options);
+    // Every chunk is refused with the error.
+    this.opened.catch(() => undefined);
   }
 
   addCodebook(codebook: number, kind: number, payload: Uint8Array): void {
-    for (const worker of this.workers) worker.postMessage({ type: "codebook", codebook, kind, payload });
+    if (this.local !== undefined) {
+      this.local.addCodebook(codebook, kind, payload);
+      return;
+    }
+    const request: Request = { type: "codebook", codebook, kind, payload };
+    if (this.workers.length === 0) this.early.push(request);
+    for (const worker of this.workers) worker.postMessage(request);
   }
 
-  decode(task: DecodeTask): Promise<DecodedChunk> {
+  async decode(task: DecodeTask): Promise<DecodedChunk> {
+    const local = await this.opened;
+    if (this.abort.signal.aborted) throw closed();
+    if (local !== undefined) return local.decode(task);
     const least = Math.min(...this.load);
-    if (least === Infinity) return Promise.reject(new Error("every worker failed"));
+    if (least === Infinity) throw new Error(`every worker failed (${this.address})`);
     const worker = this.load.indexOf(least);
     const id = this.nextId++;
     this.load[worker]!++;
@@ -66,11 +79,50 @@ export class DecoderPool implements ChunkService {
   }
 
   close(): void {
+    this.abort.abort();
     for (const worker of this.workers) worker.terminate();
     for (const [id, task] of this.tasks) {
       this.tasks.delete(id);
-      task.reject(new Error("the pool of workers was closed"));
+      task.reject(closed());
     }
+  }
+
+  private async open(
+    index: DecoderIndex,
+    { makeWorker, running, workers }: PoolOptions,
+  ): Promise<ChunkService | undefined> {
+    const ways = makeWorker ? [{ address: "the option makeWorker", start: makeWorker }] : decoderWays();
+    const found = running ?? (await findRunningWay(ways, this.abort.signal));
+    if (this.abort.signal.aborted) {
+      found?.first?.terminate();
+      return undefined;
+    }
+    if (found === undefined) {
+      const local = new SlicedService(index, await loadKernels());
+      for (const request of this.early) {
+        if (request.type === "codebook") local.addCodebook(request.codebook, request.kind, request.payload);
+      }
+      this.early = [];
+      this.local = local;
+      return local;
+    }
+    const { way, first } = found;
+    const cores = globalThis.navigator?.hardwareConcurrency ?? 2;
+    const count = workers ?? Math.max(1, Math.min(4, cores - 1));
+    this.address = way.address;
+    this.load = new Array<number>(count).fill(0);
+    this.workers = this.load.map((_, number) => {
+      const worker = number === 0 && first !== undefined ? first : way.start();
+      worker.onmessage = ({ data }) => this.onAnswer(data);
+      worker.onerror = (event) => this.onCrash(number, event.message);
+      // Without this, an answer that cannot be read would be waited for.
+      worker.onmessageerror = () => this.onCrash(number, "an unreadable message");
+      worker.postMessage({ type: "scene", index });
+      for (const request of this.early) worker.postMessage(request);
+      return worker;
+    });
+    this.early = [];
+    return undefined;
   }
 
   private onAnswer(response: Response): void {
@@ -85,16 +137,16 @@ export class DecoderPool implements ChunkService {
   }
 
   /** Reject the chunks of a worker that ended, for example for lack of memory. */
-  private onCrash(number: number, message: string): void {
+  private onCrash(number: number, reason: string): void {
     this.load[number] = Infinity;
     for (const [id, task] of this.tasks) {
       if (task.worker !== number) continue;
       this.tasks.delete(id);
-      task.reject(new Error(`a worker failed: ${message}`));
+      task.reject(new Error(failureText(reason, this.address)));
     }
   }
 }
 
-function makeWorker(): WorkerLike {
-  return new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
+function closed(): Error {
+  return new Error("the pool of workers was closed");
 }

@@ -1,0 +1,33 @@
+import { WASM_DIGITS } from "../kernels/wasm_bytes.js";
+import { startsText, TEXT_ADDRESS, type WorkerWay } from "./worker_start.js";
+
+/** Program of `worker.js` without its kernels; the bundle defines it (`scripts/bundle.mjs`), sources lack it. */
+declare const DECODER_TEXT: string | undefined;
+
+/**
+ * Return the ways to start decoding workers without any setting of a bundler.
+ *
+ * The text in this module works in every bundler. A policy `worker-src 'self'` refuses it, but allows `worker.js`, which
+ * Vite and webpack find by the form of the call, and which otherwise must lie beside this module.
+ */
+export function decoderWays(): WorkerWay[] {
+  if (typeof Worker === "undefined") return [];
+  const ways: WorkerWay[] = [];
+  if (typeof DECODER_TEXT === "string")
+    ways.push({ address: TEXT_ADDRESS, start: startsText(decoderText(DECODER_TEXT)) });
+  ways.push({
+    address: `worker.js beside ${scriptAddress()}`,
+    start: () => new Worker(new URL("./worker.js", import.meta.url), { type: "module" }),
+  });
+  return ways;
+}
+
+/** Return the whole program of a decoding worker with the kernels of this module. */
+export function decoderText(program: string): string {
+  return `self.cogsplatKernels="${WASM_DIGITS}";${program}`;
+}
+
+/** Return the address of this module; bundlers may have replaced it by that of a file. */
+function scriptAddress(): string {
+  return import.meta.url.startsWith("http") ? import.meta.url : location.href;
+}
