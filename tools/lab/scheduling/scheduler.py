@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -19,7 +18,7 @@ _MARGIN_SECONDS: Final = 0.25
 
 # Hysteresis: an evicted chunk or aborted unit must be worth less than its replacement by this
 # factor. Without it, two chunks of similar value would replace each other in turn.
-_EVICT_FACTOR: Final = 2.0
+_HELD_FACTOR: Final = 2.0
 _ABORT_FACTOR: Final = 16.0
 
 
@@ -244,28 +243,14 @@ class Scheduler:
         round_ = _Round(
             self._units, self._splats, self._heads, self._units_of_chunk, urgency, state
         )
+        round_.make_room(0)
         round_.abort_outranked(order)
-        round_.make_room(math.inf, ())
         while not round_.is_window_full():
             best = round_.best_chain(order)
             if best is None:
                 break
             round_.request_first(best[0])
         return Decision(round_.aborted, round_.evicted, round_.chosen)
-
-
-@dataclass
-class _Resident:
-    """Chunks that count against the budget, their total splats and their lowest keep value."""
-
-    chunks: set[int]
-    splats: int
-    min_keep_value: float
-
-    def add(self, chunk: int, splats: int, keep_value: float) -> None:
-        self.chunks.add(chunk)
-        self.splats += splats
-        self.min_keep_value = min(self.min_keep_value, keep_value)
 
 
 class _Round:
@@ -289,10 +274,49 @@ class _Round:
         self._sizes = [unit.size_bytes for unit in units]
         self._dependencies = [unit.dependencies for unit in units]
         self._skipped: set[int] = set()
-        self._resident: _Resident | None = None
+        self._target, self._evictable = self._choose_target()
+        self._held_splats = sum(splats[chunk] for chunk in heads if self._is_held(chunk))
         self.aborted: list[int] = []
         self.evicted: list[int] = []
         self.chosen: list[int] = []
+
+    def _choose_target(self) -> tuple[set[int], list[int]]:
+        """Choose the chunks to hold within the budget (section 9).
+
+        Returns
+        -------
+        target, evictable : set of int, list of int
+            The chunks to hold, and the other chunks held, in the order of their eviction.
+        """
+        if not self._state.budget_splats:
+            return set(self._heads), []
+        worth = {
+            chunk: self._urgency[head] * self._units[head].end
+            for chunk, head in self._heads.items()
+        }
+        for chunk in worth:
+            if self._is_held(chunk):
+                worth[chunk] *= _HELD_FACTOR
+        parents = {chunk: self._parent(chunk) for chunk in self._heads}
+        # Parents precede their children.
+        for chunk in sorted(worth, reverse=True):
+            parent = parents[chunk]
+            if parent is not None:
+                worth[parent] = max(worth[parent], worth[chunk])
+        order = sorted(worth, key=lambda chunk: (-worth[chunk], chunk))
+        target: set[int | None] = {None}
+        room = self._state.budget_splats
+        for chunk in order:
+            if parents[chunk] in target and self._splats[chunk] <= room:
+                target.add(chunk)
+                room -= self._splats[chunk]
+        evictable = [chunk for chunk in order[::-1] if self._is_held(chunk) and chunk not in target]
+        return {chunk for chunk in target if chunk is not None}, evictable
+
+    def _parent(self, chunk: int) -> int | None:
+        """Return the chunk on whose head the head of a chunk depends."""
+        chunks = [self._units[at].chunk for at in self._units[self._heads[chunk]].dependencies]
+        return max((parent for parent in chunks if parent >= 0), default=None)
 
     def is_window_full(self) -> bool:
         """Whether the bytes in flight reach the window."""
@@ -301,7 +325,7 @@ class _Round:
 
     def best_chain(self, order: Sequence[int]) -> tuple[Sequence[int], float] | None:
         """Return the best chain and its value, without units skipped in this decision."""
-        units = (unit for unit in order if self._is_missing(unit) and unit not in self._skipped)
+        units = (unit for unit in order if self._is_wanted(unit) and unit not in self._skipped)
         return best_chain(units, self._urgency, self._sizes, self._dependencies, self._is_missing)
 
     def abort_outranked(self, order: Sequence[int]) -> None:
@@ -311,15 +335,20 @@ class _Round:
             return
         _, best_value = best
         values = self._in_flight_values()
-        for unit in sorted(self._state.in_flight, key=lambda u: (values[u], -u)):
+        for unit in sorted(self._in_flight, key=lambda u: (values[u], -u)):
             transfer_seconds = self._remaining_bytes(unit) / self._state.bytes_per_second
             if values[unit] * _ABORT_FACTOR >= best_value:
                 break
             # A unit that completes before a new response could start is not worth aborting.
             if transfer_seconds <= self._state.latency or self._is_required(unit):
                 continue
-            self._in_flight.remove(unit)
-            self.aborted.append(unit)
+            self._abort(unit)
+
+    def _abort(self, unit: int) -> None:
+        self._in_flight.remove(unit)
+        self.aborted.append(unit)
+        if self._units[unit].is_head:
+            self._held_splats -= self._splats[self._units[unit].chunk]
 
     def _in_flight_values(self) -> dict[int, float]:
         """Return per unit in flight the largest urgency of itself and its missing dependents."""
@@ -334,27 +363,54 @@ class _Round:
         return values
 
     def request_first(self, chain: Sequence[int]) -> None:
-        """Choose the first unit of a chain; skip the last unit if the chain exceeds the budget."""
-        first, last = self._units[chain[0]], chain[-1]
-        # Units aborted or evicted in this decision are not requested again by it.
-        is_dropped = any(u in self.aborted or self._units[u].chunk in self.evicted for u in chain)
-        if is_dropped or (first.is_head and not self.make_room(self._keep_value(last), chain)):
-            self._skipped.add(last)
+        """Choose the first unit of a chain, after evictions for a head without room."""
+        # Units aborted in this decision are not requested again by it.
+        if any(unit in self.aborted for unit in chain):
+            self._skipped.add(chain[-1])
             return
-        if first.is_head and self._resident is not None:
-            self._resident.add(first.chunk, self._splats[first.chunk], self._keep_value(chain[0]))
+        first = self._units[chain[0]]
+        if first.is_head:
+            self.make_room(self._splats[first.chunk])
+            self._held_splats += self._splats[first.chunk]
         self._in_flight.add(chain[0])
         self.chosen.append(chain[0])
 
-    def _keep_value(self, unit: int) -> float:
-        """Return urgency × end: the value of a unit in memory, whatever its offset in the file."""
-        return self._urgency[unit] * self._units[unit].end
+    def make_room(self, splats: int) -> None:
+        """Evict chunks outside the target until so many splats fit the budget.
+
+        Parameters
+        ----------
+        splats : int
+            Splats of a chunk of the target; 0 to enforce a budget that was lowered.
+        """
+        while self._evictable and self._held_splats + splats > self._state.budget_splats:
+            chunk = self._evictable.pop(0)
+            # A head in flight may have been aborted.
+            if not self._is_held(chunk):
+                continue
+            self.evicted.append(chunk)
+            for unit in self._units_of_chunk[chunk]:
+                if unit in self._in_flight:
+                    self._abort(unit)
+                elif unit in self._present and self._units[unit].is_head:
+                    self._held_splats -= self._splats[chunk]
+                self._present.discard(unit)
+                self._received.pop(unit, None)
 
     def _remaining_bytes(self, unit: int) -> int:
         return self._units[unit].size_bytes - self._received.get(unit, 0)
 
+    def _is_held(self, chunk: int) -> bool:
+        """Whether the head of a chunk is present or in flight."""
+        return not self._is_missing(self._heads[chunk])
+
     def _is_missing(self, unit: int) -> bool:
         return unit not in self._present and unit not in self._in_flight
+
+    def _is_wanted(self, unit: int) -> bool:
+        """Whether a unit is missing, and of a chunk to hold or of none."""
+        chunk = self._units[unit].chunk
+        return self._is_missing(unit) and (chunk < 0 or chunk in self._target)
 
     def _is_required(self, unit: int) -> bool:
         """Whether a unit that is present or in flight depends on this one."""
@@ -362,98 +418,3 @@ class _Round:
             unit in dependencies and not self._is_missing(other)
             for other, dependencies in enumerate(self._dependencies)
         )
-
-    def _resident_chunks(self) -> _Resident:
-        """Return the chunks whose heads are present or in flight; recomputed after evictions."""
-        if self._resident is None:
-            chunks = {chunk for chunk, head in self._heads.items() if not self._is_missing(head)}
-            lowest = min(
-                (self._keep_value(self._heads[chunk]) for chunk in chunks), default=math.inf
-            )
-            self._resident = _Resident(chunks, sum(self._splats[c] for c in chunks), lowest)
-        return self._resident
-
-    def make_room(self, keep_value: float, chain: Sequence[int]) -> bool:
-        """Evict chunks of lower value until the first head of a chain fits the budget.
-
-        Parameters
-        ----------
-        keep_value : float
-            Value of keeping the last unit of the chain.
-        chain : sequence of int
-            Units of the chain, a head first; empty to enforce a budget that was lowered.
-
-        Returns
-        -------
-        bool
-            False, without evictions, if not all heads of the chain would fit. Otherwise a parent
-            could evict chunks for children that never fit, be evicted for them, and so on.
-        """
-        budget = self._state.budget_splats
-        if not budget:
-            return True
-        counts = [
-            self._splats[unit.chunk] for unit in (self._units[u] for u in chain) if unit.is_head
-        ]
-        resident = self._resident_chunks()
-        room = budget - resident.splats
-        if room >= sum(counts):
-            return True
-        # Fast path: no resident chunk has a value low enough.
-        if not resident.min_keep_value * _EVICT_FACTOR < keep_value:
-            return False
-        remaining, ancestors = set(resident.chunks), self._ancestor_chunks(chain)
-        evicted: list[int] = []
-        while room < sum(counts):
-            chunk = self._eviction_candidate(remaining, ancestors, keep_value)
-            if chunk is None:
-                return False
-            remaining.remove(chunk)
-            evicted.append(chunk)
-            room += self._splats[chunk]
-        # Room for the other heads of the chain is made when they are requested.
-        while evicted and room - self._splats[evicted[-1]] >= sum(counts[:1]):
-            room -= self._splats[evicted.pop()]
-        self._resident = None
-        for chunk in evicted:
-            self.evicted.append(chunk)
-            for unit in self._units_of_chunk[chunk]:
-                self._present.discard(unit)
-                self._received.pop(unit, None)
-                if unit in self._in_flight:
-                    self._in_flight.remove(unit)
-                    self.aborted.append(unit)
-        return True
-
-    def _ancestor_chunks(self, chain: Sequence[int]) -> set[int]:
-        """Return the chunks of units and of their transitive dependencies."""
-        found: set[int] = set()
-        stack = list(chain)
-        while stack:
-            unit = stack.pop()
-            if self._units[unit].chunk >= 0:
-                found.add(self._units[unit].chunk)
-            stack += self._units[unit].dependencies
-        return found
-
-    def _eviction_candidate(
-        self, resident: set[int], ancestors: set[int], keep_value: float
-    ) -> int | None:
-        """Return the evictable chunk of the lowest value; None if there is none."""
-        parents = {
-            self._units[dependency].chunk
-            for chunk in resident
-            for dependency in self._units[self._heads[chunk]].dependencies
-        }
-        chosen = {self._units[unit].chunk for unit in self.chosen}
-        candidates = [
-            chunk
-            for chunk in resident
-            if chunk not in ancestors
-            and chunk not in parents
-            and chunk not in chosen
-            and self._keep_value(self._heads[chunk]) * _EVICT_FACTOR < keep_value
-        ]
-        if not candidates:
-            return None
-        return min(candidates, key=lambda chunk: (self._keep_value(self._heads[chunk]), -chunk))

@@ -153,6 +153,36 @@ def test_fetching_at_a_fixed_pose_ends_under_any_budget(number, rate):
         assert not decision.evict
 
 
+@pytest.mark.parametrize("number", range(len(VECTORS["scenes"])))
+def test_fetching_at_a_fixed_pose_ends_though_requests_wait(number):
+    scene = VECTORS["scenes"][number]
+    units = [Unit(c, bool(head), end, size, tuple(a)) for c, head, end, size, a in scene["units"]]
+    scheduler = Scheduler(units, scene["splats"])
+    rng = np.random.default_rng(number)
+    for share in np.linspace(0.2, 0.9, 15):
+        ratios = np.exp(rng.normal(0.0, 2.0, len(scene["splats"])))
+        budget = int(share * sum(scene["splats"]))
+        # These units are in the first bytes of the file and arrive at once; others are requested
+        # one at a time, as the connection has room.
+        first_bytes = {at for at in range(len(units)) if rng.random() < 0.5}
+        there, coming = set(), set()
+        for _ in range(8 * len(units)):
+            decision = scheduler.decide(ratios, client(there, coming, budget=budget, rate=4000.0))
+            gone = {at for at, unit in enumerate(units) if unit.chunk in decision.evict}
+            there -= gone
+            coming -= gone | set(decision.abort)
+            found = first_bytes & set(decision.fetch)
+            there |= found
+            if not found and decision.fetch and not coming:
+                coming.add(next(unit for unit in decision.fetch))
+            elif not found and coming:
+                there.add(coming.pop())
+            elif not found:
+                break
+        else:
+            pytest.fail(f"no end within a budget of {budget} splats")
+
+
 def test_evicted_units_in_flight_are_aborted():
     decision = decide([1.0, 0.001, 9.0, 0.001], present=[0], in_flight=[1], budget=20, latency=9.0)
     assert (decision.evict, decision.abort) == ([1], [1])

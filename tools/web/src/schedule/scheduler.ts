@@ -2,8 +2,8 @@
  * Bytes in flight beyond one round trip, as seconds of the connection: requests never run dry, and few are made early.
  */
 const AHEAD_SECONDS = 0.25;
-/** Least ratio between the worth of an incoming chunk and of a chunk evicted for it. */
-const EVICT_FACTOR = 2;
+/** Factor of the worth of chunks held, without which two of similar worth would be evicted for each other in turn. */
+const HELD_FACTOR = 2;
 /** Least ratio between the urgency of the best missing unit and of a unit stopped for it. */
 const ABORT_FACTOR = 16;
 
@@ -75,8 +75,8 @@ export class Scheduler {
   decide(ratios: Float64Array, holdings: Holdings): Decision {
     const { urgency, order } = this.ordered(ratios);
     const round = new Round(this.units, this.splats, this.heads, urgency, holdings);
+    round.makeRoom(0);
     round.stopLessUrgent(order);
-    round.makeRoom(Infinity, []);
     while (!round.isFull) {
       const best = round.best(order);
       if (best === undefined) break;
@@ -113,8 +113,12 @@ class Round {
   private readonly window: number;
   /** Bytes missing of the units in flight. */
   private bytesInFlight = 0;
-  /** Chunks whose heads are held; computed when a budget first applies. */
-  private held: { readonly chunks: Set<number>; splats: number; leastWorth: number | undefined } | undefined;
+  /** Chunks to hold; undefined without a budget. */
+  private readonly target: ReadonlySet<number> | undefined;
+  /** Other chunks held, in the order of their eviction. */
+  private readonly evictable: number[] = [];
+  /** Splats of the chunks held. */
+  private heldSplats = 0;
 
   constructor(
     private readonly units: readonly Unit[],
@@ -128,6 +132,40 @@ class Round {
     this.received = new Map(holdings.received);
     this.window = windowBytes(holdings.bytesPerSecond, holdings.latency);
     for (const unit of this.inFlight) this.bytesInFlight += this.missingBytes(unit);
+    if (holdings.budgetSplats > 0) this.target = this.chooseTarget(holdings.budgetSplats);
+  }
+
+  /** Return the chunks to hold within the budget, and note the others held (docs/streaming.md, 9). */
+  private chooseTarget(budget: number): Set<number> {
+    const worths = new Map<number, number>();
+    const parents = new Map<number, number | undefined>();
+    for (const [chunk, head] of this.heads) {
+      const held = this.isHeld(head);
+      if (held) this.heldSplats += this.splats[chunk]!;
+      worths.set(chunk, this.urgency[head]! * this.units[head]!.end * (held ? HELD_FACTOR : 1));
+      parents.set(
+        chunk,
+        this.units[head]!.dependencies.map((unit) => this.units[unit]!.chunk).find((parent) => parent >= 0),
+      );
+    }
+    // Parents precede their children.
+    for (const chunk of [...worths.keys()].sort((a, b) => b - a)) {
+      const parent = parents.get(chunk);
+      if (parent !== undefined) worths.set(parent, Math.max(worths.get(parent)!, worths.get(chunk)!));
+    }
+    const order = [...worths.keys()].sort((a, b) => worths.get(b)! - worths.get(a)! || a - b);
+    const target = new Set<number>();
+    let room = budget;
+    for (const chunk of order) {
+      const parent = parents.get(chunk);
+      if ((parent !== undefined && !target.has(parent)) || this.splats[chunk]! > room) continue;
+      target.add(chunk);
+      room -= this.splats[chunk]!;
+    }
+    this.evictable.push(
+      ...order.reverse().filter((chunk) => !target.has(chunk) && this.isHeld(this.heads.get(chunk)!)),
+    );
+    return target;
   }
 
   /** Whether the bytes in flight fill the window. */
@@ -135,11 +173,11 @@ class Round {
     return this.bytesInFlight >= this.window && this.inFlight.size > 0;
   }
 
-  /** Return the most urgent chain, without units that found no room. */
+  /** Return the most urgent chain, without units skipped in this decision. */
   best(order: readonly number[]): Chain | undefined {
     let best: Chain | undefined;
     for (const unit of order) {
-      if (this.isHeld(unit) || this.skipped.has(unit)) continue;
+      if (!this.isWanted(unit) || this.skipped.has(unit)) continue;
       const units = this.withDependencies(unit);
       const worth = units.length === 1 ? this.urgency[unit]! : this.mean(units);
       if (best === undefined || worth > best.worth) best = { units, worth };
@@ -164,9 +202,9 @@ class Round {
   stopLessUrgent(order: readonly number[]): void {
     const best = this.best(order);
     if (best === undefined) return;
-    const { inFlight, bytesPerSecond, latency } = this.holdings;
-    const worths = this.worths();
-    for (const unit of [...inFlight].sort((a, b) => worths.get(a)! - worths.get(b)! || b - a)) {
+    const { bytesPerSecond, latency } = this.holdings;
+    const worths = this.worthsInFlight();
+    for (const unit of [...this.inFlight].sort((a, b) => worths.get(a)! - worths.get(b)! || b - a)) {
       if (worths.get(unit)! * ABORT_FACTOR >= best.worth) break;
       // A unit that would arrive before another answer could begin is kept.
       if (this.missingBytes(unit) / bytesPerSecond <= latency || this.hasDependents(unit)) continue;
@@ -175,7 +213,7 @@ class Round {
   }
 
   /** Return the worth of each unit in flight: the urgency of the most urgent missing unit that depends on it. */
-  private worths(): Map<number, number> {
+  private worthsInFlight(): Map<number, number> {
     const worths = new Map([...this.inFlight].map((unit) => [unit, this.urgency[unit]!]));
     this.units.forEach((_, unit) => {
       const left = this.isHeld(unit) ? [] : [unit];
@@ -190,18 +228,19 @@ class Round {
     return worths;
   }
 
-  /** Request the first unit of a chain, or skip the chain from now on if there is no room for it. */
+  /** Request the first unit of a chain, after evictions for a head without room. */
   request({ units }: Chain): void {
     const first = units[0]!;
-    const last = units[units.length - 1]!;
-    const { chunk, isHead } = this.units[first]!;
-    // A decision does not request again what it stops or evicts.
-    const isGone = units.some((unit) => this.stopped.includes(unit) || this.evicted.includes(this.units[unit]!.chunk));
-    if (isGone || (isHead && !this.makeRoom(this.holdingWorth(last), units))) {
-      this.skipped.add(last);
+    // A decision does not request again what it stops.
+    if (units.some((unit) => this.stopped.includes(unit))) {
+      this.skipped.add(units[units.length - 1]!);
       return;
     }
-    if (isHead) this.hold(chunk);
+    const { chunk, isHead } = this.units[first]!;
+    if (isHead) {
+      this.makeRoom(this.splats[chunk]!);
+      this.heldSplats += this.splats[chunk]!;
+    }
     this.inFlight.add(first);
     this.bytesInFlight += this.missingBytes(first);
     this.chosen.push(first);
@@ -209,14 +248,34 @@ class Round {
 
   /** Stop a unit in flight. */
   private stop(unit: number): void {
+    const { chunk, isHead } = this.units[unit]!;
     this.inFlight.delete(unit);
     this.bytesInFlight -= this.missingBytes(unit);
     this.stopped.push(unit);
+    if (isHead) this.heldSplats -= this.splats[chunk]!;
   }
 
-  /** Return the worth of holding a unit, without the cost of its position in the file. */
-  private holdingWorth(unit: number): number {
-    return this.urgency[unit]! * this.units[unit]!.end;
+  /**
+   * Evict chunks outside the target until so many splats fit.
+   *
+   * @param splats - Splats of a chunk of the target; 0 to enforce a lowered budget.
+   */
+  makeRoom(splats: number): void {
+    while (this.evictable.length > 0 && this.heldSplats + splats > this.holdings.budgetSplats) {
+      const chunk = this.evictable.shift()!;
+      // A head in flight may have been stopped.
+      if (this.isHeld(this.heads.get(chunk)!)) this.evict(chunk);
+    }
+  }
+
+  private evict(chunk: number): void {
+    this.evicted.push(chunk);
+    this.units.forEach((part, unit) => {
+      if (part.chunk !== chunk) return;
+      if (this.inFlight.has(unit)) this.stop(unit);
+      else if (this.arrived.delete(unit) && part.isHead) this.heldSplats -= this.splats[chunk]!;
+      this.received.delete(unit);
+    });
   }
 
   private missingBytes(unit: number): number {
@@ -225,6 +284,12 @@ class Round {
 
   private isHeld(unit: number): boolean {
     return this.arrived.has(unit) || this.inFlight.has(unit);
+  }
+
+  /** Return whether a unit is missing, and of a chunk to hold or of none. */
+  private isWanted(unit: number): boolean {
+    const { chunk } = this.units[unit]!;
+    return !this.isHeld(unit) && (chunk < 0 || this.target === undefined || this.target.has(chunk));
   }
 
   /** Return the missing dependencies of a unit, then the unit. */
@@ -239,109 +304,5 @@ class Round {
   /** Return whether a unit that has arrived or is in flight depends on this one. */
   private hasDependents(unit: number): boolean {
     return this.units.some(({ dependencies }, other) => dependencies.includes(unit) && this.isHeld(other));
-  }
-
-  /**
-   * Evict chunks of less worth until the first head of a chain fits.
-   *
-   * @param keep - Worth of holding the chain.
-   * @param chain - Units of which the first is a head; empty to enforce a lowered budget.
-   * @returns false, without any eviction, unless all heads of the chain would fit: a parent without its children would
-   *   be
-   * evicted again for others, without end.
-   */
-  makeRoom(keep: number, chain: readonly number[]): boolean {
-    const budget = this.holdings.budgetSplats;
-    if (budget === 0) return true;
-    this.held ??= this.heldChunks();
-    const now = this.held;
-    const heads = chain
-      .map((unit) => this.units[unit]!)
-      .filter(({ isHead }) => isHead)
-      .map(({ chunk }) => this.splats[chunk]!);
-    const first = heads[0] ?? 0;
-    const rows = heads.reduce((sum, count) => sum + count, 0);
-    if (now.splats + rows <= budget) return true;
-    now.leastWorth ??= [...now.chunks].reduce((least, chunk) => Math.min(least, this.worth(chunk)), Infinity);
-    if (!(now.leastWorth * EVICT_FACTOR < keep)) return false;
-    const held = new Set(now.chunks);
-    let used = now.splats;
-    const kept = this.ancestors(chain);
-    const going: number[] = [];
-    while (used + rows > budget) {
-      const chunk = this.leastWorthy(held, kept, keep);
-      if (chunk === undefined) return false;
-      held.delete(chunk);
-      used -= this.splats[chunk]!;
-      going.push(chunk);
-    }
-    // Room for the other heads is made when they are requested.
-    for (
-      let last = going.at(-1);
-      last !== undefined && used + this.splats[last]! + first <= budget;
-      last = going.at(-1)
-    ) {
-      used += this.splats[last]!;
-      going.pop();
-    }
-    for (const chunk of going) this.evict(chunk);
-    return true;
-  }
-
-  private heldChunks(): { chunks: Set<number>; splats: number; leastWorth: undefined } {
-    const chunks = new Set([...this.heads].filter(([, head]) => this.isHeld(head)).map(([chunk]) => chunk));
-    let splats = 0;
-    for (const chunk of chunks) splats += this.splats[chunk]!;
-    return { chunks, splats, leastWorth: undefined };
-  }
-
-  private hold(chunk: number): void {
-    if (this.held === undefined) return;
-    this.held.chunks.add(chunk);
-    this.held.splats += this.splats[chunk]!;
-    this.held.leastWorth = undefined;
-  }
-
-  private evict(chunk: number): void {
-    this.evicted.push(chunk);
-    this.held = undefined;
-    this.units.forEach((part, unit) => {
-      if (part.chunk !== chunk) return;
-      this.arrived.delete(unit);
-      if (this.inFlight.has(unit)) this.stop(unit);
-      this.received.delete(unit);
-    });
-  }
-
-  private worth(chunk: number): number {
-    return this.holdingWorth(this.heads.get(chunk)!);
-  }
-
-  /** Return the chunks of some units and of all their dependencies. */
-  private ancestors(chain: readonly number[]): Set<number> {
-    const found = new Set<number>();
-    const left = [...chain];
-    for (let unit = left.pop(); unit !== undefined; unit = left.pop()) {
-      const { chunk, dependencies } = this.units[unit]!;
-      if (chunk >= 0) found.add(chunk);
-      left.push(...dependencies);
-    }
-    return found;
-  }
-
-  /** Return the chunk to evict first: the least worth, and parent of no chunk held. */
-  private leastWorthy(held: ReadonlySet<number>, kept: ReadonlySet<number>, urgency: number): number | undefined {
-    const parents = new Set(
-      [...held].flatMap((chunk) =>
-        this.units[this.heads.get(chunk)!]!.dependencies.map((unit) => this.units[unit]!.chunk),
-      ),
-    );
-    const chosen = new Set(this.chosen.map((unit) => this.units[unit]!.chunk));
-    return [...held]
-      .filter(
-        (chunk) =>
-          !kept.has(chunk) && !parents.has(chunk) && !chosen.has(chunk) && this.worth(chunk) * EVICT_FACTOR < urgency,
-      )
-      .sort((a, b) => this.worth(a) - this.worth(b) || b - a)[0];
   }
 }
