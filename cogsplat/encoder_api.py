@@ -106,6 +106,7 @@ def encode(
     True
     """
     from .codec.encode import pipeline
+    from .codec.encode.look_of_request import find_look_of
     from .codec.encode.stage_costs import stage_costs
 
     _require_output(path, force, scene, cameras)
@@ -122,7 +123,6 @@ def encode(
     )
     if request.stored_cameras:
         check_cameras(request.stored_cameras)
-    metadata = FileMetadata(request.first_view, request.stored_cameras)
     memory: AbstractContextManager[Workspace] = nullcontext(request.workspace)
     if request.memory_bytes is not None:
         folder = Path(path).absolute().parent
@@ -132,6 +132,8 @@ def encode(
         splats = _splats(scene, workspace)
         if isinstance(progress, OverallProgress):
             progress.plan(stage_costs(len(splats), request))
+        look, request = find_look_of(splats, request)
+        metadata = FileMetadata(look, request.stored_cameras)
         encoded = pipeline.encode(
             splats,
             request,
@@ -201,6 +203,7 @@ def tune(
     from .codec.fit import tuning
     from .codec.fit.tune_config import TuneConfig, TuneRequest
     from .codec.fit.tuning_views import choose_tuning_views
+    from .codec.views.first_look_search import find_first_look
 
     _require_output(path, force, scene, cameras)
     config = config or TuneConfig()
@@ -208,7 +211,7 @@ def tune(
     given = None if cameras is None else _views(cameras)
     views = choose_tuning_views(splats, given, threads=config.train.threads, progress=progress)
     request = TuneRequest(views, _target(target, scene), config)
-    metadata = FileMetadata(request.first_view)
+    metadata = FileMetadata(find_first_look(splats, given, threads=config.train.threads))
     tuned = tuning.tune(splats, request, size_of=metadata.file_bytes, progress=progress)
     return _save(tuned.encoded, metadata, path, force)
 
@@ -254,6 +257,7 @@ def layers(
     """
     from .codec.fit.level_encoding import make_levels
     from .codec.fit.train_config import LevelsConfig, LevelsRequest
+    from .codec.views.first_look_search import find_first_look
     from .codec.views.planner import ViewPlanConfig, plan
 
     _require_output(path, force, scene, cameras)
@@ -267,7 +271,9 @@ def layers(
     else:
         views = _views(cameras)
     encoded = make_levels(splats, LevelsRequest(views, config), progress=progress)
-    return _save(encoded, FileMetadata(None if cameras is None else views[0]), path, force)
+    given = None if cameras is None else views
+    look = find_first_look(splats, given, threads=config.threads)
+    return _save(encoded, FileMetadata(look), path, force)
 
 
 def compare(

@@ -9,7 +9,7 @@ from cogsplat.codec.clustering.kmeans import TrainingConfig
 from cogsplat.codec.encode.profiles.near_lossless import NearLosslessBounds
 from cogsplat.codec.finite_fields import require_finite
 from cogsplat.codec.order import chunk_plan
-from cogsplat.codec.order.orders import OrderConfig, require_order
+from cogsplat.codec.order.orders import OrderConfig, split_name
 from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.codec.streams.payload_limits import MAX_CHUNK_SPLATS
 from cogsplat.codec.threads import thread_count
@@ -158,7 +158,7 @@ class EncodeConfig:
         require_finite(self)
         if self.profile not in PROFILE_NAMES:
             raise ValueError(f"profile {self.profile!r}, expected one of {PROFILE_NAMES}")
-        require_order(self.order, self.ordering)
+        split_name(self.order)
         if not 1 <= self.chunk_splats <= MAX_CHUNK_SPLATS:
             raise ValueError(
                 f"chunks of {self.chunk_splats} splats, expected 1 to {MAX_CHUNK_SPLATS}"

@@ -6,9 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from numpy.typing import ArrayLike
+
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.executor import Executor, LocalThreads
 from cogsplat.codec.order.orders import split_name
+from cogsplat.codec.views.view_text import parse_view, unit_up
 from cogsplat.codec.workspace import IN_MEMORY, Workspace
 
 from .config import EncodeConfig, Target
@@ -34,6 +37,11 @@ class EncodeRequest:
         `cameras`.
     stored_cameras : sequence of Camera
         Cameras stored in the file for its readers; they change nothing else.
+    up : str or array-like of 3 float, optional
+        Direction against gravity in the frame of the means, or its text (`view_text.parse_up`).
+        None estimates it from the cameras or the splats.
+    view : str or Camera, optional
+        First view for viewers, or its text (`view_text.parse_view`). None chooses one.
     config : EncodeConfig
         Contents of the file. With planned views, its nominal quality is the PSNR in the planned
         test views, to about 1 dB (`rate_control.search_nominal`).
@@ -56,6 +64,8 @@ class EncodeRequest:
     ValueError
         An unknown preset; the order ``gain`` with scores and no cameras; a target for the profile
         `near-lossless`; an executor or a preview together with a memory limit.
+    DataError
+        ``bad-view-text``: `up` or `view` states no direction or pose.
 
     Examples
     --------
@@ -69,6 +79,8 @@ class EncodeRequest:
     scores: Scores | None = None
     test_views: Sequence[Camera] = ()
     stored_cameras: Sequence[Camera] = ()
+    up: str | ArrayLike | None = None
+    view: str | Camera | None = None
     config: EncodeConfig = field(default_factory=EncodeConfig)
     score_config: ScoreConfig | None = None
     preset: str = DEFAULT_PRESET
@@ -78,6 +90,10 @@ class EncodeRequest:
     executor: Executor | None = None
 
     def __post_init__(self) -> None:
+        if self.up is not None:
+            unit_up(self.up)
+        if isinstance(self.view, str):
+            parse_view(self.view)
         if self.preset not in PRESETS:
             raise ValueError(f"preset {self.preset!r}, expected one of {tuple(PRESETS)}")
         gain = split_name(self.config.order)[0] == "gain"
@@ -112,11 +128,6 @@ class EncodeRequest:
     def jitters(self) -> bool:
         """Whether given cameras are scored with jittered copies."""
         return self.score_config is None or self.score_config.jitter
-
-    @property
-    def first_view(self) -> Camera | None:
-        """Camera where a viewer starts: that of the order, else the first given one."""
-        return self.config.ordering.first_view or (self.cameras[0] if self.cameras else None)
 
     @property
     def view_executor(self) -> Executor | None:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.config import Target
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.finite_fields import require_finite
@@ -139,8 +138,3 @@ class TuneRequest:
     def __post_init__(self) -> None:
         if self.photos is not None and self.views.planned:
             raise ValueError("photos for planned views, expected the cameras of the photos")
-
-    @property
-    def first_view(self) -> Camera | None:
-        """Camera where a viewer starts: the first given one."""
-        return None if self.views.planned else self.views.cameras[0]

@@ -282,19 +282,6 @@ def needs_scores(name: str) -> bool:
     return split_name(name)[0] in _SCORED
 
 
-def require_order(name: str, config: OrderConfig) -> None:
-    """Check that an order's name is known and that it has the settings it needs.
-
-    Raises
-    ------
-    ValueError
-        The name is unknown, or has a rule for a first view without `OrderConfig.first_view`.
-    """
-    rule = split_name(name)[1]
-    if rule and config.first_view is None:
-        raise ValueError(f"order {name!r} without a first view, expected one")
-
-
 def order_rows(
     name: str, scene: OrderInputs, config: OrderConfig | None = None
 ) -> NDArray[np.int64]:
@@ -327,7 +314,7 @@ def order_rows(
     DataError
         ``cameras-see-nothing``: the first view shows no splat.
     ValueError
-        See `require_order`.
+        The name is unknown, or has a rule for a first view without `OrderConfig.first_view`.
 
     Examples
     --------
@@ -341,8 +328,9 @@ def order_rows(
     [1, 0, 2]
     """
     config = config or OrderConfig()
-    require_order(name, config)
     base, rule = split_name(name)
+    if rule and config.first_view is None:
+        raise ValueError(f"order {name!r} without a first view, expected one")
     rows = _ORDERS[base](scene, config)
     if not rule or config.first_view is None or not len(rows):
         return rows

@@ -1,4 +1,4 @@
-"""Metadata of a COGS file that does not come from its splats: writer, first view, cameras."""
+"""Metadata of a COGS file that does not come from its splats: writer, first look, cameras."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.encoded import EncodedScene
+from cogsplat.codec.views.first_look import FirstLook
 
 from . import scene_writer as cogs
 
@@ -20,19 +21,19 @@ except PackageNotFoundError:  # a bare checkout on the path, never installed
 
 @dataclass(frozen=True, eq=False)
 class FileMetadata:
-    """Writer, first view and cameras that a file stores next to its scene.
+    """Writer, first look and cameras that a file stores next to its scene.
 
     Parameters
     ----------
-    first_view : Camera or None
-        Camera where a viewer starts.
+    look : FirstLook
+        Up direction, first view and core box.
     cameras : sequence of Camera
         Cameras stored for readers of the file.
     writer : str
         Name and version of the program.
     """
 
-    first_view: Camera | None = None
+    look: FirstLook = cogs.NO_LOOK
     cameras: Sequence[Camera] = ()
     writer: str = _WRITER
 
@@ -44,9 +45,7 @@ class FileMetadata:
         scene : EncodedScene
             Scene to store.
         """
-        return cogs.size_bytes(
-            scene, writer=self.writer, first_view=self.first_view, cameras=self.cameras
-        )
+        return cogs.size_bytes(scene, writer=self.writer, look=self.look, cameras=self.cameras)
 
     def save(self, scene: EncodedScene, path: Path, *, force: bool = False) -> int:
         """Write an encoded scene as a COGS file and return its size, bytes.
@@ -71,7 +70,7 @@ class FileMetadata:
             scene,
             path,
             writer=self.writer,
-            first_view=self.first_view,
+            look=self.look,
             cameras=self.cameras,
             force=force,
         )

@@ -21,6 +21,7 @@ from cogsplat.codec.splats import (
     SceneInfo,
 )
 from cogsplat.codec.streams.payload_limits import MAX_CHUNK_SPLATS, MAX_CODEBOOK_ROWS
+from cogsplat.codec.views.pose import down_direction
 
 from . import layout
 from .canonical_msgpack import Value
@@ -211,6 +212,11 @@ class Root:
     levels: Sequence[Level] = field(default=())
     up: NDArray[np.float64] | None = None
     core_box: NDArray[np.float64] | None = None
+
+    @property
+    def upward(self) -> NDArray[np.float64]:
+        """Unit vector against gravity, (3,) float64: `up`, or the ``U`` of the axes."""
+        return -down_direction(self.info.axes) + 0.0 if self.up is None else self.up
 
 
 def _column(values: NDArray[np.generic], dtype: str) -> bytes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from cogsplat.codec.partition.nested_cells import WHOLE
 from cogsplat.codec.rate.segment_order import OrderedKind, OrderedSegment
 from cogsplat.codec.segments.attributes import attribute_types
 from cogsplat.codec.segments.payloads import Payloads
+from cogsplat.codec.views.first_look import FirstLook
 
 from . import layout
 from .camera_segment import pack_cameras
@@ -23,13 +25,16 @@ from .root import ChunkTable, CodebookEntry, Level, Root, no_segments
 from .view_table_segment import pack_view_table
 from .writer import Segment, lay_out, write_cogs
 
+NO_LOOK: Final = FirstLook()
+"""The look of a file that leaves up direction and first view to viewers."""
+
 
 def save(
     scene: EncodedScene,
     path: Path,
     *,
     writer: str,
-    first_view: Camera | None = None,
+    look: FirstLook = NO_LOOK,
     cameras: Sequence[Camera] = (),
     force: bool = False,
 ) -> int:
@@ -43,8 +48,8 @@ def save(
         Output file.
     writer : str
         Name and version of the program, for the root.
-    first_view : Camera, optional
-        Camera where a viewer starts.
+    look : FirstLook
+        Up direction, first view and core box for viewers.
     cameras : sequence of Camera
         Cameras to store.
     force : bool
@@ -62,12 +67,15 @@ def save(
     DataError
         ``root-size``, ``bad-scene-info``, ``too-many-cameras`` or ``bad-camera``.
     """
-    root = build_root(scene, writer, first_view)
+    root = build_root(scene, writer, look)
     return write_cogs(root, segments(scene, cameras), path, force=force)
 
 
-def build_root(scene: EncodedScene, writer: str, first_view: Camera | None = None) -> Root:
-    """Return the root of an encoded scene, with an empty segment table for `writer.lay_out`."""
+def build_root(scene: EncodedScene, writer: str, look: FirstLook = NO_LOOK) -> Root:
+    """Return the root of an encoded scene, with an empty segment table for `writer.lay_out`.
+
+    The core box is cut to the box of the stored splats.
+    """
     chunks = scene.chunks
     count = len(chunks)
     table = ChunkTable(
@@ -87,7 +95,9 @@ def build_root(scene: EncodedScene, writer: str, first_view: Camera | None = Non
         info=scene.scene.info,
         box=scene.box,
         codebooks=[CodebookEntry(book.attribute, book.rows) for book in scene.codebooks],
-        first_view=first_view,
+        first_view=look.view,
+        up=look.up,
+        core_box=None if look.core_box is None else _within(look.core_box, scene.box),
         segments=no_segments(),
         chunks=table,
         attributes=attribute_types(scene.scene.extras),
@@ -99,12 +109,18 @@ def size_bytes(
     scene: EncodedScene,
     *,
     writer: str,
-    first_view: Camera | None = None,
+    look: FirstLook = NO_LOOK,
     cameras: Sequence[Camera] = (),
 ) -> int:
     """Return the length of the file that `save` would write, bytes."""
-    parts = lay_out(build_root(scene, writer, first_view), segments(scene, cameras))
+    parts = lay_out(build_root(scene, writer, look), segments(scene, cameras))
     return sum(len(part) for part in parts)
+
+
+def _within(inner: NDArray[np.float64], outer: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the part of a bounding box that lies inside another."""
+    low, high = np.tile(outer[:3], 2), np.tile(outer[3:], 2)
+    return np.clip(inner, low, high)
 
 
 def _boxes_float32(chunks: Sequence[EncodedChunk]) -> NDArray[np.float32]:

@@ -43,6 +43,7 @@ from cogsplat.tools.terminal.options import (
     target_psnr_option,
     threads_option,
     top_k_option,
+    up_option,
 )
 from cogsplat.tools.terminal.output import (
     count_text,
@@ -65,7 +66,6 @@ from cogsplat.tools.workflow.compile_ahead import CompileAhead
 from cogsplat.tools.workflow.file_evaluation import FileEvaluation, settings_of
 from cogsplat.tools.workflow.inputs import (
     LoadedScene,
-    plan_cameras,
     read_any,
     scoring_cameras,
 )
@@ -103,7 +103,6 @@ _GROUPS: Final = {
     ),
     "Order of the splats": (
         "--order",
-        "--first-view",
         "--first-view-share",
         "--first-view-mix",
         "--frustum-share",
@@ -116,6 +115,7 @@ _GROUPS: Final = {
         "--masks",
     ),
     "Scoring": ("--no-jitter", "--top-k", "--eval-every"),
+    "First view": ("--view", "--up"),
     "Contents of the file": (
         "--prune",
         "--no-prune",
@@ -224,6 +224,7 @@ _GROUPS: Final = {
 )
 @click.option("--no-prune", is_flag=True, help="Keep every splat.")
 @no_extras_option
+@up_option
 @click.option("--store-cameras", is_flag=True, help="Store all cameras of --cameras in the file.")
 @jitter_option
 @top_k_option(None)
@@ -311,8 +312,6 @@ def _encode(options: EncodeOptions) -> None:
                 views = [options.edits.camera(view) for view in views]
             evaluation = _evaluation(options, splats)
         ahead.finish(stages)
-        if options.choice.first_view is not None and options.cameras is None:
-            views = plan_cameras(splats, threads=options.threads, progress=stages)
         request = options.complete(request, views, given.file_bytes, workspace)
         later = [] if evaluation is None else evaluation.stage_costs()
         stages.plan([*stage_costs(len(splats), request), *later])

@@ -48,6 +48,7 @@ class EncodeOptions:
     prune: float | None
     no_prune: bool
     no_extras: bool
+    up: str | None
     store_cameras: bool
     no_jitter: bool
     top_k: int | None
@@ -104,7 +105,7 @@ class EncodeOptions:
             config = EncodeConfig(
                 profile=self.profile,
                 quality_db=self.quality,
-                order=self.choice.base,
+                order=self.choice.name,
                 ordering=self.choice.ordering,
                 chunk_splats=self.chunk_splats
                 or (DEFAULT_CELL_SPLATS if self.cells else DEFAULT_CHUNK_SPLATS),
@@ -144,26 +145,25 @@ class EncodeOptions:
         workspace : Workspace
             Allocator that the scene was read with.
         """
-        numbered = list(views or [])
+        numbered = []
         if self.cameras is not None:
             numbered = [self.edits.camera(view) for view in load_cameras(self.cameras)]
-        given = numbered if self.cameras is not None else []
         target = request.target
         with usage_errors():
             if self.target_size is not None:
                 target = Target(size_bytes=self.target_size.uncapped(file_bytes))
-            ordering = self.choice.config(numbered)
-            config = replace(request.config, order=self.choice.name, ordering=ordering)
+            view = self.choice.first_view(numbered)
             scoring = request.effort.score_config(
                 self.profile, top_k=self.top_k, jitter=not self.no_jitter, threads=self.threads
             )
             return replace(
                 request,
                 cameras=views,
-                config=config,
+                up=self.up,
+                view=view,
                 score_config=replace(scoring, device=self.device),
                 target=target,
-                stored_cameras=given if self.store_cameras else (),
+                stored_cameras=numbered if self.store_cameras else (),
                 workspace=workspace,
                 memory_bytes=None,
             )

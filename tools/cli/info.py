@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import cogsplat
 from cogsplat.codec.segments.attributes import AttributeType, attribute_types
 from cogsplat.codec.splats import SceneInfo, Splats, sh_coefficients
+from cogsplat.codec.views.view_text import view_text
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.scenes.registry import format_of
 from cogsplat.formats.storage.byte_counts import ByteCount
@@ -205,7 +206,11 @@ def _cogs_report(
             "cy": view.cy,
             "rotation": view.rotation.tolist(),
             "translation": view.translation.tolist(),
+            "target": None if view.target is None else view.target.tolist(),
+            "text": None if view.target is None else view_text(view, root.upward),
         },
+        "up": None if root.up is None else root.up.tolist(),
+        "core_box": None if root.core_box is None else root.core_box.tolist(),
         "codebooks": [{"attribute": book.attribute, "rows": book.rows} for book in root.codebooks],
         "extras": [
             {"name": kind.name, "type": kind.dtype, "components": kind.components}
@@ -244,6 +249,7 @@ def _print_root(path: Path, version: str, file: CogsFile, cameras: int | None) -
             "first view",
             f"{view.width}x{view.height} px at {_numbers(view.position)}" if view else "none",
         ),
+        ("up", _numbers(root.upward)),
         ("cameras", "not there" if cameras is None else f"{cameras:,} stored" if cameras else ""),
         ("codebooks", f"{', '.join(books)} rows" if books else "none"),
         ("attributes", _attributes_text(root.attributes)),

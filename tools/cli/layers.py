@@ -205,6 +205,7 @@ def _layers(options: LayersOptions) -> None:
     """Run the command."""
     from cogsplat.codec.fit.level_encoding import make_levels
     from cogsplat.codec.fit.train_config import LevelsRequest
+    from cogsplat.codec.views.first_look_search import find_first_look
 
     options.require_consistent()
     config = options.config()
@@ -230,8 +231,9 @@ def _layers(options: LayersOptions) -> None:
             full = read_ground_truth(images, judged)
         encoded = make_levels(splats, request, progress=stages)
         with stages.stage("write"):
-            metadata = FileMetadata(None if path is None else views[0])
-            size = metadata.save(encoded, options.out, force=options.force)
+            shown = encoded.prefix_splats(len(encoded.chunks))
+            look = find_first_look(shown, None if path is None else views, threads=threads)
+            size = FileMetadata(look).save(encoded, options.out, force=options.force)
         found = _measure(options.out, judged, full, threads, stages)
     if options.as_json:
         print_json(

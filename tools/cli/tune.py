@@ -283,6 +283,7 @@ class TuneOptions:
 def _tune(options: TuneOptions) -> None:
     """Run the command."""
     from cogsplat.codec.fit import tuning
+    from cogsplat.codec.views.first_look_search import find_first_look
 
     options.require_consistent()
     shown = not (options.quiet or options.as_json)
@@ -306,7 +307,8 @@ def _tune(options: TuneOptions) -> None:
             if options.resume and exists(options.checkpoint):
                 state = read_checkpoint(options.checkpoint, run)
             save_state = partial(write_checkpoint, options.checkpoint, run)
-        metadata = FileMetadata(request.first_view)
+        threads = request.config.train.threads
+        metadata = FileMetadata(find_first_look(splats, cameras, threads=threads))
         made = tuning.tune(
             splats,
             request,

@@ -16,6 +16,7 @@ from cogsplat.codec.encode.config import (
 from cogsplat.codec.metrics import SSIM_BORDERS
 from cogsplat.codec.render.cuda_device import DEVICES, cuda_device
 from cogsplat.codec.splats import MAX_SH_DEGREE
+from cogsplat.codec.views.view_text import parse_up
 from cogsplat.tools.terminal.values import FiniteNumber
 
 from .standard_streams import PATH
@@ -220,6 +221,23 @@ def top_k_option(default: int | None) -> Callable[[Command], Command]:
         metavar="K",
         help="Count the K largest weights of each pixel, 0 for all.",
     )
+
+
+def up_option(command: Command) -> Command:
+    """Add ``--up``."""
+    return click.option(
+        "--up",
+        type=_up_text,
+        metavar="X,Y,Z|AXIS",
+        help="Direction against gravity: x,y,z, or one of +x, -x, +y, -y, +z, -z.  [default: "
+        "estimated from the cameras or the splats]",
+    )(command)
+
+
+def _up_text(text: str) -> str:
+    """Check the text of an up direction."""
+    parse_up(text)
+    return text
 
 
 def compensate_option(command: Command) -> Command:

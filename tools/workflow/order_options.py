@@ -23,6 +23,7 @@ from cogsplat.codec.order.orders import (
 )
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.view_text import parse_view
 from cogsplat.tools.terminal.standard_streams import PATH
 from cogsplat.tools.terminal.values import FiniteNumber
 
@@ -35,24 +36,24 @@ _SETTINGS: Final[dict[str, tuple[click.ParamType[Any], str, str]]] = {
     "first_view_share": (
         FiniteNumber(0, 1),
         "SHARE",
-        "Share of the splats that the first view moves forward.",
+        "With +first-view: share of the splats that the first view moves forward.",
     ),
     "first_view_mix": (
         FiniteNumber(0, 1),
         "SHARE",
-        "Share of every prefix for the first view until its splats are used up; with 1, other "
-        "views come after.",
+        "With +first-view: share of every prefix for the first view until its splats are used up; "
+        "with 1, other views come after.",
     ),
     "frustum_share": (
         FiniteNumber(0, 1),
         "SHARE",
-        "Serve the first view by its frustum instead: share of every prefix that lies in the "
-        "frustum until its splats are used up.",
+        "With +frustum: share of every prefix that lies in the frustum of the first view until "
+        "its splats are used up.",
     ),
     "frustum_margin": (
         FiniteNumber(0, 100),
         "SHARE",
-        "Margin of the frustum at each side, as a share of the image size.",
+        "With +frustum: margin of the frustum at each side, as a share of the image size.",
     ),
     "octree_depth": (
         click.IntRange(0, MAX_DEPTH),
@@ -81,15 +82,15 @@ class OrderChoice:
         follow, as in ``contribution+frustum``. Only ``evaluate`` takes several names.
     ordering : OrderConfig
         Order configuration without a first view.
-    first_view : int or None
-        Index of the camera whose picture is served first.
+    view : str or None
+        First view: a pose as text, or the index of a camera. None chooses one.
     masks : Path or None
         Folder of masks from which object labels are voted.
     """
 
     names: tuple[str, ...]
     ordering: OrderConfig
-    first_view: int | None
+    view: str | None
     masks: Path | None
 
     @property
@@ -102,31 +103,44 @@ class OrderChoice:
         """Whether chunks hold splats of one object each."""
         return self.ordering.by_object
 
-    @property
-    def base(self) -> str:
-        """First order without its rule for a first view."""
-        return split_name(self.name)[0]
-
-    def config(self, cameras: Sequence[Camera]) -> OrderConfig:
-        """Return the order configuration of the encoder.
+    def first_view(self, cameras: Sequence[Camera]) -> str | Camera | None:
+        """Return the first view as text or as one of the cameras; None to choose one.
 
         Parameters
         ----------
         cameras : sequence of Camera
-            Cameras that `first_view` is an index of.
+            Cameras that `view` may be an index of.
 
         Raises
         ------
         click.UsageError
-            `first_view` is out of range.
+            There is no camera of that index.
         """
-        if self.first_view is None:
+        if self.view is None or not self.view.isdecimal():
+            return self.view
+        if int(self.view) >= len(cameras):
+            expected = f"an index of 0 to {len(cameras) - 1}" if cameras else "--cameras"
+            raise click.UsageError(f"--view {self.view}, expected {expected}, or a pose")
+        return cameras[int(self.view)]
+
+    def config(self, splats: Splats, cameras: Sequence[Camera], threads: int = 0) -> OrderConfig:
+        """Return the order configuration, with the first view where an order has a rule for it.
+
+        Parameters
+        ----------
+        splats : Splats
+            Scene, in which a first view is chosen where none is given.
+        cameras : sequence of Camera
+            Cameras that `view` may be an index of.
+        threads : int
+        """
+        from cogsplat.codec.views.first_look_search import find_first_look
+
+        view = self.first_view(cameras)
+        if view is None and not any(split_name(name)[1] for name in self.names):
             return self.ordering
-        if self.first_view >= len(cameras):
-            raise click.UsageError(
-                f"--first-view {self.first_view}, expected 0 to {len(cameras) - 1}"
-            )
-        return replace(self.ordering, first_view=cameras[self.first_view])
+        look = find_first_look(splats, cameras or None, view=view, threads=threads)
+        return replace(self.ordering, first_view=look.view)
 
     def with_labels(
         self, splats: Splats, cameras: Path | None, *, threads: int = 0, progress: Progress = silent
@@ -181,6 +195,19 @@ def parse_order(text: str) -> str:
             f"{text!r}, expected one of {', '.join(ORDERS)}; alone, or followed by "
             f"{' or '.join('+' + rule for rule in POSE_RULES)}"
         ) from None
+    return text
+
+
+def parse_view_option(text: str) -> str:
+    """Check the text of a pose, or the index of a camera.
+
+    Raises
+    ------
+    DataError
+        ``bad-view-text``.
+    """
+    if not text.isdecimal():
+        parse_view(text)
     return text
 
 
@@ -255,24 +282,10 @@ def orders_option(command: Callable[..., object]) -> Callable[..., object]:
     return _with_parameters(command, option)
 
 
-def _resolve_orders(
-    order: str | tuple[str, ...], first_view: int | None, frustum_share: float | None
-) -> tuple[str, ...]:
-    """Return the names of the orders; refuse contradictory options.
-
-    A first view adds its rule to a single order that is given without one.
-    """
+def _order_names(order: str | tuple[str, ...], frustum_share: float | None) -> tuple[str, ...]:
+    """Return the names of the orders; refuse a share of the frustum that none of them uses."""
     names = (order,) if isinstance(order, str) else order
-    rules = [split_name(name)[1] for name in names]
-    if first_view is None:
-        if any(rules):
-            wrong = next(name for name, rule in zip(names, rules, strict=True) if rule)
-            raise click.UsageError(f"order {wrong} without --first-view, expected both")
-        if frustum_share is not None:
-            raise click.UsageError("--frustum-share without --first-view, expected both")
-    elif isinstance(order, str) and not rules[0]:
-        return (f"{order}+{FIRST_VIEW if frustum_share is None else FRUSTUM}",)
-    if frustum_share is not None and FRUSTUM not in rules:
+    if frustum_share is not None and FRUSTUM not in {split_name(name)[1] for name in names}:
         raise click.UsageError(
             f"--frustum-share with {', '.join(names)}, expected an order followed by +{FRUSTUM}"
         )
@@ -315,7 +328,7 @@ def _with_parameters(
     def chosen(
         *,
         order: str | tuple[str, ...],
-        first_view: int | None,
+        view: str | None,
         objects: bool,
         object_budgets: Budgets | None,
         masks: Path | None,
@@ -327,17 +340,18 @@ def _with_parameters(
             object_budgets=object_budgets or (),
             **settings,
         )
-        names = _resolve_orders(order, first_view, ordering.frustum_share)
-        return command(choice=OrderChoice(names, ordering, first_view, masks), **others)
+        names = _order_names(order, ordering.frustum_share)
+        return command(choice=OrderChoice(names, ordering, view, masks), **others)
 
     options: list[Callable[[Callable[..., object]], Callable[..., object]]] = [
         naming,
         click.option(
-            "--first-view",
-            type=click.IntRange(min=0),
-            metavar="INDEX",
-            help="Index of the camera to serve first, from 0: its splats move forward. Without "
-            "--cameras, an index of the planned views.",
+            "--view",
+            type=parse_view_option,
+            metavar="POSE|INDEX",
+            help="Where viewers start: a pose x,y,z,tx,ty,tz,fov[,roll], or the index of a camera "
+            f"of --cameras, from 0. An order followed by +{FIRST_VIEW} or +{FRUSTUM} serves it "
+            "first.  [default: chosen by what it shows]",
         ),
         *(_setting_option(name, *setting) for name, setting in _SETTINGS.items()),
         click.option(

@@ -6,6 +6,7 @@ from encoding import encode, unseen
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import StorageError
 from cogsplat.codec.geometry.bounds import box
+from cogsplat.codec.views.first_look import FirstLook
 from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.formats.cogs.layout import COLOUR_BANDS, SegmentKind
 from cogsplat.formats.cogs.reader import open_cogs
@@ -92,16 +93,20 @@ def test_boxes_hold_their_decoded_splats_as_float32():
     assert np.array_equal(root.box, [*reach[:, :3].min(axis=0), *reach[:, 3:].max(axis=0)])
 
 
-def test_the_first_view_and_the_scene_s_words_go_along(tmp_path):
+def test_the_first_look_goes_along_and_the_core_box_is_cut_to_the_scene(tmp_path):
     view = Camera(
         320, 200, 300.0, 310.0, 160.0, 100.0, np.eye(3), np.array([0.5, 0.0, 4.0]), "name"
     )
-    cogs.save(encoded("near-lossless"), tmp_path / "a.cogs", writer="x", first_view=view)
+    look = FirstLook(np.array([0.0, 0.0, 1.0]), view, np.array([-1e9] * 3 + [1e9] * 3))
+    cogs.save(encoded("near-lossless"), tmp_path / "a.cogs", writer="x", look=look)
     with open_cogs(FileSource(tmp_path / "a.cogs")) as file:
         found = file.root.first_view
         assert found is not None
         assert (found.width, found.height, found.fx, found.fy) == (320, 200, 300.0, 310.0)
         assert np.array_equal(found.translation, view.translation)
+        assert file.root.up is not None
+        assert file.root.up.tolist() == [0.0, 0.0, 1.0]
+        assert np.array_equal(file.root.core_box, file.root.box)
 
 
 def test_an_empty_scene_is_a_file():

@@ -22,6 +22,7 @@ from cogsplat.codec.fit.level_training import LevelledSplats
 from cogsplat.codec.fit.train_config import LevelsConfig
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
+from cogsplat.codec.views.first_look import FirstLook
 from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.tools.delivery.slow_server import running
 from cogsplat.tools.delivery.viewer_pages import linked_page
@@ -55,7 +56,7 @@ def levels(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = LevelledSplats(splats, (4, 2, 1), first, last, opacities)
     encoded = encode_levels(scene, synth_cameras(6, 160, 120), LevelsConfig(chunk_splats=500))
     path = tmp_path_factory.mktemp("levels") / "scene.cogs"
-    cogs.save(encoded, path, writer="test", first_view=FULL)
+    cogs.save(encoded, path, writer="test", look=FirstLook(view=FULL))
     return path
 
 
@@ -150,7 +151,7 @@ def ending(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for number, chunk in enumerate(encoded.chunks)
     ]
     path = tmp_path_factory.mktemp("ending") / "scene.cogs"
-    cogs.save(replace(encoded, chunks=chunks), path, writer="test", first_view=FULL)
+    cogs.save(replace(encoded, chunks=chunks), path, writer="test", look=FirstLook(view=FULL))
     return path
 
 

@@ -103,7 +103,7 @@ _GROUPS: Final = {
         "--help",
     ),
     "Parameters of the orders": (
-        "--first-view",
+        "--view",
         "--first-view-share",
         "--first-view-mix",
         "--frustum-share",
@@ -503,9 +503,9 @@ def _gather(
     numbered = load_cameras(cameras) if cameras else []
     planned = None
     if views is None:
-        numbered = planned = plan_cameras(splats, threads=threads, progress=stages)
-        views = hold_out(numbered, eval_every)[0] or numbered
-    config = choice.config(numbered)
+        planned = plan_cameras(splats, threads=threads, progress=stages)
+        views = hold_out(planned, eval_every)[0] or planned
+    config = choice.config(splats, numbered, threads)
     test_views, what = evaluation_cameras(path, splats, cameras, eval_every, planned=planned)
     preset = PRESETS[DEFAULT_PRESET]
     scoring = score_cost(len(splats), preset, views, jitter=not no_jitter)

@@ -54,7 +54,7 @@ _GROUPS: Final = {
     "Most used": (
         "--cameras",
         "--order",
-        "--first-view",
+        "--view",
         "--objects",
         "--threads",
         "--force",
@@ -83,7 +83,8 @@ _GROUPS: Final = {
     groups=_GROUPS,
     epilog="\b\nExample:\n"
     "  cogsplat lab order scene.ply rows.npy --cameras cameras.json\n"
-    "  cogsplat lab order scene.ply rows.npy --cameras cameras.json --first-view 3",
+    "  cogsplat lab order scene.ply rows.npy --cameras cameras.json \\\n"
+    "    --order gain+first-view --view 3",
 )
 @click.argument("path", type=INPUT, metavar="SCENE")
 @click.argument("out", type=OutputPath(".npy"), metavar="OUT.npy")
@@ -127,9 +128,9 @@ def order(
         splats = choice.with_labels(given, cameras, threads=threads, progress=stages)
         # Objects are ranked by their contribution.
         scored = needs_scores(choice.name) or choice.by_object
-        if views is None and (scored or choice.first_view is not None):
-            views = numbered = plan_cameras(splats, threads=threads, progress=stages)
-        config = choice.config(numbered)
+        if views is None and scored:
+            views = plan_cameras(splats, threads=threads, progress=stages)
+        config = choice.config(splats, numbered, threads)
         scores = zero_scores(len(splats))
         if scored:
             settings = ScoreConfig(top_k=top_k, jitter=not no_jitter, threads=threads)

@@ -36,7 +36,7 @@ def test_orders_are_measured_at_shares_of_the_splats(
 ) -> None:
     told = run(
         "lab evaluate", small.ply, "--cameras", small.cameras, "--eval-every", 4, "--orders",
-        "contribution,sgss,random+first-view", "--first-view", 5, "--shares", "5,20,100", "--sizes",
+        "contribution,sgss,random+first-view", "--view", 5, "--shares", "5,20,100", "--sizes",
         "none", "--out", tmp_path, "--json",
     )  # fmt: skip
     assert (told.code, told.err) == (0, "")

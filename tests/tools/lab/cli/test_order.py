@@ -47,15 +47,15 @@ def test_order_serves_a_first_view(run: Run, small: SmallScene, tmp_path: Path) 
     splats, cameras = cogsplat.read(small.ply), cogsplat.read_cameras(small.cameras)
     train = [camera for index, camera in enumerate(cameras) if index % 3]
     scene = OrderInputs(splats, score(splats, train, ScoreConfig(jitter=False)), train)
-    common = ["--cameras", small.cameras, "--no-jitter", "--eval-every", 3, "--first-view", 3]
+    common = ["--cameras", small.cameras, "--no-jitter", "--eval-every", 3, "--view", 3]
     for more, name, config in (
         (
-            ["--order", "contribution"],
+            ["--order", "contribution+first-view"],
             "contribution+first-view",
             OrderConfig(first_view=cameras[3]),
         ),
         (
-            ["--order", "opacity", "--frustum-share", 0.5],
+            ["--order", "opacity+frustum", "--frustum-share", 0.5],
             "opacity+frustum",
             OrderConfig(first_view=cameras[3], frustum_share=0.5),
         ),
@@ -71,13 +71,9 @@ def test_order_serves_a_first_view(run: Run, small: SmallScene, tmp_path: Path) 
     ("arguments", "message"),
     [
         (["--order", "gloss"], "expected one of"),
-        (["--order", "contribution+frustum"], "without --first-view"),
-        (["--first-view", "99"], "expected 0 to"),
-        (["--frustum-share", "0.5"], "without --first-view"),
-        (
-            ["--order", "sgss+first-view", "--first-view", "1", "--frustum-share", "1"],
-            "followed by",
-        ),
+        (["--view", "99"], "expected an index of 0 to"),
+        (["--frustum-share", "0.5"], "followed by"),
+        (["--order", "sgss+first-view", "--view", "1", "--frustum-share", "1"], "followed by"),
         (["--object-budgets", "50"], "expected a share"),
     ],
 )
@@ -102,7 +98,8 @@ def test_encode_takes_orders_and_the_first_view(
 ) -> None:
     out = tmp_path / "out.cogs"
     arguments = ["--cameras", small.cameras, "--profile", "near-lossless", "--no-morton", "--json"]
-    told = run("encode", small.ply, out, *arguments, "--order", "antimatter", "--first-view", 2)
+    told = run("encode", small.ply, out, *arguments, "--order", "antimatter+first-view",
+               "--view", 2)  # fmt: skip
     assert told.code == 0, told.err
     assert told.json["order"] == "antimatter+first-view"
     camera = cogsplat.read_cameras(small.cameras)[2]

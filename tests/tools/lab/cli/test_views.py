@@ -107,7 +107,7 @@ def test_render_of_a_prefix_is_that_prefix(run: Run, small: SmallScene, tmp_path
     assert told.code == 0
     with cogsplat.open(small.cogs) as file:
         view = file.root.first_view
-    assert view is not None, "the first camera given to the encoder"
+    assert view is not None
     part = cogsplat.decode(small.cogs, splats=500, sh_degree=0)
     np.testing.assert_array_equal(picture(out), levels(draw(part, view)))
     assert told.json["splats"] == len(part)
