@@ -12,8 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR
+from cogsplat.codec.geometry.rotations import normalise_extremes
 from cogsplat.codec.render.peak_weights import peak_weights
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.threads import one_blas_thread
 
 from .first_look import FirstLook
 from .pose import down_direction
@@ -33,6 +35,9 @@ _DRAWN_SPLATS: Final = 6_000
 _FENCE: Final = 3.0
 _STRAY_SHARE: Final = 0.005
 
+# Decimals of an estimated up direction.
+_UP_DECIMALS: Final = 6
+
 # Given cameras that are tried as first views at most.
 _TRIED_CAMERAS: Final = 24
 # Longer side of a tried picture, px.
@@ -49,6 +54,7 @@ _BLURRED_FACTOR: Final = 0.2
 _MIDDLE: Final = 0.3
 
 
+@one_blas_thread()
 def find_first_look(
     splats: Splats,
     cameras: Sequence[Camera] | None = None,
@@ -96,6 +102,9 @@ def find_first_look(
         found_up = up_from_splats(scene, core, usual)
     else:
         found_up = usual
+    if up is None:
+        # Rounded, so that the last bits of sums do not reach the file.
+        found_up = np.round(found_up, _UP_DECIMALS) + 0.0
     first = None
     if isinstance(view, str):
         first = parse_view(view).camera(found_up)
@@ -114,7 +123,7 @@ def _thin(splats: Splats) -> Subsample | None:
     usable &= part.opacities > math.log(ALPHA_MIN / (1.0 - ALPHA_MIN))
     if not usable.any():
         return None
-    return subsample(part.take(usable), _DRAWN_SPLATS)
+    return subsample(normalise_extremes(part.take(usable)), _DRAWN_SPLATS)
 
 
 def _core_box(scene: Subsample) -> F64:

@@ -1,5 +1,7 @@
 import assert from "node:assert/strict";
 import { getEventListeners } from "node:events";
+import { readFileSync } from "node:fs";
+import { join } from "node:path";
 import { test } from "node:test";
 import { loadKernels } from "../src/kernels/load.js";
 import { SceneFile } from "../src/scene/scene_file.js";
@@ -9,6 +11,8 @@ import { OrbitCamera } from "../src/viewer/orbit.js";
 import { plyOf } from "../src/viewer/ply_feed.js";
 import { RowSlots } from "../src/viewer/row_slots.js";
 import { absoluteAddress, sceneName } from "../src/viewer/scene_name.js";
+import type { Vector } from "../src/viewer/vectors.js";
+import { axesOf, parseUp, parseView, viewText } from "../src/viewer/view_text.js";
 import { type WidgetModel, WidgetSource } from "../src/viewer/widget_source.js";
 import { vectorBytes } from "./vectors.js";
 
@@ -172,4 +176,91 @@ test("a read from a notebook ends with its signal, whether or not the kernel ans
   assert.equal(getEventListeners(abort.signal, "abort").length, 0);
   // An answer that comes too late is dropped.
   answer({ type: "bytes", id: sent[0]!.id }, [new DataView(new ArrayBuffer(10))]);
+});
+
+const UPRIGHT = { axes: "RDF", box: [-1, -1, -1, 1, 1, 1], firstView: undefined } as const;
+
+/** Return a point as a camera sees it: right, down, forward. */
+function seenBy(camera: OrbitCamera, point: readonly number[]): number[] {
+  const { rotation: r, translation: t } = camera.view(480);
+  return [0, 1, 2].map((row) => t[row]! + point.reduce((sum, v, i) => sum + r[3 * row + i]! * v, 0));
+}
+
+test("what lies before the target follows the pointer", () => {
+  for (const [dx, dy] of [
+    [30, 0],
+    [0, 30],
+  ] as const) {
+    const camera = new OrbitCamera(UPRIGHT);
+    const near = seenBy(camera, [0, 0, -1]);
+    camera.turn(dx, dy);
+    const after = seenBy(camera, [0, 0, -1]);
+    assert.ok(Math.sign(after[0]! - near[0]!) === Math.sign(dx) && Math.sign(after[1]! - near[1]!) === Math.sign(dy));
+  }
+});
+
+test("turning goes about the scene's up, keeps the horizon level and stops before the poles and the ground", () => {
+  const up = [0.6, 0, 0.8];
+  const camera = new OrbitCamera({ ...UPRIGHT, up, coreBox: [-1, -1, -1, 1, 1, 1] });
+  const upward = (axis: number) =>
+    [0, 1, 2].reduce((sum, k) => sum + camera.view(480).rotation[3 * axis + k]! * up[k]!, 0);
+  for (const [dx, dy, least, most] of [
+    [500, 5000, -1, -0.99],
+    [-70, -9000, 0, 0.18],
+    [33, 20, -1, 0.18],
+  ] as const) {
+    camera.turn(dx, dy);
+    assert.ok(Math.abs(upward(0)) < 1e-9, "the right axis is level");
+    assert.ok(upward(1) < 0, "no picture is upside down");
+    assert.ok(upward(2) >= least && upward(2) <= most, `${upward(2)}`);
+  }
+  camera.isFree = true;
+  camera.turn(0, -150);
+  assert.ok(upward(2) > 0.5, "unless it is free");
+});
+
+test("turning goes around the first view's target, wherever it is in the picture", () => {
+  const { scene } = new SceneFile(vectorBytes("valid", "root-values"), kernels());
+  const target = scene.firstView!.target!;
+  const camera = new OrbitCamera(scene);
+  const before = seenBy(camera, target);
+  camera.turn(50, 3);
+  camera.turn(-20, 40);
+  seenBy(camera, target).forEach((value, i) => {
+    assert.ok(Math.abs(value - before[i]!) < 1e-9);
+  });
+  camera.zoom(0.5);
+  assert.ok(Math.abs(seenBy(camera, target)[2]! - before[2]! / 2) < 1e-9);
+});
+
+const TEXTS = JSON.parse(readFileSync(join(process.cwd(), "..", "..", "tests", "view_text.json"), "utf8")) as {
+  poses: {
+    text: string;
+    up: string;
+    position: Vector;
+    target: Vector;
+    fov: number;
+    roll: number;
+    rotation: number[];
+    written: string;
+  }[];
+  refused: string[];
+  ups: { text: string; up: Vector }[];
+  refused_ups: string[];
+};
+
+test("texts of poses and directions are those of the command line", () => {
+  const close = (found: readonly number[], expected: readonly number[]) =>
+    found.every((value, i) => Math.abs(value - expected[i]!) < 1e-9);
+  for (const { text, up, position, target, fov, roll, rotation, written } of TEXTS.poses) {
+    const view = parseView(text);
+    assert.deepEqual(view, { position, target, fov, roll });
+    const axes = axesOf(view, parseUp(up));
+    assert.ok(close(axes.flat(), rotation), text);
+    const distance = Math.hypot(...target.map((value, i) => value - position[i]!));
+    assert.equal(viewText(position, axes, distance, fov, parseUp(up)), written);
+  }
+  for (const { text, up } of TEXTS.ups) assert.ok(close(parseUp(text), up), text);
+  for (const text of TEXTS.refused) assert.throws(() => parseView(text), SyntaxError, text);
+  for (const text of TEXTS.refused_ups) assert.throws(() => parseUp(text), SyntaxError, text);
 });

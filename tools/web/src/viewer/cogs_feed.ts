@@ -1,3 +1,4 @@
+import type { Pinhole } from "../container/pinhole.js";
 import type { ByteRange } from "../container/scene_index.js";
 import { CogsplatError, SourceError } from "../errors.js";
 import { loadKernels } from "../kernels/load.js";
@@ -69,8 +70,8 @@ export class CogsFeed implements SceneFeed {
     private readonly order: FetchOrder,
   ) {}
 
-  get hasFirstView(): boolean {
-    return this.scene?.info.firstView !== undefined;
+  get firstView(): Pinhole | undefined {
+    return this.scene?.info.firstView;
   }
 
   async run(host: FeedHost, signal: AbortSignal): Promise<void> {

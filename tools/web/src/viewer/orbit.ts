@@ -1,10 +1,9 @@
 import type { SceneInfo } from "../container/root.js";
 import type { View } from "./renderer.js";
+import { type Axes, add, cross, dot, rotate, scaled, type Vector } from "./vectors.js";
 import type { ViewerPose } from "./viewer_handle.js";
 
-export type Vector = [number, number, number];
-/** Right, down and forward of a camera in the space of the means. */
-export type Axes = [Vector, Vector, Vector];
+export type { Axes, Vector } from "./vectors.js";
 
 /** Vertical field of view of scenes without a first view, radians. */
 const FIELD_OF_VIEW = 1;
@@ -13,40 +12,60 @@ const UPRIGHT_WIDTH = 0.7;
 /** Turn of the camera for a movement of the pointer, radians per pixel. */
 export const RADIANS_PER_PIXEL = 0.005;
 
+/** Highest pitch of the camera, looking down or up: short of straight, where a level picture has no direction. */
+const STEEPEST = (85 * Math.PI) / 180;
+/** How far below the target the camera may come, or below the first view where that is lower. */
+const BELOW = (10 * Math.PI) / 180;
+
 /** Size of the picture to which focal lengths refer, pixels; its width if known. */
 type Picture = { readonly height: number; readonly width?: number };
 
+/** What a camera starts from; a scene that is no `.cogs` file has no up and core box of its own. */
+export type OrbitScene = Pick<SceneInfo, "axes" | "box" | "firstView"> & Partial<Pick<SceneInfo, "up" | "coreBox">>;
+
 /** A camera that orbits, approaches and moves with a target, or flies. */
 export class OrbitCamera {
+  /** Whether the camera may look from anywhere, straight from above or below too. */
+  isFree = false;
   private axes: Axes;
   /** Point that the camera orbits. */
   target: Vector;
-  private distance: number;
+  /** Target as the camera sees it: right, down, forward. */
+  private offset: Vector;
   private readonly down: Vector;
+  /** Height along up that the camera stays above. */
+  private readonly ground: number;
+  /** Lowest pitch of the camera downwards, radians. */
+  private leastPitch = -BELOW;
   private focal: readonly [number, number];
   private picture: Picture;
 
   /** Start at the scene's first view, or in front of its bounding box. */
-  constructor(scene: Pick<SceneInfo, "axes" | "box" | "firstView">) {
-    const [lo, hi] = [scene.box.slice(0, 3), scene.box.slice(3)];
+  constructor(scene: OrbitScene) {
+    const box = scene.coreBox ?? scene.box;
+    const [lo, hi] = [box.slice(0, 3), box.slice(3)];
     const size = Math.hypot(...hi.map((value, i) => value - lo[i]!));
-    this.down = direction(scene.axes, "D");
-    const forward = direction(scene.axes, "F");
-    this.axes = [cross(this.down, forward), this.down, forward];
+    this.down = scene.up === undefined ? direction(scene.axes, "D") : scaled(scene.up as Vector, -1);
+    this.ground = -this.down.reduce((sum, value, i) => sum + Math.max(value * lo[i]!, value * hi[i]!), 0);
+    const right = cross(this.down, direction(scene.axes, "F"));
+    const side = Math.hypot(...right) > 1e-3 ? right : cross(this.down, direction(scene.axes, "D"));
+    const level = scaled(side, 1 / Math.hypot(...side));
+    this.axes = [level, this.down, cross(level, this.down)];
     const focal = 0.5 / Math.tan(FIELD_OF_VIEW / 2);
     this.focal = [focal, focal];
     this.picture = { height: 1, width: UPRIGHT_WIDTH };
-    this.distance = size * focal;
+    this.offset = [0, 0, size * focal];
     this.target = lo.map((value, i) => (value + hi[i]!) / 2) as Vector;
     if (scene.firstView) {
-      this.distance = Math.max(size / 8, 1e-3);
+      this.offset = [0, 0, Math.max(size / 8, 1e-3)];
       this.setPose(scene.firstView);
+      this.leastPitch = Math.min(this.pitch, 0) - BELOW;
     }
   }
 
   /** Position in the space of the means. */
   get position(): Vector {
-    return add(this.target, this.axes[2], -this.distance);
+    return this.axes.reduce((point, axis, i) => add(point, axis, -this.offset[i]!), this.target);
   }
 
   /** Direction of view. */
@@ -54,18 +73,30 @@ export class OrbitCamera {
     return this.axes[2];
   }
 
-  /** Set the pose; without a target of its own the target keeps its distance. */
+  /** Distance to the target. */
+  private get distance(): number {
+    return Math.hypot(...this.offset);
+  }
+
+  /** Unit vector against gravity. */
+  get up(): Vector {
+    return scaled(this.down, -1);
+  }
+
+  /** Pitch of the direction of view, radians downwards. */
+  private get pitch(): number {
+    return Math.asin(Math.min(1, Math.max(-1, dot(this.axes[2], this.down))));
+  }
+
+  /** Set the pose; without a target of its own, the target keeps its distance. */
   setPose(view: ViewerPose): void {
     const r = view.rotation;
     this.axes = [0, 3, 6].map((i) => [r[i]!, r[i + 1]!, r[i + 2]!]) as Axes;
     const position = [0, 1, 2].map(
       (i) => -this.axes.reduce((sum, axis, k) => sum + axis[i]! * view.translation[k]!, 0),
-    );
-    const { target } = view;
-    if (target !== undefined) {
-      this.distance = target.reduce((sum, value, i) => sum + (value - position[i]!) * this.axes[2][i]!, 0);
-    }
-    this.target = add(position as Vector, this.axes[2], this.distance);
+    ) as Vector;
+    const target = (view.target as Vector | undefined) ?? add(position, this.axes[2], this.distance);
+    this.setTarget(target, position);
     this.focal = [view.fx, view.fy];
     this.picture = view;
   }
@@ -77,28 +108,49 @@ export class OrbitCamera {
     const angle = -0.3;
     const right = this.axes[0];
     this.axes = this.axes.map((axis) => rotate(axis, right, angle)) as Axes;
-    this.distance = Math.max((radius * this.focal[1]) / (0.5 * this.picture.height), 1e-3);
+    this.offset = [0, 0, Math.max((radius * this.focal[1]) / (0.5 * this.picture.height), 1e-3)];
   }
 
   /** Move the target to a distance in front of the camera; the picture stays the same. */
   turnAround(distance: number): void {
-    const position = this.position;
-    this.distance = distance;
-    this.target = add(position, this.axes[2], distance);
+    const { position } = this;
+    this.setTarget(add(position, this.axes[2], distance), position);
   }
 
-  /** Orbit around the target by a movement of the pointer, pixels. */
+  private setTarget(target: Vector, position: Vector): void {
+    this.target = target;
+    const way = add(target, position, -1);
+    this.offset = this.axes.map((axis) => dot(axis, way)) as Vector;
+  }
+
+  /** Orbit around the target by a movement of the pointer, pixels: what lies before the target follows it. */
   turn(dx: number, dy: number): void {
-    this.axes = this.axes.map((axis) => rotate(axis, this.down, -dx * RADIANS_PER_PIXEL)) as Axes;
+    this.axes = this.axes.map((axis) => rotate(axis, this.down, dx * RADIANS_PER_PIXEL)) as Axes;
     const [right] = this.axes;
-    this.axes = this.axes.map((axis) => rotate(axis, right, dy * RADIANS_PER_PIXEL)) as Axes;
+    const angle = this.allowedTurn(dy * RADIANS_PER_PIXEL);
+    this.axes = this.axes.map((axis) => rotate(axis, right, -angle)) as Axes;
+  }
+
+  /** Return the part of a change of pitch, radians downwards, that stays within the limits. */
+  private allowedTurn(angle: number): number {
+    if (this.isFree) return angle;
+    const { pitch } = this;
+    // The camera stays above the ground: as low as the target's height over it allows at this distance.
+    const height = -dot(this.target, this.down) - this.ground;
+    const { distance } = this;
+    const grounded = height > 0 && height < distance ? -Math.asin(height / distance) : -STEEPEST;
+    const least = Math.min(Math.max(this.leastPitch, grounded), pitch);
+    return Math.min(Math.max(pitch + angle, least), Math.max(STEEPEST, pitch)) - pitch;
   }
 
   /** Turn the camera in place by a movement of the pointer, pixels. */
   turnInPlace(dx: number, dy: number): void {
     const position = this.position;
+    const { isFree } = this;
+    this.isFree = true;
     this.turn(-dx, -dy);
-    this.target = add(position, this.axes[2], this.distance);
+    this.isFree = isFree;
+    this.target = this.axes.reduce((point, axis, i) => add(point, axis, this.offset[i]!), position);
   }
 
   /** Move sideways by a movement of the pointer, pixels of a picture of some height. */
@@ -116,7 +168,7 @@ export class OrbitCamera {
 
   /** Change the distance to the target by a factor. */
   zoom(factor: number): void {
-    this.distance *= factor;
+    this.offset = scaled(this.offset, factor);
   }
 
   /** Return the view for a canvas; a known width is fully visible. */
@@ -132,20 +184,4 @@ export class OrbitCamera {
 function direction(axes: string, letter: "D" | "F"): Vector {
   const opposite = { D: "U", F: "B" }[letter];
   return [...axes].map((axis) => (axis === letter ? 1 : axis === opposite ? -1 : 0)) as Vector;
-}
-
-function add(a: Vector, b: Vector, factor: number): Vector {
-  return [a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]];
-}
-
-function cross(a: Vector, b: Vector): Vector {
-  return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-}
-
-/** Rotate a vector about an axis of unit length (Rodrigues). */
-function rotate(v: Vector, axis: Vector, angle: number): Vector {
-  const [c, s] = [Math.cos(angle), Math.sin(angle)];
-  const along = axis[0] * v[0] + axis[1] * v[1] + axis[2] * v[2];
-  const side = cross(axis, v);
-  return v.map((value, i) => value * c + side[i]! * s + axis[i]! * along * (1 - c)) as Vector;
 }

@@ -13,7 +13,7 @@ import type { AllowedWorkers } from "./viewer_workers.js";
 /** Fills a layer from a PLY of 3DGS training. */
 export class PlyFeed implements SceneFeed {
   readonly progressive = false;
-  readonly hasFirstView = false;
+  readonly firstView = undefined;
   private layer: SplatLayer | undefined;
 
   /**

@@ -1,6 +1,8 @@
+import type { Pinhole } from "../container/pinhole.js";
 import type { SceneInfo } from "../container/root.js";
 import type { PackedSplats } from "../scene/packed_splats.js";
 import type { Pose } from "../schedule/poses.js";
+import type { OrbitScene } from "./orbit.js";
 import type { LayerScene, SplatLayer } from "./splat_layer.js";
 
 /** Progress of a scene. */
@@ -33,7 +35,7 @@ export interface FeedHost {
    * @param scene - Layer scene; the means of its rows are relative to its origin.
    * @param info - Scene information; poses are relative to its origin.
    */
-  begin(scene: LayerScene, info: Pick<SceneInfo, "axes" | "box" | "firstView" | "origin" | "levels">): SplatLayer;
+  begin(scene: LayerScene, info: OrbitScene & Pick<SceneInfo, "origin" | "levels">): SplatLayer;
   /** Called when rows are in the layer. */
   rowsArrived(packed: PackedSplats, first: boolean): void;
   progressed(progress: FeedProgress): void;
@@ -47,8 +49,8 @@ export interface FeedHost {
 export interface SceneFeed {
   /** Whether the first rows show the whole scene coarsely, so that they are drawn before the rest arrives. */
   readonly progressive: boolean;
-  /** Whether the file has a first view. */
-  readonly hasFirstView: boolean;
+  /** First view of the file, if any. */
+  readonly firstView: Pinhole | undefined;
   /** Run to the end; reject at the end if a part could not be fetched or decoded. */
   run(host: FeedHost, signal: AbortSignal): Promise<void>;
   /** Return about `count` prefixes, from the smallest to the whole file. */

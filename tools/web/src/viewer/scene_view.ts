@@ -393,11 +393,12 @@ export class SceneView {
         return shown.layer;
       },
       rowsArrived: (packed, first) => {
-        if (!first || this.camera === undefined) return;
-        // What turning goes around, and without a first view where to stand, follow from the first splats.
+        const { firstView } = shown.feed;
+        if (!first || this.camera === undefined || firstView?.target !== undefined) return;
+        // Without a first view with a target, the first splats show where to stand or what to turn around.
         const { position, forward } = this.camera;
         const shift = this.origin.map((value, axis) => value - shown.layer!.scene.origin[axis]!) as Vector;
-        const bulk = shown.feed.hasFirstView ? undefined : bulkOf(packed, shift);
+        const bulk = firstView !== undefined ? undefined : bulkOf(packed, shift);
         const ahead = bulk === undefined ? depthAhead(packed, shift, position, forward) : undefined;
         this.home = (camera) => {
           if (bulk !== undefined) camera.frame(bulk.centre, bulk.radius);

@@ -1,4 +1,4 @@
-import { add, type Axes, cross, dot, scaled, type Vector } from "./vectors.js";
+import { type Axes, add, cross, dot, scaled, type Vector } from "./vectors.js";
 
 /** A pose as its text states it: `x,y,z,tx,ty,tz,fov` or `x,y,z,tx,ty,tz,fov,roll`. */
 export interface ViewText {

@@ -35,7 +35,10 @@ export interface ViewerStatistics {
   readonly error?: string;
 }
 
-/** A pose and its focal lengths, pixels of a picture of this height; they are scaled to the canvas. */
+/**
+ * A pose and its focal lengths, pixels of a picture of this height; they are scaled to the canvas. Turning goes around
+ * the target.
+ */
 export type ViewerPose = Pick<Pinhole, "height" | "fx" | "fy" | "rotation" | "translation"> &
   Partial<Pick<Pinhole, "width" | "target">>;
 
