@@ -48,14 +48,21 @@ class KernelLoader:
 
     def start(self) -> None:
         """Start loading if numba is installed; a second call does nothing."""
-        if self._thread is not None or self._stopped.is_set():
+        # Threads may call this at once. Whoever holds the lock starts loading, or loads already.
+        if self._thread is not None or not self._step.acquire(blocking=False):
             return
-        if importlib.util.find_spec("numba") is None:
-            self._stopped.set()
-            return
-        self._register()
-        self._thread = threading.Thread(target=self._load, name="cogsplat kernels", daemon=True)
-        self._thread.start()
+        try:
+            if self._thread is not None or self._stopped.is_set():
+                return
+            if importlib.util.find_spec("numba") is None:
+                self._stopped.set()
+                return
+            self._register()
+            thread = threading.Thread(target=self._load, name="cogsplat kernels", daemon=True)
+            thread.start()
+            self._thread = thread
+        finally:
+            self._step.release()
 
     def join(self) -> None:
         """Wait until loading has ended, if it was started."""

@@ -22,21 +22,13 @@ _TRAINING: Final = tuple(
 )
 
 
-def every_kernel(*, planned: bool, training: bool = False) -> list[DeclaredKernel]:
-    """Return the kernels of encoding and decoding, and on request of training.
-
-    Parameters
-    ----------
-    planned : bool
-        Whether to include the kernels that plan views for a scene without cameras.
-    training : bool
-        Whether to include the kernels of training.
-    """
+def every_kernel() -> list[DeclaredKernel]:
+    """Return the kernels of encoding, with and without given cameras, decoding and training."""
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.needed_kernels import needed_kernels
 
-    trained = kernels_in(_TRAINING) if training else []
-    return needed_kernels(EncodeConfig(), planned=planned) + kernels_in(KERNEL_MODULES) + trained
+    encoding = needed_kernels(EncodeConfig(), planned=True)
+    return encoding + kernels_in((*KERNEL_MODULES, *_TRAINING))
 
 
 @click.command(epilog="\b\nExample:\n  cogsplat warm")
@@ -50,7 +42,7 @@ def warm(threads: int, quiet: bool, as_json: bool) -> None:
     in the folder NUMBA_CACHE_DIR, else in the installed package or the user's cache folder.
     """
     with Stages(shown=not (quiet or as_json)) as stages:
-        kernels = every_kernel(planned=True, training=True)
+        kernels = every_kernel()
         folders = sorted({str(kernel.folder) for kernel in kernels if kernel.folder is not None})
         if not folders:
             raise StorageError(

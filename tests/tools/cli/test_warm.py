@@ -98,7 +98,7 @@ def test_cancelling_ends_the_other_processes(kernels: list[DeclaredKernel]) -> N
 def test_warm_says_what_it_compiled(
     run: Run, kernels: list[DeclaredKernel], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(warm, "every_kernel", lambda **given: kernels)
+    monkeypatch.setattr(warm, "every_kernel", lambda: kernels)
     first, second = run("warm", "--json"), run("warm", "--json")
     assert first.json["kernels"] == first.json["kernels_compiled"] == 8
     assert first.json["kernel_folders"] == [str(tmp_path / "__pycache__")]
@@ -111,7 +111,7 @@ def test_warm_says_that_no_folder_can_be_written(
     run: Run, kernels: list[DeclaredKernel], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(DeclaredKernel, "folder", None)
-    monkeypatch.setattr(warm, "every_kernel", lambda **given: kernels)
+    monkeypatch.setattr(warm, "every_kernel", lambda: kernels)
     told = run("warm")
     assert told.code == 4
     assert "[no-kernel-folder]" in told.err

@@ -7,6 +7,8 @@ from typing import Final
 
 import click
 
+from cogsplat.codec.compiling import kernels_in
+from cogsplat.codec.streams.decoding_tiers import TRANSFORM_MODULES
 from cogsplat.codec.threads import thread_count
 from cogsplat.tools.terminal.options import (
     force_option,
@@ -60,13 +62,15 @@ def demo(out: Path, splats: int, threads: int, force: bool, quiet: bool, as_json
     The first 3, 6, 12, 25 and 100 % of the bytes are decoded, compared with the original and drawn
     as a film strip.
     """
-    from cogsplat.tools.cli.warm import every_kernel
+    from cogsplat.codec.encode.config import EncodeConfig
+    from cogsplat.codec.encode.needed_kernels import needed_kernels
 
     from . import demonstration
 
+    kernels = needed_kernels(EncodeConfig(), planned=False) + kernels_in(TRANSFORM_MODULES)
     with (
         Stages(shown=not (quiet or as_json)) as stages,
-        CompileAhead(every_kernel(planned=False), thread_count(threads)) as ahead,
+        CompileAhead(kernels, thread_count(threads)) as ahead,
     ):
         stages.plan(demonstration.stage_costs(splats))
         made = demonstration.run(
