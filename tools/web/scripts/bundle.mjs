@@ -15,6 +15,9 @@ const common = {
 };
 const modules = { ...common, outdir: folder, format: "esm", banner: { js: "/*! cogsplat, Apache-2.0 */" } };
 
+// The viewer imports them when they are asked for.
+const external = ["./viewer_extras.js"];
+
 /** Return a program as a text, for workers that a bundler need not find; the page adds the kernels. */
 async function programText(entryPoint) {
   const kernelsOfPage = {
@@ -45,10 +48,7 @@ await build({
     spark: "build/src/adapters/spark.js",
     playcanvas: "build/src/adapters/playcanvas.js",
   },
-<<<<<<< HEAD
-  // The viewer imports them when they are asked for.
-  external: ["./viewer_extras.js"],
-=======
+  external,
   define: { DECODER_TEXT: "undefined" },
 });
 // For bundlers: the workers' programs are in the modules too.
@@ -59,7 +59,7 @@ await build({
     DECODER_TEXT: await programText("build/src/workers/worker.js"),
     VIEWER_TEXT: await programText("build/src/viewer/viewer_worker.js"),
   },
->>>>>>> bae3215b (Start decoding workers in every bundler, and say why where none starts)
+  external,
 });
 // They throw the errors of the library that they are used with.
 const errorsOfLibrary = {
@@ -72,20 +72,11 @@ await build({
   plugins: [errorsOfLibrary],
 });
 for (const file of ["viewer.html", "viewer.css"]) copyFileSync(`viewer/${file}`, `${folder}/${file}`);
-<<<<<<< HEAD
-for (const file of [
-  "cogsplat.js",
-  "folders.js",
-  "visit.js",
-  "worker.js",
-  "viewer.js",
-  "viewer_extras.js",
-  "viewer_worker.js",
-]) {
-=======
-const SIZED = ["cogsplat", "folders", "visit", "worker", "viewer", "viewer_worker", "element", "spark", "playcanvas"];
+const SIZED = [
+  ...["cogsplat", "folders", "visit", "worker", "viewer", "viewer_extras", "viewer_worker", "element"],
+  ...["spark", "playcanvas"],
+];
 for (const file of SIZED.map((name) => `${name}.js`)) {
->>>>>>> bae3215b (Start decoding workers in every bundler, and say why where none starts)
   const bytes = readFileSync(`${folder}/${file}`);
   console.log(`${folder}/${file}: ${bytes.length} bytes, ${gzipSync(bytes, { level: 9 }).length} gzipped`);
 }
