@@ -29,6 +29,15 @@ from .codec.errors import (
 from .codec.progress import OverallProgress, Progress, silent
 from .codec.splats import SceneInfo, Splats
 from .formats.cogs.between_levels import decode_between
+from .formats.cogs.describing import describe
+from .formats.cogs.description import (
+    Annotation,
+    CameraPath,
+    Description,
+    Georeference,
+    PathStop,
+    Picture,
+)
 from .formats.cogs.folder_writer import Unpacked
 from .formats.cogs.open_file import open_scene, with_open_scene
 from .formats.cogs.packing import pack, unpack
@@ -51,20 +60,26 @@ if TYPE_CHECKING:
     render, score, tune = encoder_api.render, encoder_api.score, encoder_api.tune
 
 __all__ = [
+    "Annotation",
     "Camera",
+    "CameraPath",
     "Cancelled",
     "CogsFile",
     "CogsplatError",
     "DataError",
+    "Description",
     "EncodeConfig",
     "EncodeReport",
     "EncodeRequest",
     "FormatError",
+    "Georeference",
     "LevelsConfig",
     "LimitError",
     "Limits",
     "NetworkOptions",
     "OverallProgress",
+    "PathStop",
+    "Picture",
     "SceneInfo",
     "ScoreConfig",
     "Splats",
@@ -76,6 +91,7 @@ __all__ = [
     "UnsupportedError",
     "compare",
     "decode",
+    "describe",
     "encode",
     "layers",
     "open",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from itertools import pairwise
 from typing import Final
 
@@ -33,8 +34,14 @@ from cogsplat.formats.storage.source import (
     stored_bytes,
 )
 
-from . import camera_segment, compensation_segment, view_table_segment
+from . import (
+    camera_segment,
+    compensation_segment,
+    description_segment,
+    view_table_segment,
+)
 from .decoded_rows import SCRATCH_ROW_BYTES, allocate, row_bytes, scratch_bytes
+from .description import Description, Picture
 from .drawn_chunks import drawn_chunks
 from .fetch_order import opacity_rows, ranges_to_decode
 from .index import Index
@@ -96,6 +103,56 @@ class ChunkDecoder(StoredFile):
             raise self._missing_error("the segment of cameras")
         payload = bytes(self.read_segment(row))
         return camera_segment.unpack_cameras(payload, f"{self.name}: cameras", self._allowed)
+
+    def description(self, *, pictures: bool = False) -> Description | None:
+        """Return the description of the scene; None for none.
+
+        Over a network, one small segment is read, and pages only for pictures.
+
+        Parameters
+        ----------
+        pictures : bool
+            Whether to read the files of the pictures as well, whose headers are then checked.
+
+        Raises
+        ------
+        TruncatedError
+            ``file-truncated``: a partial source lacks the description or a picture.
+        FormatError, UnsupportedError
+            The segments break SPEC 5.13 or 5.14.
+        LimitError
+            ``decoded-size``: the description exceeds the memory of `Limits`.
+        """
+        index = self._pages.ends(last=False)
+        if index.description < 0:
+            return None
+        root = ChunkDecoder(self._source, index, self._limits)
+        where = f"{self.name}: description"
+        payload = bytes(root._read_present(index.description, "the description"))
+        found = description_segment.unpack_description(payload, where, self._allowed)
+        if not pictures:
+            return found
+        index = self._pages.ends(last=True)
+        last = ChunkDecoder(self._source, index, self._limits)
+        # A partial file may lack the page that lists the pictures.
+        if len(index.segments) == len(index.root.segments) + sum(
+            page.segments for page in index.root.pages
+        ):
+            description_segment.require_pictures(found, index.pictures, self.name)
+        filled: dict[str, Picture] = {}
+        for name, picture in found.pictures().items():
+            if name not in index.pictures:
+                raise self._missing_error(f"the {name}")
+            data = bytes(last._read_present(index.pictures[name], f"the {name}"))
+            description_segment.check_picture(picture, data, f"{self.name}: {name}")
+            filled[name] = replace(picture, data=data)
+        return found.with_pictures(filled)
+
+    def _read_present(self, row: int, what: str) -> memoryview:
+        """Return the bytes of a segment, or raise ``file-truncated``."""
+        if not self.is_present(row):
+            raise self._missing_error(what)
+        return self.read_segment(row)
 
     def view_table(self) -> ViewTable | None:
         """Return the view table, the contribution of each chunk to some views; None for none.

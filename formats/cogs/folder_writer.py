@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
 import numpy as np
 
@@ -230,20 +230,40 @@ def pack_cogs(
     StorageError
         The file cannot be written.
     """
-    position = 0
     with atomic_write(path, force=force) as out:
-        for row in range(len(file.segments)):
-            offset = int(file.offsets[row])
-            if not file.is_present(row):
-                return position
-            # The root or a page lies between segments.
-            out.write(_read_exactly(file, position, offset - position))
-            out.write(read_verified(file, row))
-            position = offset + int(file.segments.length[row])
-            progress("pack", row + 1, len(file.segments))
-        if not file.missing_bytes:
-            out.write(_read_exactly(file, position, file.file_length - position))
-            position = file.file_length
+        return copy_cogs(file, out, progress=progress)
+
+
+def copy_cogs(file: CogsFile, out: BinaryIO, *, progress: Progress = silent) -> int:
+    """Write the bytes of an open file, each segment checked; return their number.
+
+    Parameters
+    ----------
+    file : CogsFile
+        Open file. A partial one is written up to its first missing segment.
+    out : BinaryIO
+        Open output file.
+    progress : Progress
+        Callback, called with ``("pack", segments done, segments)``.
+
+    Raises
+    ------
+    FormatError
+        ``segment-crc``, ``segment-hash``, ``segment-object``.
+    """
+    position = 0
+    for row in range(len(file.segments)):
+        offset = int(file.offsets[row])
+        if not file.is_present(row):
+            return position
+        # The root or a page lies between segments.
+        out.write(_read_exactly(file, position, offset - position))
+        out.write(read_verified(file, row))
+        position = offset + int(file.segments.length[row])
+        progress("pack", row + 1, len(file.segments))
+    if not file.missing_bytes:
+        out.write(_read_exactly(file, position, file.file_length - position))
+        position = file.file_length
     return position
 
 

@@ -24,9 +24,11 @@ from .segment_rows import (
     attribute_rows,
     camera_row,
     codebook_rows_by_kind,
+    description_row,
     head_rows,
     layer_rows,
     opacity_rows,
+    picture_rows,
     refinement_rows,
     tail_rows,
     view_table_row,
@@ -64,6 +66,10 @@ class Index:
         Rows of the compensation layers, in order.
     view_table : int
         Row of the view table.
+    description : int
+        Row of the description.
+    pictures : mapping of str to int
+        Rows of the pictures, by name.
     codebooks : sequence of mapping of SegmentKind to int
         Rows of each codebook's segments, by kind.
     all_chunks : int
@@ -83,6 +89,8 @@ class Index:
     cameras: int
     layers: Sequence[int]
     view_table: int
+    description: int
+    pictures: Mapping[str, int]
     codebooks: Sequence[Mapping[SegmentKind, int]]
     all_chunks: int
 
@@ -93,6 +101,10 @@ class Index:
 
     def whole(self) -> Index:
         """Return this index; `LazyIndex.whole` reads the missing pages first."""
+        return self
+
+    def ends(self, *, last: bool) -> Index:
+        """Return this index; `LazyIndex.ends` reads the last page first if `last`."""
         return self
 
 
@@ -355,6 +367,8 @@ def join_pages(
         cameras=camera_row(source, table),
         layers=layer_rows(source, table) if whole or not keep_numbers else [],
         view_table=view_table_row(source, table),
+        description=description_row(source, root, table),
+        pictures=picture_rows(source, root, table),
         all_chunks=_all_chunks(root),
     )
 

@@ -35,7 +35,10 @@ MAX_LEVELS: Final = 16
 MAX_SPLATS: Final = (1 << 31) - 1
 MAX_CAMERAS: Final = 1 << 16
 MAX_CAMERA_VALUES: Final = 1 << 17
-"""Maximum number of msgpack values of the cameras: a name each, and room for later versions."""
+"""Maximum number of msgpack values of the cameras, and of the description (SPEC 9.1)."""
+
+MAX_DESCRIPTION_BYTES: Final = 1 << 20
+MAX_PICTURE_BYTES: Final = 1 << 24
 
 
 class SegmentKind(IntEnum):
@@ -53,6 +56,8 @@ class SegmentKind(IntEnum):
     ATTRIBUTES = 129
     COMPENSATION = 130
     VIEW_TABLE = 131
+    DESCRIPTION = 132
+    PICTURE = 133
 
 
 COLOUR_BANDS: Final = (

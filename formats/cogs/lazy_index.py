@@ -136,6 +136,19 @@ class LazyIndex:
             )
         return self._joined
 
+    def ends(self, *, last: bool) -> Index:
+        """Return an index of the root, and of the last page if `last`, with placeholder rows.
+
+        The root lists the description, the last page its pictures (SPEC 5.13, 5.14).
+
+        Raises
+        ------
+        CogsplatError
+            The page cannot be read, or breaks SPEC.
+        """
+        with self._lock:
+            return self._with({len(self.root.pages) - 1} if last else set())
+
     def whole(self) -> Index:
         """Read all missing pages and return the whole index."""
         with self._lock:

@@ -12,6 +12,7 @@ from cogsplat.codec.encode.encoded import EncodedScene
 from cogsplat.codec.views.first_look import FirstLook
 
 from . import scene_writer as cogs
+from .description import Description
 
 try:
     _WRITER = f"cogsplat {version('cogsplat')}"
@@ -21,7 +22,7 @@ except PackageNotFoundError:  # a bare checkout on the path, never installed
 
 @dataclass(frozen=True, eq=False)
 class FileMetadata:
-    """Writer, first look and cameras that a file stores next to its scene.
+    """Writer, first look, cameras and description that a file stores next to its scene.
 
     Parameters
     ----------
@@ -29,12 +30,15 @@ class FileMetadata:
         Up direction, first view and core box.
     cameras : sequence of Camera
         Cameras stored for readers of the file.
+    description : Description or None
+        Description of the scene, with the files of its pictures.
     writer : str
         Name and version of the program.
     """
 
     look: FirstLook = cogs.NO_LOOK
     cameras: Sequence[Camera] = ()
+    description: Description | None = None
     writer: str = _WRITER
 
     def file_bytes(self, scene: EncodedScene) -> int:
@@ -45,7 +49,13 @@ class FileMetadata:
         scene : EncodedScene
             Scene to store.
         """
-        return cogs.size_bytes(scene, writer=self.writer, look=self.look, cameras=self.cameras)
+        return cogs.size_bytes(
+            scene,
+            writer=self.writer,
+            look=self.look,
+            cameras=self.cameras,
+            description=self.description,
+        )
 
     def save(self, scene: EncodedScene, path: Path, *, force: bool = False) -> int:
         """Write an encoded scene as a COGS file and return its size, bytes.
@@ -64,7 +74,8 @@ class FileMetadata:
         StorageError
             ``exists``, ``disk-full``, ``permission``, ``not-found`` or ``io``.
         DataError
-            ``root-size``, ``bad-scene-info``, ``too-many-cameras`` or ``bad-camera``.
+            ``root-size``, ``bad-scene-info``, ``too-many-cameras``, ``bad-camera`` or
+            ``bad-description``.
         """
         return cogs.save(
             scene,
@@ -72,5 +83,6 @@ class FileMetadata:
             writer=self.writer,
             look=self.look,
             cameras=self.cameras,
+            description=self.description,
             force=force,
         )

@@ -20,6 +20,8 @@ from cogsplat.codec.views.first_look import FirstLook
 from . import layout
 from .camera_segment import pack_cameras
 from .compensation_segment import pack_layer
+from .description import Description
+from .description_segment import pack_segments
 from .layout import SegmentKind
 from .root import ChunkTable, CodebookEntry, Level, Root, no_segments
 from .view_table_segment import pack_view_table
@@ -36,6 +38,7 @@ def save(
     writer: str,
     look: FirstLook = NO_LOOK,
     cameras: Sequence[Camera] = (),
+    description: Description | None = None,
     force: bool = False,
 ) -> int:
     """Write an encoded scene as a COGS file.
@@ -52,6 +55,8 @@ def save(
         Up direction, first view and core box for viewers.
     cameras : sequence of Camera
         Cameras to store.
+    description : Description, optional
+        Description to store, with the files of its pictures.
     force : bool
         Whether to replace an existing file.
 
@@ -65,10 +70,11 @@ def save(
     StorageError
         ``exists``, ``disk-full``, ``permission``, ``not-found`` or ``io``.
     DataError
-        ``root-size``, ``bad-scene-info``, ``too-many-cameras`` or ``bad-camera``.
+        ``root-size``, ``bad-scene-info``, ``too-many-cameras``, ``bad-camera`` or
+        ``bad-description``.
     """
     root = build_root(scene, writer, look)
-    return write_cogs(root, segments(scene, cameras), path, force=force)
+    return write_cogs(root, segments(scene, cameras, description), path, force=force)
 
 
 def build_root(scene: EncodedScene, writer: str, look: FirstLook = NO_LOOK) -> Root:
@@ -111,9 +117,11 @@ def size_bytes(
     writer: str,
     look: FirstLook = NO_LOOK,
     cameras: Sequence[Camera] = (),
+    description: Description | None = None,
 ) -> int:
     """Return the length of the file that `save` would write, bytes."""
-    parts = lay_out(build_root(scene, writer, look), segments(scene, cameras))
+    stored = segments(scene, cameras, description)
+    parts = lay_out(build_root(scene, writer, look), stored)
     return sum(len(part) for part in parts)
 
 
@@ -133,13 +141,15 @@ def _boxes_float32(chunks: Sequence[EncodedChunk]) -> NDArray[np.float32]:
     return np.concatenate([low, high], axis=1).astype(np.float32)
 
 
-def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segment]:
+def segments(
+    scene: EncodedScene, cameras: Sequence[Camera] = (), description: Description | None = None
+) -> list[Segment]:
     """Return the segments of a scene in the order of the file (SPEC 5.1).
 
     A compensation layer comes before the first chunk that earlier layers do not cover. The
     opacities of a level come before the last chunk of the level. The view table comes before the
-    first chunk of a cell: from there on, clients choose chunks by view. Cameras and extra
-    attributes come last.
+    first chunk of a cell: from there on, clients choose chunks by view. Cameras, extra attributes,
+    description and pictures come last.
     """
     out: list[Segment] = []
     layers, opacities, view_table = _layers(scene), _opacities(scene), _view_table(scene)
@@ -164,7 +174,7 @@ def segments(scene: EncodedScene, cameras: Sequence[Camera] = ()) -> list[Segmen
     for number, chunk in enumerate(scene.chunks):
         if chunk.attributes is not None:
             out.append(Segment(SegmentKind.ATTRIBUTES, number, chunk.attributes))
-    return out
+    return [*out, *pack_segments(description)]
 
 
 def _layers(scene: EncodedScene) -> dict[int, list[Segment]]:

@@ -14,6 +14,7 @@ from cogsplat.codec.errors import FormatError
 from cogsplat.formats.storage.source import Source
 
 from . import layout
+from .description import PICTURES
 from .drawn_chunks import later_levels
 from .layout import SegmentKind
 from .root import ChunkTable, Root, SegmentTable
@@ -158,6 +159,42 @@ def _single_row(table: SegmentTable, kind: SegmentKind) -> tuple[int, list[int]]
     owners = table.owner[rows]
     strange = owners.tolist()[:8] if len(rows) > 1 or owners.any() else []
     return (int(rows[0]) if len(rows) else -1), strange
+
+
+def description_row(source: Source, root: Root, table: SegmentTable) -> int:
+    """Return the row of the description's segment (SPEC 5.13); -1 for none."""
+    row, owners = _single_row(table, SegmentKind.DESCRIPTION)
+    if owners or row >= len(root.segments):
+        raise _description_error(source, f"descriptions with owners {owners}, in a page or twice")
+    if row >= 0 and table.length[row] > layout.MAX_DESCRIPTION_BYTES:
+        raise _description_error(source, f"a description of {table.length[row]} bytes")
+    return row
+
+
+def picture_rows(source: Source, root: Root, table: SegmentTable) -> dict[str, int]:
+    """Return the rows of the pictures' segments by name (SPEC 5.14)."""
+    rows = np.flatnonzero(table.kind == SegmentKind.PICTURE)
+    owners = table.owner[rows].tolist()
+    # Rows of the last index, of which a partial file may lack all.
+    earlier = [len(root.segments), *(page.segments for page in root.pages)][:-1]
+    described = SegmentKind.DESCRIPTION in root.segments.kind
+    strange = len(set(owners)) < len(owners) or any(x >= len(PICTURES) for x in owners)
+    if strange or (len(rows) and (int(rows[0]) < sum(earlier) or not described)):
+        raise _description_error(source, f"pictures with owners {owners[:8]}")
+    if len(rows) and int(table.length[rows].max()) > layout.MAX_PICTURE_BYTES:
+        raise _description_error(source, f"a picture of {table.length[rows].max()} bytes")
+    return {PICTURES[owner]: row for row, owner in sorted(zip(rows.tolist(), owners, strict=True))}
+
+
+def _description_error(source: Source, found: str) -> FormatError:
+    """Return the error for a misplaced description or picture."""
+    return FormatError(
+        "description-segments",
+        f"{source.name}: {found}, expected at most one description of owner 0 in the root, of at "
+        f"most {layout.MAX_DESCRIPTION_BYTES} bytes, and with it one poster and one sky in the "
+        f"last index, of at most {layout.MAX_PICTURE_BYTES} bytes",
+        clause="5.13",
+    )
 
 
 def layer_rows(source: Source, table: SegmentTable) -> list[int]:

@@ -118,6 +118,11 @@ class StoredFile:
         return self._index.offsets
 
     @property
+    def source(self) -> Source:
+        """Source of the file's bytes."""
+        return self._source
+
+    @property
     def name(self) -> str:
         """Name of the file in messages."""
         return self._source.name
@@ -194,6 +199,12 @@ class StoredFile:
     def view_table_row(self) -> int | None:
         """Row of the view table's segment in `segments`; None if the file has no view table."""
         return self._index.view_table if self._index.view_table >= 0 else None
+
+    @property
+    def description_row(self) -> int | None:
+        """Row of the description's segment in `segments`; None if the file has no description."""
+        row = self._pages.ends(last=False).description
+        return row if row >= 0 else None
 
     def select(
         self,

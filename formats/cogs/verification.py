@@ -48,8 +48,8 @@ def checks(file: ChunkDecoder) -> Iterator[Check]:
     ------
     Check
         In this order: decoded size; CRC and hash of every segment; object names of a folder;
-        codebooks; cameras; compensation; view table; then head, refinement, opacities, tail with
-        attributes, and bounding box of every chunk.
+        codebooks; cameras; compensation; view table; description with pictures; then head,
+        refinement, opacities, tail with attributes, and bounding box of every chunk.
     """
     # Several checks decode the same frames.
     known: set[int] = set()
@@ -77,6 +77,10 @@ def _checks(file: ChunkDecoder) -> Iterator[Check]:
         yield Check("compensation", int(file.offsets[layers[0]]), file.compensation)
     if file.view_table_row is not None:
         yield Check("view table", int(file.offsets[file.view_table_row]), file.view_table)
+    described = file.description_row
+    if described is not None:
+        offset = int(file.offsets[described])
+        yield Check("description", offset, partial(file.description, pictures=True))
     for chunk in range(file.num_chunks):
         yield from _progressive_checks(file, chunk)
 

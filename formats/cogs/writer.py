@@ -88,7 +88,7 @@ def lay_out(root: Root, segments: Sequence[Segment]) -> list[bytes]:
     root : Root
         Root of the file; its segment table and pages are replaced.
     segments : sequence of Segment
-        Segments in file order.
+        Segments in file order; the description and pictures may stand anywhere among them.
 
     Raises
     ------
@@ -98,25 +98,62 @@ def lay_out(root: Root, segments: Sequence[Segment]) -> list[bytes]:
     """
     if len(segments) > layout.MAX_SEGMENTS:
         raise ValueError(f"{len(segments)} segments, expected at most {layout.MAX_SEGMENTS}")
-    rows = _table(segments)
-    groups = _split(root, segments)
-    first = groups[0]
+    parts: list[bytes] = []
+    for part in lay_out_index(root, segment_table(segments)):
+        parts.append(part.index)
+        parts += [segments[row].payload for row in part.rows]
+    return parts
+
+
+@dataclass(frozen=True)
+class IndexPart:
+    """Root with its preamble, or index page, and the segments that it lists.
+
+    Parameters
+    ----------
+    index : bytes
+        Bytes of the preamble and root, or of the page.
+    rows : sequence of int
+        Rows of its segments in the table that was laid out, in file order.
+    """
+
+    index: bytes
+    rows: Sequence[int]
+
+
+def lay_out_index(root: Root, table: SegmentTable) -> list[IndexPart]:
+    """Return root and pages of a file with the segments behind each, without their payloads.
+
+    Parameters
+    ----------
+    root : Root
+        Root of the file; its segment table and pages are replaced.
+    table : SegmentTable
+        Segments in file order; the description and pictures may stand anywhere among them.
+
+    Raises
+    ------
+    DataError
+        ``bad-scene-info``: the root has a value that readers refuse; ``root-size``: the root is
+        too long.
+    """
+    groups = _split(root, table)
     pages: list[PageEntry] = []
-    page_bytes: list[bytes] = []
+    parts: list[IndexPart] = []
     for group in groups[1:]:
         value: dict[str, canonical_msgpack.Value] = {
-            "segments": cogs_root.segment_columns(_rows(rows, group.segments)),
+            "segments": cogs_root.segment_columns(_rows(table, group.rows)),
             "chunks": cogs_root.chunk_columns(_chunk_rows(root.chunks, group.chunks)),
         }
         data = canonical_msgpack.pack(value)
-        span = sum(len(s.payload) for s in segments[group.segments])
-        count = group.segments.stop - group.segments.start
+        span = int(table.length[group.rows].sum(dtype=np.uint64))
         chunks = group.chunks.stop - group.chunks.start
-        pages.append(PageEntry(len(data), zlib.crc32(data), count, chunks, span))
-        page_bytes.append(data)
+        pages.append(PageEntry(len(data), zlib.crc32(data), len(group.rows), chunks, span))
+        parts.append(IndexPart(data, group.rows))
+    first = groups[0]
     whole = replace(
         root,
-        segments=_rows(rows, first.segments),
+        segments=_rows(table, first.rows),
         chunks=_chunk_rows(root.chunks, first.chunks),
         pages=pages,
     )
@@ -125,33 +162,29 @@ def lay_out(root: Root, segments: Sequence[Segment]) -> list[bytes]:
         cogs_root.parse_root(canonical_msgpack.unpack(root_bytes, "root"), "root")
     except (FormatError, UnsupportedError) as error:
         raise DataError("bad-scene-info", error.message) from error
-    parts: list[bytes] = [root_bytes]
-    parts += [s.payload for s in segments[first.segments]]
-    for group, data in zip(groups[1:], page_bytes, strict=True):
-        parts.append(data)
-        parts += [s.payload for s in segments[group.segments]]
-    length = layout.PREAMBLE_BYTES + sum(len(part) for part in parts)
-    preamble = layout.Preamble(
-        layout.MAJOR, layout.MINOR, len(root_bytes), length, zlib.crc32(root_bytes)
-    )
     if layout.PREAMBLE_BYTES + len(root_bytes) > layout.MAX_ROOT_END:
         raise DataError(
             "root-size",
             f"a root of {len(root_bytes)} bytes, expected at most "
             f"{layout.MAX_ROOT_END - layout.PREAMBLE_BYTES}: use fewer attributes or shorter names",
         )
-    return [layout.pack_preamble(preamble), *parts]
+    length = layout.PREAMBLE_BYTES + len(root_bytes) + sum(len(part.index) for part in parts)
+    length += int(table.length.sum(dtype=np.uint64))
+    preamble = layout.pack_preamble(
+        layout.Preamble(layout.MAJOR, layout.MINOR, len(root_bytes), length, zlib.crc32(root_bytes))
+    )
+    return [IndexPart(preamble + root_bytes, first.rows), *parts]
 
 
 @dataclass(frozen=True)
 class _Group:
-    """Contents of one index (root or page): slices of the file's segments and chunks."""
+    """Contents of one index (root or page): rows of the segment table and slice of the chunks."""
 
-    segments: slice
+    rows: list[int]
     chunks: slice
 
 
-def _table(segments: Sequence[Segment]) -> SegmentTable:
+def segment_table(segments: Sequence[Segment]) -> SegmentTable:
     """Return the segment table of segments."""
     digests = [hashlib.sha256(s.payload).digest()[:HASH_BYTES] for s in segments]
     return SegmentTable(
@@ -164,8 +197,8 @@ def _table(segments: Sequence[Segment]) -> SegmentTable:
     )
 
 
-def _rows(table: SegmentTable, rows: slice) -> SegmentTable:
-    """Return a slice of a segment table."""
+def _rows(table: SegmentTable, rows: list[int]) -> SegmentTable:
+    """Return rows of a segment table."""
     return SegmentTable(
         table.kind[rows],
         table.owner[rows],
@@ -201,32 +234,44 @@ _TABLE_OVERHEAD: Final = 256
 _PAGE_ENTRY: Final = 96
 
 
-def _split(root: Root, segments: Sequence[Segment]) -> list[_Group]:
-    """Distribute the table rows over root and pages; a chunk's row and its head stay together."""
+def _split(root: Root, table: SegmentTable) -> list[_Group]:
+    """Distribute the segments over root and pages; a chunk's row and its head stay together.
+
+    The root lists the description, the last index the pictures (SPEC 5.13, 5.14).
+    """
     empty = replace(
         root,
-        segments=_rows(_table([]), slice(0)),
+        segments=_rows(table, []),
         chunks=_chunk_rows(root.chunks, slice(0)),
         pages=[],
     )
     fixed = layout.PREAMBLE_BYTES + len(canonical_msgpack.pack(cogs_root.root_map(empty)))
-    room = layout.MAX_ROOT_END - fixed - _TABLE_OVERHEAD
+    kinds = table.kind.tolist()
+    descriptions = [row for row, kind in enumerate(kinds) if kind == SegmentKind.DESCRIPTION]
+    pictures = [row for row, kind in enumerate(kinds) if kind == SegmentKind.PICTURE]
+    apart = {*descriptions, *pictures}
+    others = [row for row in range(len(kinds)) if row not in apart]
+    room = layout.MAX_ROOT_END - fixed - _TABLE_OVERHEAD - _SEGMENT_ROW * len(apart)
     chunk_row = _CHUNK_ROW + (_UNTIL if root.chunks.until.any() else 0)
-    weights = [_SEGMENT_ROW + (chunk_row if s.kind == SegmentKind.HEAD else 0) for s in segments]
-    total = sum(weights)
+    weights = {
+        row: _SEGMENT_ROW + (chunk_row if kinds[row] == SegmentKind.HEAD else 0) for row in others
+    }
+    total = sum(weights.values())
     if total <= room:
-        return [_Group(slice(0, len(segments)), slice(0, len(root.chunks)))]
+        return [_Group([*others, *descriptions, *pictures], slice(0, len(root.chunks)))]
     page = max(_PAGE_TARGET, total // _PAGES_TARGET) - _TABLE_OVERHEAD
-    room -= _PAGE_ENTRY * (total // (page - _SEGMENT_ROW - chunk_row) + 1)
+    limit = room - _PAGE_ENTRY * (total // (page - _SEGMENT_ROW - chunk_row) + 1)
     groups: list[_Group] = []
-    first, chunk, used, limit = 0, 0, 0, room
-    first_chunk = 0
-    for index, weight in enumerate(weights):
-        if used + weight > limit:
-            groups.append(_Group(slice(first, index), slice(first_chunk, chunk)))
-            first, first_chunk, used = index, chunk, 0
-            limit = page
-        used += weight
-        chunk += segments[index].kind == SegmentKind.HEAD
-    groups.append(_Group(slice(first, len(segments)), slice(first_chunk, chunk)))
+    rows: list[int] = []
+    first_chunk, chunk, used = 0, 0, 0
+    for row in others:
+        if used + weights[row] > limit:
+            groups.append(_Group(rows, slice(first_chunk, chunk)))
+            rows, first_chunk, used, limit = [], chunk, 0, page
+        rows.append(row)
+        used += weights[row]
+        chunk += kinds[row] == SegmentKind.HEAD
+    groups.append(_Group(rows, slice(first_chunk, chunk)))
+    groups[0].rows.extend(descriptions)
+    groups[-1].rows.extend(pictures)
     return groups

@@ -1,0 +1,259 @@
+"""Change the description of a file or folder without encoding it: `cogsplat.describe`."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import DataError
+from cogsplat.formats.storage.atomic import StrPath, atomic_write, check_output, is_folder
+from cogsplat.formats.storage.limits import Limits
+from cogsplat.formats.storage.source import BytesSource, Source, require_within
+
+from .description import Description, Picture
+from .description_segment import pack_segments
+from .folder_map import MANIFEST_NAME, MANIFEST_SUFFIX
+from .folder_source import names_folder
+from .folder_writer import copy_cogs, unpack_cogs
+from .layout import SegmentKind
+from .open_file import open_source
+from .packing import folder_files
+from .reader import CogsFile, open_cogs
+from .root import SegmentTable
+from .writer import lay_out_index, segment_table
+
+
+@dataclass(frozen=True)
+class Described:
+    """Result of `describe`.
+
+    Parameters
+    ----------
+    path : Path
+        Written file or manifest.
+    size_bytes : int
+        Length of the file, or of the file that the folder stands for, bytes.
+    written_bytes : int
+        Bytes written: of the file; or of the manifest and the new objects of a folder.
+    description : Description or None
+        Description that the scene has now; None for none.
+    """
+
+    path: Path
+    size_bytes: int
+    written_bytes: int
+    description: Description | None
+
+
+def describe(
+    path: StrPath,
+    description: Description | None,
+    output: StrPath | None = None,
+    *,
+    up: Sequence[float] | None = None,
+    first_view: Camera | None = None,
+    force: bool = False,
+    limits: Limits | None = None,
+) -> Described:
+    """Store another description in a COGS file or folder, without encoding it again.
+
+    All other segments keep their bytes. A folder gets one small object for the description, one for
+    each new picture, and a new manifest.
+
+    Parameters
+    ----------
+    path : path
+        File, folder or manifest.
+    description : Description or None
+        New description; None removes it. A picture without its file stays the one that the scene
+        has.
+    output : path, optional
+        New file; or, where it ends in ``.cogsm`` or is a folder, a manifest. By default `path`
+        itself is replaced, which needs `force`.
+    up : sequence of float, optional
+        New direction against gravity, in the frame of the means; its length does not matter.
+    first_view : Camera, optional
+        New view where viewers start, in the frame of the means.
+    force : bool
+        Whether to replace an existing file or manifest.
+    limits : Limits, optional
+        Memory and size limits.
+
+    Raises
+    ------
+    DataError
+        ``bad-description``: a value that readers refuse, or a picture without its file;
+        ``root-size``, ``bad-scene-info``.
+    CogsplatError
+        The scene cannot be read or the output cannot be written.
+
+    Examples
+    --------
+    >>> import cogsplat
+    >>> done = cogsplat.describe("scene.cogs", cogsplat.Description(title="Garden"), "new.cogs")
+    >>> with cogsplat.open("new.cogs") as file:
+    ...     file.description().title
+    'Garden'
+    """
+    scene = Path(path)
+    to_folder = names_folder(scene) if output is None else _names_manifest(Path(output))
+    target = _target(scene if output is None else Path(output), to_folder=to_folder)
+    inputs = [] if output is None else list(folder_files(scene))
+    if target.parent.exists() or not to_folder:
+        check_output(target, force=force, inputs=inputs)
+    with open_cogs(open_source(scene), limits=limits) as file:
+        filled = _with_files(description, file)
+        source = described_source(file, filled, up=up, first_view=first_view)
+        with open_cogs(source, limits=limits) as changed:
+            if to_folder:
+                done = unpack_cogs(changed, target.parent, name=target.name, force=force)
+                written = done.manifest_bytes + done.written_bytes
+            else:
+                with atomic_write(target, force=force) as out:
+                    written = copy_cogs(changed, out)
+                    # Windows replaces no file that is open.
+                    file.close()
+    return Described(target, source.size, written, filled)
+
+
+def _names_manifest(output: Path) -> bool:
+    """Whether an output is a folder or a manifest."""
+    return is_folder(output) or output.name.lower().endswith(MANIFEST_SUFFIX)
+
+
+def _target(path: Path, *, to_folder: bool) -> Path:
+    """Return the file or manifest to write."""
+    is_manifest = path.name.lower().endswith(MANIFEST_SUFFIX)
+    return path / MANIFEST_NAME if to_folder and not is_manifest else path
+
+
+def _with_files(description: Description | None, file: CogsFile) -> Description | None:
+    """Return a description whose pictures have files: their own, or those of the scene."""
+    if description is None or description.is_empty:
+        return None
+    lacking = [name for name, one in description.pictures().items() if one.data is None]
+    if not lacking:
+        return description
+    before = file.description(pictures=True)
+    known = {} if before is None else before.pictures()
+    filled: dict[str, Picture] = {}
+    for name in lacking:
+        picture, old = description.pictures()[name], known.get(name)
+        if old is None or (picture.media_type, picture.width, picture.height) != (
+            old.media_type,
+            old.width,
+            old.height,
+        ):
+            raise DataError("bad-description", f"{name}: no file, expected the picture's bytes")
+        filled[name] = replace(picture, data=old.data)
+    return description.with_pictures(filled)
+
+
+def described_source(
+    file: CogsFile,
+    description: Description | None,
+    *,
+    up: Sequence[float] | None = None,
+    first_view: Camera | None = None,
+) -> Source:
+    """Return the bytes of a file with another description, as a source over the file's own.
+
+    Parameters
+    ----------
+    file : CogsFile
+        Open file, whose other segments are read when their bytes are.
+    description : Description or None
+        New description, with the files of its pictures; None for none.
+    up, first_view
+        As in `describe`.
+
+    Raises
+    ------
+    DataError
+        ``bad-description``, ``root-size``, ``bad-scene-info``.
+    """
+    kinds = file.segments.kind
+    kept = np.flatnonzero((kinds != SegmentKind.DESCRIPTION) & (kinds != SegmentKind.PICTURE))
+    new = pack_segments(description)
+    root = replace(
+        file.root,
+        chunks=file.chunks,
+        up=file.root.up if up is None else _unit(up),
+        first_view=first_view or file.root.first_view,
+    )
+    pieces: list[_Piece] = []
+    for part in lay_out_index(root, _joined(file.segments, kept, segment_table(new))):
+        pieces.append(_Piece(BytesSource(part.index), 0, len(part.index)))
+        for row in part.rows:
+            if row < len(kept):
+                old = int(kept[row])
+                length = int(file.segments.length[old])
+                pieces.append(_Piece(file.source, int(file.offsets[old]), length))
+            else:
+                payload = new[row - len(kept)].payload
+                pieces.append(_Piece(BytesSource(payload), 0, len(payload)))
+    return _JoinedSource(file.name, pieces)
+
+
+def _unit(direction: Sequence[float]) -> NDArray[np.float64]:
+    """Return a direction with length 1."""
+    vector = np.array(direction, np.float64)
+    length = float(np.linalg.norm(vector))
+    if vector.shape != (3,) or not np.isfinite(length) or length == 0:
+        raise DataError("bad-scene-info", f"up {list(direction)}, expected a direction")
+    return vector / length
+
+
+def _joined(table: SegmentTable, rows: NDArray[np.int64], other: SegmentTable) -> SegmentTable:
+    """Return some rows of a segment table with another table behind them."""
+    names = [field.name for field in fields(SegmentTable)]
+    return SegmentTable(
+        **{
+            name: np.concatenate([getattr(table, name)[rows], getattr(other, name)])
+            for name in names
+        }
+    )
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """Range of a source."""
+
+    source: Source
+    offset: int
+    length: int
+
+
+class _JoinedSource:
+    """Source over ranges of other sources, one behind the other; `close` leaves these open."""
+
+    def __init__(self, name: str, pieces: Sequence[_Piece]) -> None:
+        self.name = name
+        self._pieces = pieces
+        self._starts: list[int] = []
+        self.size = 0
+        for piece in pieces:
+            self._starts.append(self.size)
+            self.size += piece.length
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Return exactly `length` bytes from `offset`; see `Source.read`."""
+        require_within(self, offset, length)
+        parts = []
+        number = bisect_right(self._starts, offset) - 1
+        while length:
+            piece = self._pieces[number]
+            first = offset - self._starts[number]
+            count = min(length, piece.length - first)
+            parts.append(piece.source.read(piece.offset + first, count))
+            offset, length, number = offset + count, length - count, number + 1
+        return b"".join(parts)
+
+    def close(self) -> None:
+        """Do nothing: the sources belong to their files."""
