@@ -59,6 +59,8 @@ const REASONS = {
   "camera-segments": ["format", "5.8"],
   "compensation-segments": ["format", "5.9"],
   "view-table-segments": ["format", "5.12"],
+  "description-segments": ["format", "5.13"],
+  "picture-header": ["format", "5.14"],
   "page-crc": ["format", "5.6"],
   "page-entry": ["format", "5.6"],
   "segment-count": ["format", "9.1"],

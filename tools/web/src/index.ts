@@ -10,6 +10,17 @@ export type { AttributeArray } from "./container/attributes.js";
 export type { Camera } from "./container/cameras.js";
 export { equivalentPrefixes, isClosed, parentsOf } from "./container/chunk_sets.js";
 export type { Shifts } from "./container/compensation.js";
+export type {
+  Annotation,
+  CameraPath,
+  Description,
+  Georeference,
+  LengthUnit,
+  NamedView,
+  PathStop,
+  PictureInfo,
+  PictureName,
+} from "./container/description.js";
 export type { Pinhole } from "./container/pinhole.js";
 export type { AttributeEntry, CodebookEntry, SceneInfo } from "./container/root.js";
 export type { ByteRange, ChunkSegments, SceneIndex, ScenePlaces } from "./container/scene_index.js";

@@ -1,5 +1,6 @@
 import { CogsplatError } from "../errors.js";
 import { crc32 } from "./crc32.js";
+import { PICTURE_NAMES, type PictureName } from "./description.js";
 import { Fields } from "./fields.js";
 import { parseMap } from "./msgpack.js";
 import { PREAMBLE_BYTES, readPreamble } from "./preamble.js";
@@ -17,6 +18,9 @@ import {
 const MAX_SEGMENTS = 1_048_576;
 /** Segments of later opacities of a chunk that no later level changes. */
 const NO_OPACITIES: readonly number[] = [];
+/** Bytes of a description, and of a picture, at most (SPEC 9.1). */
+const MAX_DESCRIPTION = 1_048_576;
+const MAX_PICTURE = 16_777_216;
 /** Segment number of a kind that a chunk does not have. */
 const NONE = -1;
 
@@ -68,8 +72,14 @@ export class SceneIndex {
   readonly compensation: number[] = [];
   readonly cameras: number[] = [];
   readonly viewTables: number[] = [];
+  /** Segment of the description; undefined where there is none. */
+  description: number | undefined;
+  /** Segments of the pictures, by name. */
+  readonly pictures = new Map<PictureName, number>();
 
   private readonly totalChunks: number;
+  /** Number of segments that the root lists. */
+  private readonly rootSegments: number;
   private readonly heads: number[] = [];
   private readonly tails: Int32Array;
   private readonly refinements: Int32Array;
@@ -98,6 +108,7 @@ export class SceneIndex {
     this.codebooks = root.codebooks;
     this.pages = root.pages;
     this.segments = root.segments;
+    this.rootSegments = root.segments.kind.length;
     this.chunks = root.chunks;
     this.fileLength = preamble.fileLength;
     this.rootLength = preamble.rootLength;
@@ -283,6 +294,8 @@ export class SceneIndex {
     this.enterCameras(first);
     this.enterCompensation(first);
     this.enterViewTable(first);
+    this.enterDescription(first);
+    this.enterPictures(first);
   }
 
   /** Enter the byte offsets of the segments of one table, and compare its numbers of heads and chunks. */
@@ -417,6 +430,39 @@ export class SceneIndex {
         throw new CogsplatError("view-table-segments", `a view table of owner ${owner}, or a second one`);
       }
       this.viewTables.push(segment);
+    }
+  }
+
+  private enterDescription(first: number): void {
+    for (const [segment, owner] of this.ofKind(SegmentKind.description, first)) {
+      const length = this.segments.length[segment]!;
+      if (owner !== 0 || this.description !== undefined || segment >= this.rootSegments || length > MAX_DESCRIPTION) {
+        throw new CogsplatError(
+          "description-segments",
+          `a description of owner ${owner} and ${length} bytes in a page, or a second one`,
+        );
+      }
+      this.description = segment;
+    }
+  }
+
+  private enterPictures(first: number): void {
+    // The last index lists the pictures.
+    const last = this.pages.slice(0, -1).reduce((sum, page) => sum + page.segments, this.rootSegments);
+    for (const [segment, owner] of this.ofKind(SegmentKind.picture, first)) {
+      const name = PICTURE_NAMES[owner];
+      const length = this.segments.length[segment]!;
+      const isEarly = this.pages.length > 0 && segment < last;
+      if (
+        name === undefined ||
+        this.pictures.has(name) ||
+        isEarly ||
+        this.description === undefined ||
+        length > MAX_PICTURE
+      ) {
+        throw new CogsplatError("description-segments", `a picture of owner ${owner} and ${length} bytes has no place`);
+      }
+      this.pictures.set(name, segment);
     }
   }
 

@@ -15,6 +15,8 @@ export const SegmentKind = {
   attributes: 129,
   compensation: 130,
   viewTable: 131,
+  description: 132,
+  picture: 133,
 } as const;
 
 /** First kind of segments that a reader without support may skip. */

@@ -1,3 +1,4 @@
+import { checkPicture, type Description, type PictureName, readDescription } from "../container/description.js";
 import { fileBeginning, isManifest, PREAMBLE_BYTES, readPreamble } from "../container/preamble.js";
 import type { SceneInfo } from "../container/root.js";
 import { type ByteRange, SceneIndex, type ScenePlaces } from "../container/scene_index.js";
@@ -216,6 +217,57 @@ export class StreamedScene implements FetchSource {
   async *stream(options: StreamOptions = {}): AsyncGenerator<ChunkUpdate, void, undefined> {
     this.checkSize(options);
     yield* new SceneStream(this, await this.makeService(), options).changes();
+  }
+
+  /**
+   * Fetch the description of the scene: texts, views, annotations (SPEC 5.13).
+   *
+   * @returns undefined where the scene has none.
+   *
+   * @example
+   * ```ts
+   * heading.textContent = (await scene.description())?.title ?? "Untitled";
+   * ```
+   */
+  async description(signal?: AbortSignal): Promise<Description | undefined> {
+    const segment = this.index.description;
+    return segment === undefined ? undefined : readDescription(await this.readSegment(segment, signal));
+  }
+
+  /**
+   * Fetch a picture of the description, and check its header before any decoder sees it (SPEC 5.14).
+   *
+   * @returns The picture as a Blob with its media type; undefined where the scene has none.
+   */
+  async picture(name: PictureName, signal?: AbortSignal): Promise<Blob | undefined> {
+    const stated = (await this.description(signal))?.[name];
+    if (stated === undefined) return undefined;
+    // The last index lists the pictures.
+    await this.readPages(this.index.pages.length);
+    const segment = this.index.pictures.get(name);
+    if (segment === undefined) throw new CogsplatError("description-segments", `the file has no ${name}`);
+    const bytes = await this.readSegment(segment, signal);
+    checkPicture(stated, bytes);
+    return new Blob([bytes], { type: stated.type });
+  }
+
+  /** Read a segment of an available index; one with a wrong CRC is fetched once more, bypassing caches. */
+  private async readSegment(segment: number, signal: AbortSignal | undefined): Promise<Uint8Array<ArrayBuffer>> {
+    const place = this.places.range(segment);
+    const end = place.offset + place.length;
+    const isHere = !this.isFolder && this.beginning.holds(end);
+    if (isHere) await this.beginning.waitFor(end, signal);
+    const read = async (fresh: boolean): Promise<Uint8Array<ArrayBuffer>> =>
+      new Uint8Array(await this.reader.readAll(place, signal, fresh));
+    const bytes = isHere ? this.beginning.available.slice(place.offset, end) : await read(false);
+    try {
+      this.index.checkCrc(segment, bytes);
+      return bytes;
+    } catch {
+      const again = await read(true);
+      this.index.checkCrc(segment, again);
+      return again;
+    }
   }
 
   /** Make the decoder of one stream; the caller closes it. */

@@ -1,5 +1,12 @@
 import type { AttributeArray } from "../container/attributes.js";
 import { type Camera, readCameras } from "../container/cameras.js";
+import {
+  checkPicture,
+  type Description,
+  PICTURE_NAMES,
+  type PictureName,
+  readDescription,
+} from "../container/description.js";
 import { ATTRIBUTE_TYPES, type SceneInfo } from "../container/root.js";
 import { SceneIndex } from "../container/scene_index.js";
 import { readViewTable, type ViewTable } from "../container/view_table.js";
@@ -181,6 +188,32 @@ export class SceneFile {
     return segment === undefined || !this.isPresent(segment) ? undefined : readCameras(this.payload(segment));
   }
 
+  /**
+   * Return the description of the scene; undefined where it has none, or it is missing.
+   *
+   * @throws CogsplatError `description-segments` where the file has other pictures than the description says.
+   */
+  description(): Description | undefined {
+    const { description: segment, pictures } = this.index;
+    if (segment === undefined || !this.isPresent(segment)) return undefined;
+    const description = readDescription(this.payload(segment));
+    const differs = PICTURE_NAMES.find((name) => (description[name] === undefined) === pictures.has(name));
+    if (differs !== undefined && this.index.complete) {
+      throw new CogsplatError("description-segments", `the ${differs} is in the description or in the file alone`);
+    }
+    return description;
+  }
+
+  /** Return the file of a picture, whose header was checked; undefined where it is missing. */
+  picture(name: PictureName): Uint8Array<ArrayBuffer> | undefined {
+    const stated = this.description()?.[name];
+    const segment = this.index.pictures.get(name);
+    if (stated === undefined || segment === undefined || !this.isPresent(segment)) return undefined;
+    const payload = this.payload(segment);
+    checkPicture(stated, payload);
+    return payload;
+  }
+
   /** Return the view table of the file; undefined where it has none, or it is missing. */
   viewTable(): ViewTable | undefined {
     const [segment] = this.index.viewTables;
@@ -208,8 +241,8 @@ export class SceneFile {
   }
 
   /**
-   * Check a whole file: hashes, codebooks, cameras, compensation, view table, and all payloads of each chunk, in the
-   * order of SPEC 8.10.
+   * Check a whole file: hashes, codebooks, cameras, compensation, view table, description, and all payloads of each chunk,
+   * in the order of SPEC 8.10.
    *
    * @throws CogsplatError for the first fault.
    */
@@ -237,6 +270,7 @@ export class SceneFile {
     this.cameras();
     this.readLayers();
     this.viewTable();
+    for (const name of PICTURE_NAMES) this.picture(name);
     for (let chunk = 0; chunk < this.index.chunkCount; chunk++) {
       this.checkBox(this.decodeChunk(chunk, 0, false), chunk);
       if (this.hasRefinement(chunk)) this.checkBox(this.decodeChunk(chunk, 0), chunk);
