@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.errors import CogsplatError, TruncatedError
+from cogsplat.formats.cogs.description_json import to_json
 from cogsplat.formats.cogs.folder_source import FolderSource
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import BytesSource
@@ -200,6 +201,27 @@ def test_view_tables_come_to_the_bit(entry):
     if table is not None:
         columns = (table.positions.tolist(), table.directions.tolist(), table.shares.tolist())
         assert [list(row) for row in zip(*columns, strict=True)] == expected
+
+
+@pytest.mark.parametrize("entry", VALID, ids=name_of)
+def test_descriptions_and_pictures_come_to_the_bit(entry):
+    expected = entry.get("description")
+    with open_cogs(BytesSource(data_of("valid", entry))) as file:
+        description = file.description(pictures=True)
+    assert (description is None) == (expected is None)
+    if description is not None:
+        # A key of a later version is skipped.
+        assert to_json(description) == {k: v for k, v in expected.items() if k != "mood"}
+        found = {
+            name: [
+                picture.media_type,
+                picture.width,
+                picture.height,
+                hashlib.sha256(picture.data).hexdigest(),
+            ]
+            for name, picture in description.pictures().items()
+        }
+        assert found == entry["pictures"]
 
 
 @pytest.mark.parametrize("entry", VALID, ids=name_of)

@@ -197,7 +197,8 @@ def parse_description(value: Value, where: str) -> Description:
         return parse(key) if top.has(key) else None
 
     def part(key: str) -> CheckedMap:
-        return CheckedMap(top.pop(key, dict), f"{where}, {key}", "5.13")
+        clause = "5.14" if key in PICTURES else "5.13"
+        return CheckedMap(top.pop(key, dict), f"{where}, {key}", clause)
 
     texts = {
         key: _text(top, key, most) if top.has(key) else None for key, most in MAX_TEXT_BYTES.items()

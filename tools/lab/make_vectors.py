@@ -23,6 +23,7 @@ from cogsplat.formats.cogs.layout import MAJOR, MINOR
 from cogsplat.tools.lab.conformance import (
     attribute_vectors,
     compensation_vectors,
+    description_vectors,
     file_fault_order,
     folder_vectors,
     invalid_boxes,
@@ -78,6 +79,7 @@ INVALID: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     attribute_vectors.invalid_cameras,
     compensation_vectors.invalid,
     view_table_vectors.invalid,
+    description_vectors.invalid,
     level_vectors.invalid_ends,
     level_vectors.invalid_levels,
     level_vectors.invalid_opacities,
@@ -101,6 +103,7 @@ def valid_vectors() -> list[Valid]:
         *attribute_vectors.valid(),
         *compensation_vectors.valid(),
         *view_table_vectors.valid(),
+        *description_vectors.valid(),
         *level_vectors.valid(),
         *msgpack_vectors.valid(),
         *zstd_header_vectors.valid(),
@@ -112,6 +115,7 @@ VIEWERS_MAY_IGNORE: Final[tuple[Callable[[], list[Invalid]], ...]] = (
     attribute_vectors.invalid_cameras,
     compensation_vectors.invalid,
     view_table_vectors.invalid,
+    description_vectors.invalid,
     invalid_boxes.decoded_sizes,
 )
 """Vectors of content that viewers may ignore (SPEC 8.6); viewers need not refuse them."""
@@ -224,6 +228,11 @@ def _valid_entry(vector: Valid) -> tuple[dict[str, Json], bytes]:
             for position, direction, shares in scene.view_table
         ]
         entry["view_table"] = viewpoints
+    if scene.description is not None:
+        entry["description"] = scene.description
+        entry["pictures"] = {
+            name: [*header, _sha256(data)] for name, (header, data) in scene.pictures.items()
+        }
     return entry, arrays
 
 

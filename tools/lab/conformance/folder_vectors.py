@@ -88,6 +88,7 @@ def valid(files: Mapping[str, bytes]) -> list[ValidFolder]:
         one("one-splat", "one object"),
         one("pages", "index pages, each with its places behind it"),
         one("compensation-pages", "segments of equal bytes are one object"),
+        one("pictures-pages", "a description and its pictures, each an object of its own"),
         ValidFolder("versions", versions, "two manifests that share objects", both),
         ValidFolder(
             "one-object",

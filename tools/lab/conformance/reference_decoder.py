@@ -34,6 +34,7 @@ from .reference_streams import (
 # SPEC 5.2, by number.
 _HEAD, _TAIL, _SHAPE_BOOK, _REFINEMENT, _OPACITIES = 1, 2, 3, 7, 8
 _CAMERAS, _ATTRIBUTES, _COMPENSATION, _VIEW_TABLE = 128, 129, 130, 131
+_DESCRIPTION, _PICTURE = 132, 133
 _BAND_VALUES: Final = (9, 15, 21)
 _NAMES: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
 
@@ -42,6 +43,9 @@ Rows = dict[str, list[Row]]
 Camera = dict[str, str | int | float | list[float]]
 Viewpoint = tuple[list[float], list[int], list[float]]
 """Position, direction, and share of each chunk."""
+Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
+Picture = tuple[tuple[str, int, int], bytes]
+"""Media type, width and height in the header of a picture; and its bytes."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +108,10 @@ class Scene:
         Cameras with the keys of `first_view` and ``name``.
     view_table : list of (list of float, list of int, list of float)
         Position, direction and shares of each viewpoint.
+    description : dict or None
+        Map of the description; None without one.
+    pictures : dict of str to Picture
+        Pictures by name.
     compensated : dict of int to list of float
         Compensated log scales, then logits, of the drawn chunks of a prefix, by its chunk count.
     compensated_sets : list of (list of int, list of float)
@@ -124,6 +132,8 @@ class Scene:
     attribute_values: dict[int, list[bytes]]
     cameras: list[Camera]
     view_table: list[Viewpoint]
+    description: Json
+    pictures: dict[str, Picture]
     compensated: dict[int, Row]
     compensated_sets: list[tuple[list[int], Row]]
     until: list[int]
@@ -345,6 +355,47 @@ def _view_table(file: _File) -> list[Viewpoint]:
     return out
 
 
+def _description(file: _File) -> Json:
+    """Return the map of a file's description (SPEC 5.13)."""
+    found = file.segments_of(_DESCRIPTION, 0)
+    if not found:
+        return None
+    value: Json = msgpack.unpackb(file.data[found[0].start : found[0].end])
+    return value
+
+
+def _pictures(file: _File) -> dict[str, Picture]:
+    """Return the pictures of a file (SPEC 5.14)."""
+    out: dict[str, Picture] = {}
+    for owner, name in enumerate(("poster", "sky")):
+        for segment in file.segments_of(_PICTURE, owner):
+            data = file.data[segment.start : segment.end]
+            out[name] = (_jpeg(data) if data[:2] == b"\xff\xd8" else _webp(data), data)
+    return out
+
+
+def _jpeg(data: bytes) -> tuple[str, int, int]:
+    """Return type, width and height of a JPEG (SPEC 5.14)."""
+    at = 2
+    while data[at + 1] not in (0xC0, 0xC1, 0xC2):
+        at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    height, width = struct.unpack_from(">HH", data, at + 5)
+    return "image/jpeg", width, height
+
+
+def _webp(data: bytes) -> tuple[str, int, int]:
+    """Return type, width and height of a still WebP (SPEC 5.14)."""
+    at = 12
+    while data[at : at + 4] not in (b"VP8 ", b"VP8L"):
+        length = int.from_bytes(data[at + 4 : at + 8], "little")
+        at += 8 + length + length % 2
+    if data[at : at + 4] == b"VP8 ":
+        width, height = struct.unpack_from("<HH", data, at + 14)
+        return "image/webp", width % (1 << 14), height % (1 << 14)
+    (bits,) = struct.unpack_from("<I", data, at + 9)
+    return "image/webp", bits % (1 << 14) + 1, (bits >> 14) % (1 << 14) + 1
+
+
 def _compensated(file: _File, rows: Rows) -> dict[int, Row]:
     """Return the compensated scales and opacities of each prefix of chunks (SPEC 8.5)."""
     segments = [s for s in file.segments if s.kind == _COMPENSATION]
@@ -503,6 +554,8 @@ def decode(data: bytes, *, refine: bool = True) -> Scene:
         attribute_values=_attributes(file),
         cameras=_cameras(file),
         view_table=_view_table(file),
+        description=_description(file),
+        pictures=_pictures(file),
         compensated=_compensated(file, every_row),
         compensated_sets=_compensated_sets(file, every_row),
         until=file.until,

@@ -87,6 +87,20 @@ function hashOf(splats: Splats): string {
   return sha256(splats.means, splats.scales, splats.quats, splats.opacities, splats.sh0, splats.shN);
 }
 
+function checkDescription(file: SceneFile, vector: ValidVector): void {
+  const found = file.description();
+  assert.equal(found === undefined, vector.description === undefined);
+  if (found === undefined) return;
+  const { metresPerUnit, ...keys } = found;
+  // The manifest has the keys of SPEC without those that are not there; a key of a later version is skipped.
+  const { mood: _, ...expected }: Record<string, unknown> = { views: [], annotations: [], ...vector.description };
+  assert.deepEqual(JSON.parse(JSON.stringify({ ...keys, metres_per_unit: metresPerUnit })), expected);
+  for (const name of ["poster", "sky"] as const) {
+    const picture = file.picture(name);
+    assert.equal(picture && sha256(picture), vector.pictures?.[name]?.[3]);
+  }
+}
+
 function checkExtras(file: SceneFile, vector: ValidVector): void {
   const names = (vector.attributes ?? []).map(([name]) => name);
   for (const [chunk, hashes] of vector.attribute_chunks ?? []) {
@@ -110,6 +124,7 @@ function checkExtras(file: SceneFile, vector: ValidVector): void {
       Array.from(table.shares.subarray(table.chunks * view, table.chunks * (view + 1))),
     ]);
   assert.deepEqual(viewpoints, vector.view_table);
+  checkDescription(file, vector);
   for (const [prefix, hash] of vector.compensated ?? []) {
     const drawn = Array.from({ length: prefix }, (_, chunk) => chunk).filter((chunk) =>
       file.index.isDrawn(chunk, prefix),

@@ -23,6 +23,10 @@ export interface ValidVector {
   readonly compensated?: readonly (readonly [number, string])[];
   readonly compensated_sets?: readonly (readonly [readonly number[], string])[];
   readonly cameras?: readonly Camera[];
+  /** Map of the description, with the keys of SPEC 5.13. */
+  readonly description?: Readonly<Record<string, unknown>>;
+  /** Media type, width, height and SHA-256 of each picture, by name. */
+  readonly pictures?: Readonly<Record<string, readonly [string, number, number, string]>>;
   /** Position, direction and shares of each viewpoint. */
   readonly view_table?: readonly (readonly [readonly number[], readonly number[], readonly number[]])[];
 }
