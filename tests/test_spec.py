@@ -27,6 +27,7 @@ from cogsplat.formats.cogs import (
     camera_segment,
     canonical_msgpack,
     chunk_decoder,
+    description_segment,
     decoded_rows,
     layout,
     root,
@@ -217,6 +218,7 @@ def test_numbers_of_segment_kinds():
     words |= {"refinement": "REFINEMENT", "opacities": "OPACITIES"}
     words |= {"cameras": "CAMERAS", "attributes": "ATTRIBUTES"}
     words |= {"compensation": "COMPENSATION", "view table": "VIEW_TABLE"}
+    words |= {"description": "DESCRIPTION", "picture": "PICTURE"}
     words |= {f"colour codebook, band {b}": f"COLOUR_BAND{b}" for b in (1, 2, 3)}
     assert {n: words[name] for n, name in known.items()} == {
         int(k): k.name for k in layout.SegmentKind
@@ -237,6 +239,9 @@ def test_keys_are_those_the_code_writes():
         assert [key for key in keys(clause) if f'"{key}"' not in source] == []
     source = (ROOT / "formats" / "cogs" / "camera_segment.py").read_text(encoding="utf-8")
     assert [key for key in keys("5.8 ") if f'"{key}"' not in source] == []
+    source = (ROOT / "formats" / "cogs" / "description_segment.py").read_text(encoding="utf-8")
+    source += (ROOT / "formats" / "cogs" / "root.py").read_text(encoding="utf-8")
+    assert [key for key in keys("5.13 ") + keys("5.14 ") if f'"{key}"' not in source] == []
     source = (ROOT / "formats" / "cogs" / "compensation_segment.py").read_text(encoding="utf-8")
     assert [key for key in keys("5.9 ") if f'"{key}"' not in source] == []
 
@@ -256,9 +261,14 @@ def test_limits_are_the_constants():
         "cameras": layout.MAX_CAMERAS,
         "levels of a scene": layout.MAX_LEVELS,
         "viewpoints of a view table": view_shares.MAX_VIEWS,
+        "bytes of a description": layout.MAX_DESCRIPTION_BYTES,
+        "bytes of a picture": layout.MAX_PICTURE_BYTES,
+        "width and height of a picture, px": description_segment.MAX_PICTURE_SIDE,
+        "views, and annotations, of a description": description_segment.MAX_VIEWS,
+        "stops of a path": description_segment.MAX_STOPS,
         "nesting of root and pages": canonical_msgpack.MAX_DEPTH,
         "values of a msgpack map": canonical_msgpack.MAX_VALUES,
-        "values of a map of cameras": layout.MAX_CAMERA_VALUES,
+        "values of a map of cameras, and of a description": layout.MAX_CAMERA_VALUES,
         "codebooks": layout.MAX_CODEBOOKS,
         "rows of a codebook": payload_limits.MAX_CODEBOOK_ROWS,
         "streams of a payload": payload_limits.MAX_STREAMS,
