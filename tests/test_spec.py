@@ -27,8 +27,8 @@ from cogsplat.formats.cogs import (
     camera_segment,
     canonical_msgpack,
     chunk_decoder,
-    description_segment,
     decoded_rows,
+    description_segment,
     layout,
     root,
 )
