@@ -120,11 +120,12 @@ def _paged(root: Sequence[Segment], last: Sequence[Segment]) -> bytes:
 
 def valid() -> list[Valid]:
     """Return the valid vectors of descriptions and pictures."""
-    poster, sky = {"poster": _picture("image/jpeg")}, {"sky": _picture("image/webp")}
-    upright = {"rotation": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]}
-    turned: Map = {"sky": _picture("image/webp", **upright)}
+    poster: Map = {"poster": _picture("image/jpeg")}
+    sky: Map = {"sky": _picture("image/webp")}
+    upright: list[Value] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+    turned: Map = {"sky": _picture("image/webp", rotation=upright)}
     dates = ["2026", "2026-05", "2026-05-31", "2026-05-31T10:20Z", "2026-05-31T10:20:30-11:30"]
-    both = {**poster, **sky}
+    both: Map = {**poster, **sky}
     pictures = [Segment(SegmentKind.PICTURE, i, data) for i, data in enumerate((_JPEG, _LOSSY))]
     empty = Draft(uniform_chunk().root | {"splats": 0}, [Group([_description({})], [])])
     return [
@@ -246,9 +247,43 @@ def _invalid_parts() -> list[Invalid]:
 
     nameless: Map = {"views": [dict(_VIEW)]}
     many: list[Value] = [{"name": "", **_VIEW}] * 257
-    flat = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
-    huge = [1e200, 0.0, 0.0, 0.0, 0.0, 1e200, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
-    perspective = [*flat[:10], 2.0, 0.0, 0.0, 0.0, 0.5, 1.0]
+    flat: list[Value] = [
+        1.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        1.0,
+        0.0,
+        0.0,
+        1.0,
+        1.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        1.0,
+    ]
+    huge: list[Value] = [
+        1e200,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        1e200,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        1.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        1.0,
+    ]
+    perspective: list[Value] = [*flat[:10], 2.0, 0.0, 0.0, 0.0, 0.5, 1.0]
     return [
         _body("description-views-257", {"views": many}, "root-value", "257 views"),
         _body("description-view-nameless", nameless, "root-missing", "a view without a name"),
