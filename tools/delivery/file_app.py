@@ -91,6 +91,8 @@ class FileApp:
         self._name = root.name
         self._link = link
         self._pages = {name: bytes_content(page) for name, page in (pages or {}).items()}
+        # Files of which bytes are being sent.
+        self._copies = 0
 
     async def __call__(self, scope: Message, receive: Receive, send: Send) -> None:
         """Handle one HTTP request; refuse a WebSocket; acknowledge the ASGI lifespan protocol."""
@@ -215,13 +217,19 @@ class FileApp:
             The file was changed during the response.
         """
         stop = self._link.breaks_at(end - first)
-        for start in range(first, end, self._link.block_bytes):
-            until = min(start + self._link.block_bytes, end)
-            if stop is not None and until - first > stop:
-                raise ConnectionLostError("the link breaks")
-            block = content.read(start, until)
-            await self._link.wait(len(block))
-            await send({"type": "http.response.body", "body": block, "more_body": True})
+        start = first
+        self._copies += 1
+        try:
+            while start < end:
+                until = min(start + self._link.block_bytes(self._copies), end)
+                if stop is not None and until - first > stop:
+                    raise ConnectionLostError("the link breaks")
+                block = content.read(start, until)
+                await self._link.wait(len(block))
+                await send({"type": "http.response.body", "body": block, "more_body": True})
+                start = until
+        finally:
+            self._copies -= 1
 
 
 def _has_dot_name(path: PurePath) -> bool:

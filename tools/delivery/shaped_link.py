@@ -10,8 +10,13 @@ from typing import Final
 
 # Transfer time of a block: short relative to measured times, long relative to a task switch.
 _BLOCK_SECONDS: Final = 0.006
-# Each response in flight holds one block in memory, and one more to send.
-_LARGEST_BLOCK: Final = 1 << 15
+# Each response in flight holds one block in memory, and one more to send. Large blocks take less
+# processor time per byte, so that a few responses may have them.
+_LARGEST_BLOCK: Final = 1 << 16
+_CROWD_BLOCK: Final = 1 << 15
+
+MAX_LARGE_BLOCKS: Final = 64
+"""Number of responses in flight up to which a block may be 64 KiB; beyond, it is 32 KiB at most."""
 
 
 @dataclass(frozen=True)
@@ -74,10 +79,16 @@ class ShapedLink:
         self._free_at = max(self._free_at, now) + 8 * size_bytes / rate
         await asyncio.sleep(self._free_at - now)
 
-    @property
-    def block_bytes(self) -> int:
-        """Size of a block to send at once, bytes."""
+    def block_bytes(self, responses: int) -> int:
+        """Return the size of a block to send at once, bytes.
+
+        Parameters
+        ----------
+        responses : int
+            Responses in flight, the one that the block belongs to included.
+        """
+        largest = _LARGEST_BLOCK if responses <= MAX_LARGE_BLOCKS else _CROWD_BLOCK
         rate = self._quality.bits_per_second
         if rate is None:
-            return _LARGEST_BLOCK
-        return max(1, min(_LARGEST_BLOCK, int(rate * _BLOCK_SECONDS / 8)))
+            return largest
+        return max(1, min(largest, int(rate * _BLOCK_SECONDS / 8)))

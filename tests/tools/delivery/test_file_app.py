@@ -6,7 +6,7 @@ from cogsplat.codec.errors import StorageError
 from cogsplat.tools.delivery import file_app
 from cogsplat.tools.delivery.file_app import ConnectionLostError, FileApp
 from cogsplat.tools.delivery.served_content import ContentChangedError
-from cogsplat.tools.delivery.shaped_link import LinkQuality, ShapedLink
+from cogsplat.tools.delivery.shaped_link import MAX_LARGE_BLOCKS, LinkQuality, ShapedLink
 
 DATA = bytes(range(256)) * 2000
 
@@ -191,6 +191,36 @@ def test_a_file_that_changes_breaks_its_answer_off(folder):
     with pytest.raises(ContentChangedError, match="was changed"):
         asyncio.run(app(scope, None, send))
     assert DATA.startswith(b"".join(got))
+
+
+def test_the_responses_of_a_crowd_have_smaller_blocks(folder):
+    app = app_of(folder)
+    scope = {"type": "http", "method": "GET", "raw_path": b"/scene.cogs", "headers": []}
+    blocks = []
+
+    async def send(message):
+        blocks.append(len(message.get("body", b"")))
+        # All responses begin before one goes on.
+        await asyncio.sleep(0)
+
+    async def crowd(responses):
+        blocks.clear()
+        await asyncio.gather(*(app(scope, None, send) for _ in range(responses)))
+        return max(blocks[3 * responses : 4 * responses])
+
+    assert asyncio.run(crowd(1)) == 65536
+    assert asyncio.run(crowd(MAX_LARGE_BLOCKS)) == 65536
+    assert asyncio.run(crowd(MAX_LARGE_BLOCKS + 1)) == 32768
+
+    # Responses that broke off count no more.
+    async def fail(message):
+        if message.get("body"):
+            raise ConnectionResetError
+
+    for _ in range(MAX_LARGE_BLOCKS):
+        with pytest.raises(ConnectionResetError):
+            asyncio.run(app(scope, None, fail))
+    assert asyncio.run(crowd(1)) == 65536
 
 
 def test_a_bad_link_fails_and_breaks(folder):

@@ -1,7 +1,7 @@
 import asyncio
 import time
 
-from cogsplat.tools.delivery.shaped_link import LinkQuality, ShapedLink
+from cogsplat.tools.delivery.shaped_link import MAX_LARGE_BLOCKS, LinkQuality, ShapedLink
 
 
 def test_answers_share_the_bandwidth():
@@ -28,8 +28,9 @@ def test_an_unlimited_link_never_waits_or_fails():
 
     assert not any(asyncio.run(use()))
     assert [link.breaks_at(100) for _ in range(100)] == [None] * 100
-    assert link.block_bytes == 32768
-    assert ShapedLink(LinkQuality(bits_per_second=1e6)).block_bytes == 750
+    assert link.block_bytes(MAX_LARGE_BLOCKS) == 65536
+    assert link.block_bytes(MAX_LARGE_BLOCKS + 1) == 32768
+    assert ShapedLink(LinkQuality(bits_per_second=1e6)).block_bytes(1) == 750
 
 
 def test_chance_has_its_share_and_its_seed():
