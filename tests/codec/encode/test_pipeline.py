@@ -5,12 +5,14 @@ import oracle
 import pytest
 from encoding import UNSEEN, encode, unseen
 
-from cogsplat.codec.encode import pipeline
+from cogsplat.codec.encode import finishing, pipeline
 from cogsplat.codec.encode.config import EncodeConfig, Target
+from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.codec.scoring.contribution import ScoreConfig, score, zero_scores
+from cogsplat.codec.views.close_views import view_distances
 from cogsplat.codec.views.view_sets import TEST_VIEWS
 
 FAST = PRESETS["fast"]
@@ -162,6 +164,25 @@ def test_a_size_is_kept_by_the_finished_scene(scene, views):
     assert made.compensation is not None
     assert 1 < made.report.trials < len(calls)
     assert made.report.quality_db < 40.0
+
+
+def test_scenes_that_a_size_search_finishes_are_measured_in_one_set_of_close_views(
+    scene, views, monkeypatch
+):
+    measured = []
+
+    def counted(*arguments, **options):
+        measured.append(view_distances(*arguments, **options))
+        return measured[-1]
+
+    monkeypatch.setattr(finishing, "view_distances", counted)
+    finisher = finishing.Finisher(
+        prepare(scene, score(scene, views, ONCE), LITTLE), scene, FAST, test_views=views
+    )
+    first, second = finisher.encode(30.0), finisher.encode(40.0)
+    assert len(measured) == 1
+    assert first.report.close_distances == second.report.close_distances != ()
+    assert first.report.close_psnr_db < second.report.close_psnr_db
 
 
 def test_objects_that_are_not_there_are_refused_before_splats_are_scored(scene, views):
