@@ -16,7 +16,7 @@ import { EndingChunks } from "./ending_chunks.js";
 import { LevelOpacities } from "./level_opacities.js";
 import { levelForSize, levelOfPrefix } from "./levels.js";
 import { type Meter, MeteredSource } from "./meter.js";
-import type { FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
+import type { DescriptionSource, FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
 import type { SplatLayer } from "./splat_layer.js";
 import type { AllowedWorkers } from "./viewer_workers.js";
 import { VisitedScene } from "./visited_scene.js";
@@ -30,6 +30,7 @@ export class CogsFeed implements SceneFeed {
   private scene: StreamedScene | undefined;
   private layer: SplatLayer | undefined;
   private host: FeedHost | undefined;
+  private signal: AbortSignal | undefined;
   /** First row and number of rows of each chunk received. */
   private readonly rowsOf = new Map<number, { readonly firstRow: number; readonly count: number }>();
   private splats = 0;
@@ -74,8 +75,20 @@ export class CogsFeed implements SceneFeed {
     return this.scene?.info.firstView;
   }
 
+  get descriptionSource(): DescriptionSource | undefined {
+    const { scene, signal } = this;
+    if (scene?.index.description === undefined || signal === undefined) return undefined;
+    return {
+      axes: scene.info.axes,
+      signal,
+      description: () => scene.description(signal),
+      picture: (name) => scene.picture(name, signal),
+    };
+  }
+
   async run(host: FeedHost, signal: AbortSignal): Promise<void> {
     this.host = host;
+    this.signal = signal;
     const source = (fresh: boolean): ByteSource => new MeteredSource(sourceOf(this.source, { fresh }), this.meter);
     try {
       await this.stream(source(false), signal);

@@ -1,19 +1,17 @@
 import { Divide } from "./divide.js";
-import { FilmStrip } from "./film_strip.js";
 import { MARKUP } from "./markup.js";
 import { formatBytes, formatShare, parseColour } from "./numbers.js";
 import { RADIANS_PER_PIXEL } from "./orbit.js";
-import { Panel } from "./panel.js";
+import { PageBudget } from "./page_budget.js";
 import { absoluteAddress, sceneName } from "./scene_name.js";
 import { type SceneSource, SceneView } from "./scene_view.js";
 import { describeError, type Sentence } from "./sentences.js";
 import { STYLE } from "./style.js";
+import { parsePoint, parseUp, parseView } from "./view_text.js";
 import type { Extras } from "./viewer_extras.js";
 import type { ViewerHandle, ViewerPose, ViewerStatistics } from "./viewer_handle.js";
 import { type ViewerWorkers, workersBeside } from "./viewer_workers.js";
 
-/** Splats on touch screens at most: phones have less memory and power. */
-const BUDGET_OF_PHONES = 1_500_000;
 /** Time for which the statistics stay visible after the scene is complete, ms. */
 const QUIET_AFTER = 2500;
 /** Time for which a hint is shown, ms. */
@@ -55,12 +53,15 @@ const PageElement = globalThis.HTMLElement ?? (class {} as typeof HTMLElement);
  * | `background` | CSS colour behind the splats; black by default |
  * | `sh-degree` | highest SH degree drawn, 0 to 3 |
  * | `level` | level drawn in a scene with levels, 0 the coarsest, or a number between two; by default by the picture's size |
- * | `splat-budget` | splats in memory at most; 1,500,000 by default on touch screens |
+ * | `splat-budget` | splats in memory at most, within the budget that the viewers of a page share by the device's memory |
  * | `order` | fetch order: `view` or `file`; by default `view` for files cut into cells |
  * | `pixel-ratio` | device pixels per CSS pixel at most; 2 by default |
  * | `resolution` | `full` draws moving and arriving pictures at full resolution on slow graphics too |
  * | `fill-holes` | `off` leaves holes between splats while the scene arrives |
  * | `controls` | `none` hides the buttons |
+ * | `view` | first pose, `x,y,z,tx,ty,tz,fov`: position, target, vertical field of view in degrees, and optionally the roll |
+ * | `up` | direction against gravity, `x,y,z` or an axis such as `-y`; by default that of the scene |
+ * | `target` | point that turning goes around, `x,y,z` |
  * | `gestures` | `all`: the wheel and one finger move the camera; `page`: they scroll the page; by default `all` where the element fills the window |
  * | `lazy` | nothing is fetched until the element is on the screen; `click`: until its button is pressed |
  * | `poster` | URL of a picture shown until the first picture of the scene |
@@ -85,6 +86,9 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     "resolution",
     "fill-holes",
     "controls",
+    "view",
+    "up",
+    "target",
     "gestures",
     "poster",
     "auto-rotate",
@@ -92,13 +96,13 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
   /** Workers of all viewers; by default the programs next to this one. */
   static workers: ViewerWorkers | undefined = workersBeside(import.meta.url);
 
+  /** Splats in memory at most, of all viewers of the page; `total` may be set. */
+  static readonly budget = new PageBudget();
   /** Loads the program of the parts that are needed when they are asked for. */
   static loadExtras: () => Promise<ExtrasModule> = () => import("./viewer_extras.js");
 
   private readonly shadow = this.attachShadow({ mode: "open" });
   private scene: SceneView | undefined;
-  private panel: Panel | undefined;
-  private strip: FilmStrip | undefined;
   private divide: Divide | undefined;
   private abort: AbortController | undefined;
   private source: SceneSource | undefined;
@@ -109,6 +113,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
   private quiet: ReturnType<typeof setTimeout> | undefined;
   private hint: ReturnType<typeof setTimeout> | undefined;
   private extras: Extras | undefined;
+  private isTurning = false;
   /** Rotation to begin with the first picture, degrees per second. */
   private rotation: number | undefined;
 
@@ -119,6 +124,11 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
 
   get view(): ViewerPose | undefined {
     return this.scene?.view ?? this.pose;
+  }
+
+  /** Text of the camera's pose, as `cogsplat --view` takes it; undefined before a scene is open. */
+  get viewText(): string | undefined {
+    return this.scene?.viewText;
   }
 
   set view(view: ViewerPose | undefined) {
@@ -140,9 +150,10 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     this.source = source;
     this.otherSource = undefined;
     this.showMessage(undefined);
-    this.strip?.close();
+    this.extras?.clear();
     this.nameScenes();
     this.root?.classList.remove("shown");
+    if (this.scene) this.askFor(Infinity);
     await this.scene?.load(source);
   }
 
@@ -171,6 +182,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     this.abort?.abort();
     clearTimeout(this.quiet);
     clearTimeout(this.hint);
+    CogsplatViewer.budget.leave(this);
     this.scene?.dispose();
     this.scene = this.extras = undefined;
     this.shadow.replaceChildren();
@@ -212,9 +224,17 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
           changed: () => this.updateProgress(),
           failed: (error, which) => this.onFailed(error, which),
           restored: () => this.showMessage(undefined),
-          rested: () => this.dispatchEvent(new Event("cogsplat-view")),
+          rested: () => {
+            this.dispatchEvent(new Event("cogsplat-view"));
+            this.extras?.rested();
+          },
+          described: (source) =>
+            void this.withExtras((extras) => extras.describe(source, this.hasAttribute("background"))),
           drawn: () => this.extras?.drawn(),
-          motionEnded: () => this.panel?.showRotation(false),
+          motionEnded: () => {
+            this.isTurning = false;
+            this.extras?.motionEnded();
+          },
           leavesScrolling: () => this.leavesScrolling,
           left: (input) => this.showHint(input === "finger" ? "Two fingers turn the scene" : wheelHint()),
           tapped: (x, y, isDouble) => {
@@ -230,17 +250,6 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     const { scene } = this;
     scene.view = this.pose;
     scene.fillHoles = this.fills;
-    this.panel = new Panel(
-      this.find("#panel"),
-      scene,
-      {
-        reload: () => void (this.source !== undefined && this.load(this.source)),
-        chooseOther: () => this.find<HTMLInputElement>("#file").click(),
-        rotate: (turns) => (turns ? this.rotate(ROTATION) : scene.endMotion(true)),
-      },
-      signal,
-    );
-    this.strip = new FilmStrip(this.find("#strip"), canvas, scene);
     this.divide = new Divide(this.find("#divide"), (share) => scene.show({ divide: share }), signal);
     this.listen(signal);
     for (const name of CogsplatViewer.observedAttributes) {
@@ -271,7 +280,8 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
       const image = this.find<HTMLImageElement>("#poster");
       image.hidden = value === null;
       if (value !== null) image.src = absoluteAddress(value, document.baseURI);
-    } else if (name === "gestures") this.chooseGestures();
+    } else if (name === "view" || name === "up" || name === "target") this.setStart(name, value);
+    else if (name === "gestures") this.chooseGestures();
     else if (name === "auto-rotate") {
       const degrees = value === null || value.trim() === "" ? ROTATION : Number(value);
       const isCalm = matchMedia("(prefers-reduced-motion: reduce)").matches;
@@ -287,24 +297,13 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
       const colour = parseColour(value ?? "black");
       if (colour === undefined) return;
       scene.show({ background: colour });
-      this.panel!.background = `#${colour
-        .slice(0, 3)
-        .map((share) =>
-          Math.round(255 * share)
-            .toString(16)
-            .padStart(2, "0"),
-        )
-        .join("")}`;
       // Pixels without splats are as transparent as the background.
       this.style.background = value ?? "";
     } else if (name === "sh-degree") scene.show({ degree: value === null ? 3 : Number(value) });
     else if (name === "level") {
       scene.level = value === null || !Number.isFinite(Number(value)) ? undefined : Number(value);
-      this.panel!.offerLevels(scene.levels, scene.level);
-    } else if (name === "splat-budget") {
-      const phone = matchMedia("(pointer: coarse)").matches;
-      scene.limit(value === null ? (phone ? BUDGET_OF_PHONES : Infinity) : Number(value));
-    } else if (name === "order") scene.order = value === "view" || value === "file" ? value : undefined;
+    } else if (name === "splat-budget") scene.limit(value === null ? Infinity : Number(value));
+    else if (name === "order") scene.order = value === "view" || value === "file" ? value : undefined;
     else if (name === "pixel-ratio") scene.mostPixelRatio = value === null ? 2 : Number(value);
     else if (name === "resolution") scene.allowsLowResolution = value !== "full";
     else if (name === "fill-holes") this.fillHoles = value !== "off";
@@ -312,17 +311,20 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     else if (name === "label" || name === "against-label") this.nameScenes();
   }
 
+  /** Ask for splats of the page's budget. */
+  private askFor(splats: number): void {
+    CogsplatViewer.budget.ask(this, splats, (share) => this.scene?.share(share));
+  }
+
   private listen(signal: AbortSignal): void {
     const click = (id: string, act: () => void): void => this.find(`#${id}`).addEventListener("click", act, { signal });
     click("reset", () => this.scene!.reset());
-    click("film", () => this.toggleStrip());
-    click("settings", () => this.togglePanel());
+    const toggleStrip = (): void => void this.withExtras((extras) => extras.toggleStrip());
+    click("film", toggleStrip);
+    const togglePanel = (): void => void this.withExtras((extras) => extras.togglePanel());
+    click("settings", togglePanel);
     click("full", () => void this.toggleFullScreen());
     click("again", () => void (this.source !== undefined && this.load(this.source)));
-    click("measure", () => {
-      this.togglePanel();
-      void this.withExtras((extras) => extras.toggleMeasure());
-    });
     this.watch(signal, (isVisible) => {
       this.scene!.isVisible = isVisible;
     });
@@ -351,10 +353,11 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
         const command = {
           KeyR: () => this.scene!.reset(),
           KeyF: () => void this.toggleFullScreen(),
-          KeyG: () => this.togglePanel(),
+          KeyC: () => void this.copyView(),
+          KeyG: togglePanel,
           KeyM: () => void this.withExtras((extras) => extras.toggleMeasure()),
-          KeyT: () => this.toggleStrip(),
-          Escape: () => this.closeAll(),
+          KeyT: toggleStrip,
+          Escape: () => this.extras?.closePanels(),
         }[event.code];
         if (command === undefined) return;
         event.preventDefault();
@@ -388,6 +391,29 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     return this.root?.classList.contains("embedded") ?? false;
   }
 
+  /** Set where the camera starts, by an attribute. */
+  private setStart(name: "view" | "up" | "target", value: string | null): void {
+    try {
+      const parse = { view: parseView, up: parseUp, target: parsePoint }[name];
+      this.scene!.startFrom({ [name]: value === null ? undefined : parse(value) });
+    } catch (error) {
+      if (!(error instanceof SyntaxError)) throw error;
+      this.showMessage({ title: `The attribute ${name} cannot be used`, detail: error.message }, false);
+    }
+  }
+
+  /** Copy the text of the camera's pose; where the browser allows none, show it. */
+  private async copyView(): Promise<void> {
+    const text = this.viewText;
+    if (text === undefined) return;
+    try {
+      await navigator.clipboard.writeText(text);
+      this.showHint(`Copied: ${text}`);
+    } catch {
+      this.showHint(`The view: ${text}`, 10 * HINT_MILLISECONDS);
+    }
+  }
+
   private chooseGestures(): void {
     const asked = this.getAttribute("gestures");
     const { width, height } = this.getBoundingClientRect();
@@ -408,7 +434,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
       camera.turn((degrees * seconds * Math.PI) / 180 / RADIANS_PER_PIXEL, 0);
       return true;
     });
-    this.panel!.showRotation(true);
+    this.isTurning = true;
   }
 
   /** Call a function with the extras, which are loaded before; a person is told where they cannot be. */
@@ -422,10 +448,15 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
         root: this.root!,
         canvas: this.find("canvas"),
         overlay: this.find("#overlay"),
-        lower: this.find(".lower"),
+        foot: this.find(".foot"),
         tools: this.find("#tools"),
         scene,
         hint: (text) => this.showHint(text),
+        reload: () => void (this.source !== undefined && this.load(this.source)),
+        chooseOther: () => this.find("#file").click(),
+        rotate: (turns) => this.rotate(turns ? ROTATION : undefined),
+        isTurning: () => this.isTurning,
+        copyView: () => void this.copyView(),
       });
     } catch (error) {
       this.showHint(`A part of the viewer cannot be loaded: ${String(error)}`, 6 * HINT_MILLISECONDS);
@@ -443,30 +474,6 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     this.hint = setTimeout(() => toast.classList.remove("shown"), milliseconds);
   }
 
-  private togglePanel(): void {
-    const panel = this.find("#panel");
-    if (this.strip!.isOpen) this.toggleStrip();
-    panel.hidden = !panel.hidden;
-    this.find("#settings").setAttribute("aria-expanded", String(!panel.hidden));
-    if (!panel.hidden) this.find("#panel select").focus();
-    this.updateProgress();
-  }
-
-  private toggleStrip(): void {
-    const { strip } = this;
-    if (strip!.isOpen) strip!.close();
-    else {
-      if (!this.find("#panel").hidden) this.togglePanel();
-      void strip!.open();
-    }
-    this.find("#film").setAttribute("aria-expanded", String(strip!.isOpen));
-  }
-
-  private closeAll(): void {
-    if (!this.find("#panel").hidden) this.togglePanel();
-    if (this.strip!.isOpen) this.toggleStrip();
-  }
-
   private async toggleFullScreen(): Promise<void> {
     if (this.matches(":fullscreen")) await document.exitFullscreen();
     else await this.requestFullscreen();
@@ -479,6 +486,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     if (scene === undefined || root === null) return;
     const { statistics } = scene;
     const { state, splats, totalSplats, bytes, totalBytes, predictedDb } = statistics;
+    if (totalSplats > 0) this.askFor(totalSplats);
     root.classList.toggle("empty", state === "empty");
     root.classList.toggle("failed", state === "failed" && !scene.isShown);
     if (scene.isShown && !root.classList.contains("shown")) {
@@ -509,7 +517,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
       predictedDb === undefined
         ? ""
         : "PSNR against the source: the mean of the encoder's test views, none of them close up";
-    this.panel?.update(statistics, this.find("canvas"));
+    this.extras?.changed(state !== this.lastState && state === "streaming");
     if (state !== this.lastState) this.onState(state);
     this.dispatchEvent(new Event("cogsplat-change"));
   }
@@ -520,11 +528,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     this.lastState = state;
     clearTimeout(this.quiet);
     this.root!.classList.remove("quiet");
-    if (state === "streaming") {
-      const wanted = Number(this.getAttribute("sh-degree") ?? 3);
-      this.panel!.offerDegrees(this.scene!.degree, wanted);
-      this.panel!.offerLevels(this.scene!.levels, this.scene!.level);
-    } else if (state === "complete") {
+    if (state === "complete") {
       this.quiet = setTimeout(() => this.root?.classList.add("quiet"), QUIET_AFTER);
     }
   }

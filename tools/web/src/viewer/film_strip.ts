@@ -1,6 +1,8 @@
 import { formatBytes } from "./numbers.js";
+import { element } from "./page_parts.js";
 import type { Prefix } from "./scene_feed.js";
 import type { SceneView } from "./scene_view.js";
+import type { Stage } from "./stage.js";
 
 /** Maximum number of pictures in a strip. */
 const PICTURES = 6;
@@ -12,11 +14,22 @@ export class FilmStrip {
   /** Number of the latest call of `open` or `close`; an earlier `open` stops when it differs. */
   private run = 0;
 
+  private readonly strip = element("div", "strip glass");
+  private readonly canvas: HTMLCanvasElement;
+  private readonly view: SceneView;
+
+  /** @param button - Button that opens the strip. */
   constructor(
-    private readonly strip: HTMLElement,
-    private readonly canvas: HTMLCanvasElement,
-    private readonly view: SceneView,
-  ) {}
+    { canvas, scene, foot }: Pick<Stage, "canvas" | "scene" | "foot">,
+    private readonly button: HTMLElement,
+  ) {
+    this.canvas = canvas;
+    this.view = scene;
+    this.strip.role = "group";
+    this.strip.ariaLabel = "The scene after parts of its file";
+    this.strip.hidden = true;
+    foot.before(this.strip);
+  }
 
   get isOpen(): boolean {
     return !this.strip.hidden;
@@ -28,6 +41,7 @@ export class FilmStrip {
     const prefixes = this.view.prefixes(PICTURES);
     this.strip.replaceChildren();
     this.strip.hidden = prefixes.length === 0;
+    this.button.ariaExpanded = String(this.isOpen);
     // Small pictures are rendered at low resolution.
     this.view.pixelRatio = Math.max(WIDTH / this.canvas.clientWidth, HEIGHT / this.canvas.clientHeight);
     for (const prefix of prefixes) {
@@ -45,6 +59,7 @@ export class FilmStrip {
     if (!this.isOpen) return;
     this.run++;
     this.strip.hidden = true;
+    this.button.ariaExpanded = "false";
     this.strip.replaceChildren();
     this.view.pixelRatio = undefined;
     this.view.showPrefix(undefined);

@@ -2,7 +2,8 @@ import type { Vector } from "./orbit.js";
 import type { Motion } from "./scene_view.js";
 import type { ViewerPose } from "./viewer_handle.js";
 
-type Quaternion = [number, number, number, number];
+/** Rotation as w, x, y, z. */
+export type Quaternion = [number, number, number, number];
 
 /** Duration of a flight, s. */
 const SECONDS = 0.9;
@@ -23,17 +24,32 @@ export function flight(from: ViewerPose, to: ViewerPose): Motion {
   };
 }
 
+/** One end of a flight: the target, its distance, and its direction as the camera sees it. */
+interface End {
+  readonly target: readonly number[];
+  readonly far: number;
+  readonly direction: readonly number[];
+}
+
 /** Return the pose between two: the direction of view turns, the target moves and its distance grows evenly. */
 export function between(from: ViewerPose, to: ViewerPose, share: number): ViewerPose {
   const rotation = matrixOf(slerp(quaternionOf(from.rotation), quaternionOf(to.rotation), share));
-  const ends = [from, to].map((pose) => {
+  const [a, b] = [from, to].map((pose): End => {
     const position = positionOf(pose);
-    return { position, target: pose.target ?? aheadOf(pose, position, 1) };
-  });
-  const [a, b] = ends.map(({ position, target }) => distance(position, target)) as [number, number];
-  const far = a * (b / a) ** share;
-  const target = mix(ends[0]!.target, ends[1]!.target, share);
-  const position = target.map((value, i) => value - far * rotation[6 + i]!);
+    const target = pose.target ?? aheadOf(pose, position, 1);
+    const far = distance(position, target);
+    // Direction of the target as the camera sees it: right, down, forward.
+    const direction = [0, 3, 6].map((row) =>
+      target.reduce((sum, value, i) => sum + (pose.rotation[row + i]! * (value - position[i]!)) / far, 0),
+    );
+    return { target, far, direction };
+  }) as [End, End];
+  const far = a.far * (b.far / a.far) ** share;
+  const target = mix(a.target, b.target, share);
+  const direction = mix(a.direction, b.direction, share);
+  const position = target.map(
+    (value, i) => value - far * direction.reduce((sum, part, row) => sum + part * rotation[3 * row + i]!, 0),
+  );
   const focal = (key: "fx" | "fy"): number => (from[key] / from.height) ** (1 - share) * (to[key] / to.height) ** share;
   return {
     height: 1,
@@ -70,7 +86,7 @@ function mix(a: readonly number[], b: readonly number[], share: number): Vector 
 }
 
 /** Return the unit quaternion of a rotation, row by row (Shepperd). */
-function quaternionOf(r: readonly number[]): Quaternion {
+export function quaternionOf(r: readonly number[]): Quaternion {
   const [a, b, c, d, e, f, g, h, i] = r as [number, number, number, number, number, number, number, number, number];
   const squares: Quaternion = [1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i];
   const largest = squares.indexOf(Math.max(...squares));
@@ -85,7 +101,8 @@ function quaternionOf(r: readonly number[]): Quaternion {
   return found.map((value) => value / size) as Quaternion;
 }
 
-function matrixOf([w, x, y, z]: Quaternion): number[] {
+/** Return the rotation of a unit quaternion, row by row. */
+export function matrixOf([w, x, y, z]: Quaternion): number[] {
   return [
     ...[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
     ...[2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
@@ -94,7 +111,7 @@ function matrixOf([w, x, y, z]: Quaternion): number[] {
 }
 
 /** Interpolate two rotations on the shorter arc. */
-function slerp(a: Quaternion, b: Quaternion, share: number): Quaternion {
+export function slerp(a: Quaternion, b: Quaternion, share: number): Quaternion {
   const dot = a.reduce((sum, value, i) => sum + value * b[i]!, 0);
   const sign = dot < 0 ? -1 : 1;
   const angle = Math.acos(Math.min(Math.abs(dot), 1));

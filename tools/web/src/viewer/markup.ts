@@ -14,31 +14,6 @@ export const MARKUP = `
   <div class="toast glass" id="toast" aria-live="polite"></div>
   <div class="lower">
   <div class="message glass" id="message" role="alert" hidden><h2></h2><p></p><button id="again">Try again</button></div>
-  <div class="strip glass" id="strip" role="group" aria-label="The scene after parts of its file" hidden></div>
-  <form class="panel glass" id="panel" aria-label="Settings" hidden>
-    <h2>Settings</h2>
-    <label>Reflections (SH degree) <select name="degree"></select></label>
-    <label hidden id="levelRow">Level <select name="level"></select></label>
-    <label>Splats <input name="budget" type="range" min="1" max="100" value="100" /></label>
-    <label>Background <select name="background">
-      <option value="#000000">Black</option><option value="#808080">Grey</option><option value="#ffffff">White</option><option value="custom">Other …</option>
-    </select></label>
-    <label hidden id="customRow">Colour <input name="custom" type="color" value="#204060" /></label>
-    <label>Movement <select name="movement"><option value="orbit">Around the scene</option><option value="fly">Through the scene</option></select></label>
-    <button class="wide" type="button" id="measure">Measure</button>
-    <label>Turn by itself <input name="turns" type="checkbox" /></label>
-    <label>Connection <select name="rate">
-      <option value="Infinity">As it is</option><option value="50">50 Mbit/s</option><option value="20">20 Mbit/s</option><option value="5">5 Mbit/s</option><option value="1">1 Mbit/s</option>
-    </select></label>
-    <button class="wide" type="button" id="reload">Load again</button>
-    <label>Fill holes while loading <input name="fill" type="checkbox" checked /></label>
-    <label>Compare with a file <button class="wide" type="button" id="choose">Choose …</button></label>
-    <label>Statistics <input name="statistics" type="checkbox" /></label>
-    <table id="statistics" hidden><tbody></tbody></table>
-    <details class="keys"><summary>Keys</summary>
-      <kbd>←</kbd> <kbd>→</kbd> <kbd>↑</kbd> <kbd>↓</kbd> turn · <kbd>W</kbd> <kbd>A</kbd> <kbd>S</kbd> <kbd>D</kbd> <kbd>Q</kbd> <kbd>E</kbd> fly ·
-      <kbd>+</kbd> <kbd>−</kbd> nearer, farther · <kbd>R</kbd> first view · <kbd>F</kbd> full screen · <kbd>G</kbd> settings · <kbd>T</kbd> film strip · <kbd>M</kbd> measure · double click: nearer</details>
-  </form>
   <div class="foot">
   <div class="tools glass" id="tools" role="toolbar" aria-label="Viewer">
     <button id="reset" title="First view (R)" aria-label="First view">${icon("M4 11.5 12 5l8 6.5M6.5 10v9h11v-9")}</button>

@@ -1,6 +1,7 @@
 import type { SceneInfo } from "../container/root.js";
 import type { View } from "./renderer.js";
 import { type Axes, add, cross, dot, rotate, scaled, type Vector } from "./vectors.js";
+import { viewText } from "./view_text.js";
 import type { ViewerPose } from "./viewer_handle.js";
 
 export type { Axes, Vector } from "./vectors.js";
@@ -169,6 +170,12 @@ export class OrbitCamera {
   /** Change the distance to the target by a factor. */
   zoom(factor: number): void {
     this.offset = scaled(this.offset, factor);
+  }
+
+  /** Return the text of the pose for a canvas. */
+  text(height: number, width: number): string {
+    const fov = (2 * Math.atan(height / (2 * this.view(height, width).focal[1])) * 180) / Math.PI;
+    return viewText(this.position, this.axes, this.offset[2], fov, this.up);
   }
 
   /** Return the view for a canvas; a known width is fully visible. */

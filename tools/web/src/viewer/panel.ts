@@ -1,8 +1,9 @@
 import type { LevelEntry } from "../container/root.js";
 import type { Movement } from "./controls.js";
 import { parseColour } from "./numbers.js";
-import type { SceneView } from "./scene_view.js";
-import type { ViewerStatistics } from "./viewer_handle.js";
+import { element } from "./page_parts.js";
+import { PANEL_MARKUP } from "./panel_markup.js";
+import type { Stage } from "./stage.js";
 
 /** Functions of the viewer that the panel needs in addition to the scene view. */
 export interface PanelHost {
@@ -10,29 +11,77 @@ export interface PanelHost {
   chooseOther(): void;
   /** Turn by itself, or stop. */
   rotate(turns: boolean): void;
+  isTurning(): boolean;
+  copyView(): void;
+  measure(): void;
 }
 
 /** The settings: a form whose fields take effect at once. */
 export class Panel {
-  private readonly fields: HTMLFormControlsCollection;
+  private readonly form = element("form", "panel glass");
+  private readonly fields = this.form.elements;
   private readonly table: HTMLTableElement;
 
+  /** @param button - Button that opens the settings. */
   constructor(
-    private readonly form: HTMLFormElement,
-    private readonly view: SceneView,
+    private readonly stage: Pick<Stage, "scene" | "canvas" | "foot" | "closePanels">,
+    private readonly button: HTMLElement,
     private readonly host: PanelHost,
-    signal: AbortSignal,
   ) {
-    this.fields = form.elements;
+    const { form } = this;
+    form.id = "panel";
+    form.ariaLabel = "Settings";
+    form.hidden = true;
+    form.innerHTML = PANEL_MARKUP;
+    stage.foot.before(form);
     this.table = form.querySelector("table")!;
-    form.addEventListener("submit", (event) => event.preventDefault(), { signal });
-    form.addEventListener("input", (event) => this.changed((event.target as HTMLInputElement).name), { signal });
-    form.querySelector("#reload")!.addEventListener("click", () => host.reload(), { signal });
-    form.querySelector("#choose")!.addEventListener("click", () => host.chooseOther(), { signal });
+    form.addEventListener("submit", (event) => event.preventDefault());
+    form.addEventListener("input", (event) => this.changed((event.target as HTMLInputElement).name));
+    const click = (id: string, act: () => void): void => form.querySelector(id)!.addEventListener("click", act);
+    click("#reload", () => host.reload());
+    click("#choose", () => host.chooseOther());
+    click("#copyView", () => host.copyView());
+    click("#measure", () => {
+      this.close();
+      host.measure();
+    });
+  }
+
+  get isOpen(): boolean {
+    return !this.form.hidden;
+  }
+
+  /** Open the settings as the scene is shown. */
+  open(): void {
+    this.stage.closePanels();
+    this.form.hidden = false;
+    this.button.ariaExpanded = "true";
+    this.showScene();
+    this.form.querySelector("select")!.focus();
+  }
+
+  close(): void {
+    if (!this.isOpen) return;
+    if (this.form.contains((this.form.getRootNode() as ShadowRoot).activeElement)) this.button.focus();
+    this.form.hidden = true;
+    this.button.ariaExpanded = "false";
+  }
+
+  /** Show in the fields how the scene is shown. */
+  showScene(): void {
+    const { scene } = this.stage;
+    const { background, degree } = scene.options;
+    const bytes = background.slice(0, 3).map((share) => Math.round(255 * share));
+    this.offerDegrees(scene.degree, degree);
+    this.offerLevels(scene.levels, scene.level);
+    this.background = `#${bytes.map((byte) => byte.toString(16).padStart(2, "0")).join("")}`;
+    this.field("fill").checked = scene.fillHoles;
+    this.field("turns").checked = this.host.isTurning();
+    this.update();
   }
 
   /** Set the field of the background colour. */
-  set background(colour: string) {
+  private set background(colour: string) {
     const select = this.field("background");
     const known = [...(select as unknown as HTMLSelectElement).options].some((option) => option.value === colour);
     select.value = known ? colour : "custom";
@@ -40,13 +89,8 @@ export class Panel {
     this.customRow.hidden = known;
   }
 
-  /** Show whether the camera turns by itself. */
-  showRotation(turns: boolean): void {
-    this.field("turns").checked = turns;
-  }
-
   /** Offer the SH degrees of a scene. */
-  offerDegrees(most: number, chosen: number): void {
+  private offerDegrees(most: number, chosen: number): void {
     const select = this.field("degree") as unknown as HTMLSelectElement;
     const options = Array.from({ length: most + 1 }, (_, degree) => {
       const text = degree === 0 ? "0: none" : String(degree);
@@ -56,7 +100,7 @@ export class Panel {
   }
 
   /** Offer the levels of a scene, if any. */
-  offerLevels(levels: readonly LevelEntry[], chosen: number | undefined): void {
+  private offerLevels(levels: readonly LevelEntry[], chosen: number | undefined): void {
     this.form.querySelector<HTMLElement>("#levelRow")!.hidden = levels.length === 0;
     const select = this.field("level") as unknown as HTMLSelectElement;
     const options = levels.map(({ scale }, level) => {
@@ -70,12 +114,14 @@ export class Panel {
   }
 
   /** Update the statistics, if shown. */
-  update(statistics: ViewerStatistics, canvas: HTMLCanvasElement): void {
+  update(): void {
     if (this.table.hidden || this.form.hidden) return;
+    const { scene, canvas } = this.stage;
+    const { statistics } = scene;
     const { level } = statistics;
     const rows = [
-      ...(level === undefined ? [] : [["Level", `${level.toFixed(2)} of 0 to ${this.view.levels.length - 1}`]]),
-      ["Splats drawn", this.view.drawnRows.toLocaleString()],
+      ...(level === undefined ? [] : [["Level", `${level.toFixed(2)} of 0 to ${scene.levels.length - 1}`]]),
+      ["Splats drawn", scene.drawnRows.toLocaleString()],
       ["Picture", `${canvas.width} × ${canvas.height} px`],
       ["Pictures drawn", statistics.frames.toLocaleString()],
       ["Main thread", `${statistics.drawMilliseconds.toFixed(1)} ms a picture`],
@@ -104,7 +150,7 @@ export class Panel {
   }
 
   private changed(name: string): void {
-    const { view } = this;
+    const { scene: view } = this.stage;
     const field = this.field(name);
     if (name === "degree") view.show({ degree: Number(field.value) });
     else if (name === "level") view.level = field.value === "" ? undefined : Number(field.value);

@@ -16,6 +16,9 @@ export interface View {
   readonly focal: readonly [number, number];
 }
 
+/** Draws what is behind the splats over the render target: for a view, its size in px, and whether colours are linear. */
+export type SkyPass = (view: View, width: number, height: number, linear: boolean) => void;
+
 /** Options of a picture. */
 export interface PictureOptions {
   /** Colour behind the splats: R, G, B and opacity from 0 to 1, display-encoded. */
@@ -26,6 +29,7 @@ export interface PictureOptions {
   readonly fill: number;
   /** Position of the divide, as a share of the width from the left. */
   readonly divide: number;
+  readonly sky?: SkyPass | undefined;
 }
 
 /** Draws packed splats with WebGL 2, by the rules of SPEC 8.7. */
@@ -90,6 +94,7 @@ export class SplatRenderer {
     gl.clearColor(0, 0, 0, 0);
     gl.disable(gl.SCISSOR_TEST);
     gl.clear(gl.COLOR_BUFFER_BIT);
+    options.sky?.(view, width, height, layers[0]?.scene.linear ?? false);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     const divide = layers.length > 1 ? Math.round(width * options.divide) : 0;

@@ -1,3 +1,4 @@
+import type { Description, PictureName } from "../container/description.js";
 import type { Pinhole } from "../container/pinhole.js";
 import type { SceneInfo } from "../container/root.js";
 import type { PackedSplats } from "../scene/packed_splats.js";
@@ -45,8 +46,20 @@ export interface FeedHost {
   damaged(error: unknown): void;
 }
 
+/** Where the description of a scene and its pictures come from. */
+export interface DescriptionSource {
+  /** Axes of the scene, such as `RDF`. */
+  readonly axes: string;
+  /** Aborted when another scene is loaded. */
+  readonly signal: AbortSignal;
+  description(): Promise<Description | undefined>;
+  picture(name: PictureName): Promise<Blob | undefined>;
+}
+
 /** Fills a layer with one scene. */
 export interface SceneFeed {
+  /** Source of the scene's description; undefined without one, and before the scene is open. */
+  readonly descriptionSource?: DescriptionSource | undefined;
   /** Whether the first rows show the whole scene coarsely, so that they are drawn before the rest arrives. */
   readonly progressive: boolean;
   /** First view of the file, if any. */

@@ -11,8 +11,9 @@ import { OrbitCamera, type Vector } from "./orbit.js";
 import { PicturePace } from "./picture_pace.js";
 import { PlyFeed, plyOf } from "./ply_feed.js";
 import { type PictureOptions, SplatRenderer } from "./renderer.js";
-import type { FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
+import type { DescriptionSource, FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
 import { SplatLayer } from "./splat_layer.js";
+import { poseOf, type ViewText } from "./view_text.js";
 import type { ViewerPose, ViewerStatistics } from "./viewer_handle.js";
 import { AllowedWorkers, type ViewerWorkers } from "./viewer_workers.js";
 
@@ -32,10 +33,20 @@ const REST_MILLISECONDS = 200;
 /** Moves the camera with each picture until it returns false or a person moves; the time since the last one is in s. */
 export type Motion = (camera: OrbitCamera, seconds: number) => boolean;
 
+/** Where the camera starts, in place of the scene's first view. */
+export interface Start {
+  readonly view?: ViewText | undefined;
+  readonly up?: Vector | undefined;
+  /** Point that turning goes around. */
+  readonly target?: Vector | undefined;
+}
+
 /** Callbacks of a scene view. */
 export interface SceneViewHost extends Pick<ControlsHost, "leavesScrolling" | "left" | "tapped"> {
   /** Called when the camera has come to rest in another pose. */
   rested(): void;
+  /** Called when the first rows of a scene that has a description are there. */
+  described(source: DescriptionSource): void;
   /** Called after each picture. */
   drawn(): void;
   /** Called when a motion has ended; by a person or by itself. */
@@ -98,6 +109,7 @@ export class SceneView {
   private home: ((camera: OrbitCamera) => void) | undefined;
   private homeCamera: (() => OrbitCamera) | undefined;
   private pose: ViewerPose | undefined;
+  private start: Start = {};
   private touched = false;
   /** Numbers of the scenes loaded, so that a scene replaced before its start does not start. */
   private readonly runs = { main: 0, other: 0 };
@@ -109,7 +121,9 @@ export class SceneView {
   /** Whether the last picture has full resolution and shows all rows received. */
   private isSharp = true;
   private isWhole = true;
-  private budget = Infinity;
+  /** Splats in memory at most: chosen, and the share of the page's budget. */
+  private chosenBudget = Infinity;
+  private sharedBudget = Infinity;
   /** Whether the first view has been completely received; from then on holes stay and no picture waits. */
   private wasSettled = false;
   /** Last pose passed to the feeds. */
@@ -230,12 +244,31 @@ export class SceneView {
     this.redraw();
   }
 
+  /** Context that draws the scene. */
+  get gl(): WebGL2RenderingContext {
+    return this.renderer.gl;
+  }
+
   /** Packed rows of the scene, and what to add to a point in the space of the poses for that of the rows' means. */
   get packed(): { readonly words: Uint32Array; readonly rows: number; readonly shift: Vector } | undefined {
     const layer = this.main?.layer;
     if (layer === undefined) return undefined;
     const shift = this.origin.map((value, axis) => value - layer.scene.origin[axis]!) as Vector;
     return { words: layer.words, rows: layer.rows, shift };
+  }
+
+  /** Text of the camera's pose; undefined before a scene is open. */
+  get viewText(): string | undefined {
+    const { camera } = this;
+    if (camera === undefined) return undefined;
+    const [width, height] = this.size(1);
+    return camera.text(height, width);
+  }
+
+  /** Change where the camera starts, and go there. */
+  startFrom(start: Start): void {
+    this.start = { ...this.start, ...start };
+    this.reset();
   }
 
   /** Whether the canvas can be seen; motions wait until it is. */
@@ -263,6 +296,11 @@ export class SceneView {
     this.host.motionEnded(byPerson);
   }
 
+  /** Options of pictures. */
+  get options(): PictureOptions {
+    return this.picture;
+  }
+
   /** Change options of pictures. */
   show(options: Partial<Omit<PictureOptions, "fill">>): void {
     this.picture = { ...this.picture, ...options };
@@ -271,7 +309,22 @@ export class SceneView {
 
   /** Limit the splats drawn: the first of the file or, in view order, the splats worth most to the view. */
   limit(splats: number): void {
-    this.budget = splats;
+    this.chosenBudget = splats;
+    this.applyBudget();
+  }
+
+  /** Limit the splats to the viewer's share of the page's budget. */
+  share(splats: number): void {
+    this.sharedBudget = splats;
+    this.applyBudget();
+  }
+
+  private get budget(): number {
+    return Math.min(this.chosenBudget, this.sharedBudget);
+  }
+
+  private applyBudget(): void {
+    const splats = this.budget;
     for (const shown of [this.main, this.other]) {
       if (!(shown?.feed.setSplatBudget?.(splats) ?? false)) shown?.layer?.limit(splats);
     }
@@ -304,7 +357,10 @@ export class SceneView {
     this.camera = this.homeCamera?.();
     if (this.camera !== undefined) {
       this.home?.(this.camera);
+      const { view, target } = this.start;
+      if (view !== undefined) this.camera.setPose(poseOf(view, this.camera.up));
       if (this.pose !== undefined) this.camera.setPose(this.pose);
+      if (target !== undefined) this.camera.setPose({ ...this.view!, target });
     }
     this.touched = false;
     this.redraw();
@@ -318,7 +374,7 @@ export class SceneView {
   /** Show a prefix of the file; undefined shows all rows received. */
   showPrefix(prefix: Prefix | undefined): void {
     this.main?.feed.show(prefix);
-    if (prefix === undefined) this.limit(this.budget);
+    if (prefix === undefined) this.applyBudget();
     this.redraw();
   }
 
@@ -384,7 +440,7 @@ export class SceneView {
         this.degree = scene.shDegree;
         this.levels = info.levels;
         this.origin = info.origin;
-        this.homeCamera = () => new OrbitCamera(info);
+        this.homeCamera = () => new OrbitCamera({ ...info, ...(this.start.up && { up: this.start.up }) });
         this.home = undefined;
         this.reset();
         this.updateStatistics({ state: "streaming", totalSplats: scene.splats });
@@ -393,6 +449,8 @@ export class SceneView {
         return shown.layer;
       },
       rowsArrived: (packed, first) => {
+        const { descriptionSource } = shown.feed;
+        if (first && descriptionSource !== undefined) this.host.described(descriptionSource);
         const { firstView } = shown.feed;
         if (!first || this.camera === undefined || firstView?.target !== undefined) return;
         // Without a first view with a target, the first splats show where to stand or what to turn around.

@@ -10,12 +10,14 @@ export interface Stage {
   readonly canvas: HTMLCanvasElement;
   /** Layer over the canvas for elements at places of the scene. */
   readonly overlay: HTMLElement;
-  /** Column of panels over the tools. */
-  readonly lower: HTMLElement;
+  /** Row of the tools; panels stand in the column above it. */
+  readonly foot: HTMLElement;
   readonly tools: HTMLElement;
   readonly scene: SceneView;
   /** Show a short text over the picture. */
   hint(text: string): void;
+  /** Close the settings and all panels of the extras. */
+  closePanels(): void;
   /** Return the point of the scene at a place of the canvas, px; undefined where nothing is. */
   pick(x: number, y: number): Vector | undefined;
   /** Return the projection of the present pose; undefined before a scene is open. */

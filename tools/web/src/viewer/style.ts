@@ -40,16 +40,6 @@ output { text-wrap: balance; margin-right: auto; padding: 5px 11px; font-variant
 .tools button, .close { width: 38px; height: 38px; padding: 8px; border: 0; border-radius: 9px; background: none; cursor: pointer; }
 .tools button:hover, .tools button[aria-expanded=true], .close:hover { background: var(--edge); }
 svg { width: 100%; height: 100%; display: block; fill: none; stroke: currentColor; stroke-width: 1.8; stroke-linecap: round; stroke-linejoin: round; }
-.panel { align-self: flex-end; width: min(310px, 100%); min-height: 0; overflow: auto; padding: 14px 16px; }
-.panel h2 { margin: 0 0 8px; font-size: 15px; }
-.panel label { display: grid; grid-template-columns: 1fr 150px; align-items: center; gap: 8px; margin: 7px 0; }
-.panel select, .panel input:not([type=checkbox]) { font: inherit; width: 100%; min-height: 28px; accent-color: var(--accent); }
-.panel input[type=checkbox] { justify-self: end; width: 18px; height: 18px; accent-color: var(--accent); }
-.panel .wide { width: 100%; min-height: 34px; margin-top: 4px; border: 1px solid var(--edge); border-radius: 8px; background: none; cursor: pointer; }
-.panel table { width: 100%; margin-top: 8px; border-collapse: collapse; color: var(--soft); font-variant-numeric: tabular-nums; }
-.panel td + td { text-align: right; color: var(--ink); }
-.panel details { margin-top: 8px; color: var(--soft); }
-kbd { font: inherit; padding: 0 5px; border: 1px solid var(--edge); border-radius: 5px; color: var(--ink); }
 .message { align-self: center; width: min(440px, 100%); min-height: 0; overflow: auto; margin-block: auto; padding: 18px 20px; }
 .shown .message { margin-top: 0; margin-bottom: 0; }
 .message h2 { margin: 0 0 4px; font-size: 16px; }
@@ -61,13 +51,8 @@ kbd { font: inherit; padding: 0 5px; border: 1px solid var(--edge); border-radiu
   border-radius: 50%; background: #fff; color: #222; box-shadow: 0 1px 6px #0008; }
 .name { position: absolute; top: 12px; padding: 4px 10px; pointer-events: none; max-width: 45%; overflow: hidden; text-overflow: ellipsis; white-space: nowrap; }
 .name.left { left: 12px; } .name.right { right: 12px; }
-.strip { flex: none; display: flex; gap: 8px; padding: 8px; overflow-x: auto; justify-content: safe center; }
-.strip button { flex: none; padding: 0 0 5px; border: 2px solid transparent; border-radius: 8px; background: none; cursor: pointer; font-size: 12px; line-height: 1.3; color: var(--soft); overflow: hidden; }
-.strip button[aria-pressed=true] { border-color: var(--accent); color: var(--ink); }
-.strip canvas { position: static; width: 128px; height: 80px; margin-bottom: 4px; cursor: inherit; }
 .over::after { content: "Drop to show · with Shift to compare"; position: absolute; inset: 12px; display: grid; place-content: center; border: 2px dashed #fff; border-radius: 14px; color: #fff; background: #0008; pointer-events: none; }
 [hidden] { display: none !important; }
-@media (pointer: coarse) { .tools button, .close { width: 44px; height: 44px; padding: 10px; } .keys { display: none; } }
-@container (max-width: 480px) { .panel { width: 100%; } .strip canvas { width: 96px; height: 72px; } }
+@media (pointer: coarse) { .tools button, .close { width: 44px; height: 44px; padding: 10px; } }
 @media (prefers-reduced-motion: reduce) { * { transition: none !important; } .spinner { animation-duration: 4s; } }
 `;

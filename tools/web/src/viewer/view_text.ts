@@ -1,4 +1,5 @@
 import { type Axes, add, cross, dot, scaled, type Vector } from "./vectors.js";
+import type { ViewerPose } from "./viewer_handle.js";
 
 /** A pose as its text states it: `x,y,z,tx,ty,tz,fov` or `x,y,z,tx,ty,tz,fov,roll`. */
 export interface ViewText {
@@ -61,11 +62,30 @@ export function parseUp(text: string): Vector {
   return unit(numbers.map((value) => value / largest) as Vector);
 }
 
+/**
+ * Parse the text of a point, `x,y,z`.
+ *
+ * @throws SyntaxError if the text is none.
+ */
+export function parsePoint(text: string): Vector {
+  const numbers = numbersOf(text);
+  if (numbers?.length !== 3) throw refusal(text, "expected x,y,z");
+  return numbers as Vector;
+}
+
 /** Return right, down and forward of a camera with a pose from text. */
 export function axesOf({ position, target, roll }: ViewText, up: Vector): Axes {
   const [right, down, forward] = levelAxes(unit(add(target, position, -1)), up);
   const [c, s] = [Math.cos(roll * RADIANS), Math.sin(roll * RADIANS)];
   return [add(scaled(right, c), down, s), add(scaled(down, c), right, -s), forward];
+}
+
+/** Return the pose of its text, level for an up direction but for its roll. */
+export function poseOf(view: ViewText, up: Vector): ViewerPose {
+  const axes = axesOf(view, up);
+  const focal = 0.5 / Math.tan((view.fov * RADIANS) / 2);
+  const translation = axes.map((axis) => -dot(axis, view.position));
+  return { height: 1, fx: focal, fy: focal, rotation: axes.flat(), translation, target: view.target };
 }
 
 /**

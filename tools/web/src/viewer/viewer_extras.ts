@@ -1,9 +1,13 @@
 // Program of the viewer's parts that are loaded when they are asked for.
+import { DescribedScene } from "./described_scene.js";
 import { EXTRAS_STYLE } from "./extras_style.js";
+import { FilmStrip } from "./film_strip.js";
 import { aheadOf, distance, flight, positionOf, translationOf } from "./flight.js";
 import { Measure, type Scale } from "./measure.js";
 import type { Vector } from "./orbit.js";
+import { Panel, type PanelHost } from "./panel.js";
 import { pick } from "./pick.js";
+import type { DescriptionSource } from "./scene_feed.js";
 import { type Projection, projectionOf, type Stage } from "./stage.js";
 import type { ViewerPose } from "./viewer_handle.js";
 
@@ -11,12 +15,16 @@ import type { ViewerPose } from "./viewer_handle.js";
 const NEARER = 0.6;
 
 /** Parts of the stage that the element gives. */
-export type StageParts = Omit<Stage, "pick" | "projection" | "flyTo">;
+export type StageParts = Omit<Stage, "pick" | "projection" | "flyTo" | "closePanels"> & Omit<PanelHost, "measure">;
 
 /** Focus, measuring and other parts of one viewer that its first picture does not need. */
 export class Extras {
   private readonly stage: Stage;
+  private readonly strip: FilmStrip;
+  private readonly panel: Panel;
   private measure: Measure | undefined;
+  private described: DescribedScene | undefined;
+  private scale: Scale = { metresPerUnit: undefined, unit: undefined };
 
   constructor(parts: StageParts) {
     this.stage = {
@@ -24,7 +32,11 @@ export class Extras {
       pick: (x, y) => this.pick(x, y),
       projection: () => this.projection(),
       flyTo: (pose) => this.flyTo(pose),
+      closePanels: () => this.closePanels(),
     };
+    const button = (id: string): HTMLElement => parts.tools.querySelector(id)!;
+    this.strip = new FilmStrip(this.stage, button("#film"));
+    this.panel = new Panel(this.stage, button("#settings"), { ...parts, measure: () => this.toggleMeasure() });
     const sheet = new CSSStyleSheet();
     sheet.replaceSync(EXTRAS_STYLE);
     const shadow = parts.root.getRootNode() as ShadowRoot;
@@ -35,6 +47,27 @@ export class Extras {
   tapped(x: number, y: number, isDouble: boolean): void {
     if (this.measure !== undefined) this.measure.tapped(x, y);
     else if (isDouble) this.focus(x, y);
+  }
+
+  /** Open or close the settings. */
+  togglePanel(): void {
+    if (this.panel.isOpen) this.panel.close();
+    else this.panel.open();
+  }
+
+  /** Follow a change of the statistics; the scene may have been opened. */
+  changed(isOpened: boolean): void {
+    if (isOpened && this.panel.isOpen) this.panel.showScene();
+    else this.panel.update();
+  }
+
+  /** Open or close the film strip. */
+  toggleStrip(): void {
+    if (this.strip.isOpen) this.strip.close();
+    else {
+      this.stage.closePanels();
+      void this.strip.open();
+    }
   }
 
   /** Begin or end measuring. */
@@ -51,15 +84,55 @@ export class Extras {
   /** Follow a picture that was drawn. */
   drawn(): void {
     this.measure?.drawn(this.projection());
+    this.described?.drawn();
+  }
+
+  /** Follow the camera's rest. */
+  rested(): void {
+    this.described?.rested();
+  }
+
+  /** Follow the end of a motion. */
+  motionEnded(): void {
+    this.described?.motionEnded();
+    if (this.panel.isOpen) this.panel.showScene();
+  }
+
+  /** Show the description of a scene, and its sky once that has arrived. */
+  async describe(source: DescriptionSource, hasBackground: boolean): Promise<void> {
+    try {
+      const description = await source.description();
+      if (description === undefined) return;
+      this.clear();
+      this.scale = description;
+      const described = new DescribedScene(this.stage, description, hasBackground);
+      this.described = described;
+      const sky = description.sky === undefined ? undefined : await source.picture("sky");
+      if (sky !== undefined && this.described === described) await described.showSky(sky, source.axes);
+    } catch (error) {
+      if (!source.signal.aborted) this.stage.hint(`The description of the scene cannot be shown: ${String(error)}`);
+    }
+  }
+
+  /** Close what lies over the picture. */
+  closePanels(): void {
+    this.strip.close();
+    this.panel.close();
+    this.described?.closePanels();
+  }
+
+  /** Forget the scene: another is loaded. */
+  clear(): void {
+    this.strip.close();
+    this.described?.remove();
+    this.measure?.close();
+    this.described = undefined;
+    this.scale = { metresPerUnit: undefined, unit: undefined };
   }
 
   private projection(): Projection | undefined {
     const { canvas, scene } = this.stage;
     return scene.view && projectionOf(scene.view, canvas.clientWidth, canvas.clientHeight);
-  }
-
-  private get scale(): Scale {
-    return { metresPerUnit: undefined, unit: undefined };
   }
 
   /** Fly to a pose. */

@@ -45,8 +45,13 @@ export type ViewerPose = Pick<Pinhole, "height" | "fx" | "fy" | "rotation" | "tr
 /** Interface of a viewer for programs of the page: `window.cogsplatViewer`, and every `<cogsplat-viewer>`. */
 export interface ViewerHandle {
   readonly statistics: ViewerStatistics;
-  /** Pose set by a program, in the space of the means, until a person moves; it applies to later scenes too. */
+  /**
+   * Pose of the camera, in the space of the means; undefined before a scene is open. Setting it moves the camera, and
+   * applies to later scenes too.
+   */
   view: ViewerPose | undefined;
+  /** Pose as text, which the attribute `view` and the command line's `--view` take. */
+  readonly viewText: string | undefined;
   /** Whether holes between splats are filled while a scene arrives; without it pictures are exact. */
   fillHoles: boolean;
 }

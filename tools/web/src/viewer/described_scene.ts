@@ -1,0 +1,140 @@
+import type { Description } from "../container/description.js";
+import { Annotations } from "./annotations.js";
+import { PathPlayer } from "./camera_path.js";
+import { element, icon } from "./page_parts.js";
+import { Sky } from "./sky.js";
+import type { Stage } from "./stage.js";
+
+const PLAY = "M8 5.5v13l11-6.5z";
+const PAUSE = "M8 5.5v13M16 5.5v13";
+
+/** Shows the description of a scene: title, texts, views, camera path, annotations, background and sky. */
+export class DescribedScene {
+  private readonly annotations: Annotations;
+  private readonly caption: HTMLButtonElement | undefined;
+  private readonly about: HTMLElement;
+  private readonly play: HTMLButtonElement | undefined;
+  private player: PathPlayer | undefined;
+  private isPlaying = false;
+  private sky: Sky | undefined;
+
+  /** @param hasBackground - Whether the page has chosen a background of its own. */
+  constructor(
+    private readonly stage: Stage,
+    private readonly description: Description,
+    hasBackground: boolean,
+  ) {
+    const { title, text, credits, licence, date, views, path, annotations, background } = description;
+    const rights = [credits, licence].filter((part) => part !== undefined && part !== "").join(" · ");
+    this.about = element("section", "panel about glass");
+    this.about.ariaLabel = "About this scene";
+    this.about.hidden = true;
+    const list = (name: string, buttons: readonly HTMLElement[]): Node[] =>
+      buttons.length === 0
+        ? []
+        : [element("h3", "", name), element("ul", "", ...buttons.map((button) => element("li", "", button)))];
+    const close = element("button", "close", "×");
+    close.ariaLabel = "Close";
+    close.addEventListener("click", () => [this.toggleAbout(), this.caption?.focus()]);
+    this.about.append(
+      close,
+      element("h2", "", title ?? "About this scene"),
+      ...(text === undefined ? [] : [element("p", "text", text)]),
+      ...[rights, date].filter((line) => line).map((line) => element("p", "rights", line!)),
+      ...list(
+        "Views",
+        views.map((view) => {
+          const button = element("button", "wide", view.name);
+          button.addEventListener("click", () => stage.flyTo(view));
+          return button;
+        }),
+      ),
+      ...list(
+        "Annotations",
+        annotations.map((annotation, i) => {
+          const button = element("button", "wide", `${i + 1}: ${annotation.title}`);
+          button.addEventListener("click", () => this.annotations.show(i));
+          return button;
+        }),
+      ),
+    );
+    stage.foot.before(this.about);
+    if (title !== undefined || this.about.childElementCount > 2) {
+      this.caption = element("button", "caption glass", element("b", "", title ?? "About this scene"));
+      if (rights !== "") this.caption.append(element("span", "", rights));
+      this.caption.ariaExpanded = "false";
+      this.caption.addEventListener("click", () => this.toggleAbout());
+      stage.overlay.append(this.caption);
+    }
+    this.annotations = new Annotations(stage, annotations);
+    if (path !== undefined) {
+      this.player = new PathPlayer(path);
+      this.play = element("button", "", icon(PLAY));
+      this.play.addEventListener("click", () => this.togglePlay());
+      stage.tools.prepend(this.play);
+      this.showPlay();
+    }
+    if (background !== undefined && !hasBackground) {
+      const [r, g, b] = background as [number, number, number];
+      stage.scene.show({ background: [r, g, b, 1] });
+    }
+  }
+
+  /** Show the sky behind the splats. */
+  async showSky(picture: Blob, axes: string): Promise<void> {
+    const bitmap = await createImageBitmap(picture);
+    this.sky = new Sky(this.stage.scene.gl, bitmap, this.description.sky?.rotation, axes);
+    this.stage.scene.show({ sky: this.sky.draw });
+  }
+
+  drawn(): void {
+    this.annotations.drawn(this.stage.projection());
+  }
+
+  rested(): void {
+    void this.annotations.rested();
+  }
+
+  /** Follow the end of a motion. */
+  motionEnded(): void {
+    this.isPlaying = false;
+    this.showPlay();
+  }
+
+  /** Close what is open over the picture. */
+  closePanels(): void {
+    if (!this.about.hidden) this.toggleAbout();
+    this.annotations.show(undefined);
+  }
+
+  remove(): void {
+    this.annotations.remove();
+    for (const part of [this.caption, this.about, this.play]) part?.remove();
+    this.stage.scene.show({ sky: undefined });
+    this.sky?.close();
+  }
+
+  private toggleAbout(): void {
+    const opens = this.about.hidden;
+    if (opens) this.stage.closePanels();
+    this.about.hidden = !opens;
+    if (this.caption) this.caption.ariaExpanded = String(opens);
+  }
+
+  private togglePlay(): void {
+    const { scene } = this.stage;
+    if (this.isPlaying) scene.endMotion(true);
+    else {
+      scene.move(this.player!.motion());
+      this.isPlaying = true;
+      this.showPlay();
+    }
+  }
+
+  private showPlay(): void {
+    const { play, isPlaying } = this;
+    if (play === undefined) return;
+    play.replaceChildren(icon(isPlaying ? PAUSE : PLAY));
+    play.ariaLabel = play.title = isPlaying ? "Pause the camera path" : "Play the camera path";
+  }
+}
