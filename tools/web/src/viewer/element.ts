@@ -29,6 +29,7 @@ export interface ExtrasModule {
 const NOTHING: ViewerStatistics = {
   state: "empty",
   splats: 0,
+  drawnSplats: 0,
   totalSplats: 0,
   bytes: 0,
   frames: 0,

@@ -70,6 +70,7 @@ interface Shown {
 const EMPTY: ViewerStatistics = {
   state: "empty",
   splats: 0,
+  drawnSplats: 0,
   totalSplats: 0,
   bytes: 0,
   frames: 0,
@@ -686,6 +687,7 @@ export class SceneView {
       pace.submitted(start, { scale, splats: layers.reduce((sum, layer) => sum + layer.drawnRows, 0) });
     this.updateStatistics({
       frames: statistics.frames + 1,
+      drawnSplats: this.drawnRows,
       drawMilliseconds: performance.now() - start,
       sortMilliseconds: layers[0]!.sortMilliseconds,
     });

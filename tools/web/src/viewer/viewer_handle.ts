@@ -9,6 +9,8 @@ export interface ViewerStatistics {
   readonly state: "empty" | "opening" | "streaming" | "complete" | "failed";
   /** Splats received and in memory. */
   readonly splats: number;
+  /** Splats of the last picture. */
+  readonly drawnSplats: number;
   /** Splats of the scene; 0 until its root has been read. */
   readonly totalSplats: number;
   /** Bytes received. */
