@@ -25,6 +25,7 @@ export class FilmStrip {
   ) {
     this.canvas = canvas;
     this.view = scene;
+    this.strip.id = "strip";
     this.strip.role = "group";
     this.strip.ariaLabel = "The scene after parts of its file";
     this.strip.hidden = true;
