@@ -13,13 +13,15 @@ from .config import EncodeConfig
 _BLENDING: Final = ("render.sensitivities", "render.blend_weights", "render.rasteriser")
 _GAIN: Final = ("render.marginal_gains",)
 _FIT: Final = ("render.gradients", "encode.shift_kernels")
-_PLANNING: Final = ("render.peak_weights", "views.occlusion")
+_PLANNING: Final = ("render.peak_weights",)
 _OTHERS: Final = (
     "render.shading",
     "scoring.view_sums",
     "render.depth_order",
     "render.tiles",
     "render.projection",
+    # Of close views, in which predictions are measured, and of planned ones.
+    "views.occlusion",
 )
 
 

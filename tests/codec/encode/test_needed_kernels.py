@@ -59,6 +59,7 @@ def test_what_an_encode_does_not_call_is_not_needed():
     fast = modules(order="contribution", compensate=False)
     assert whole - fast == {"marginal_gains", "gradients", "shift_kernels"}
     assert "sensitivities" not in modules(order="contribution", profile="near-lossless")
+    assert "occlusion" in whole
     planned = needed_kernels(EncodeConfig(), planned=True)
-    assert {"occlusion", "peak_weights"} <= {k.function.__module__.split(".")[-1] for k in planned}
+    assert "peak_weights" in {k.function.__module__.split(".")[-1] for k in planned}
     assert len({kernel.name for kernel in planned}) == len(planned)
