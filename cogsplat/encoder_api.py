@@ -22,6 +22,7 @@ from .codec.splats import Splats
 from .codec.workspace import IN_MEMORY, Workspace
 from .formats.cameras.camera_files import read_cameras
 from .formats.cogs.camera_segment import check_cameras
+from .formats.cogs.description import Description
 from .formats.cogs.metadata import FileMetadata
 from .formats.cogs.open_file import open_scene
 from .formats.scenes.input_files import input_files
@@ -51,6 +52,7 @@ def encode(
     preset: str | None = None,
     config: EncodeConfig | None = None,
     request: EncodeRequest | None = None,
+    description: Description | None = None,
     force: bool = False,
     progress: Progress = silent,
 ) -> EncodeReport:
@@ -78,6 +80,9 @@ def encode(
     request : EncodeRequest, optional
         Inputs that are needed rarely: scores, test views, stored cameras, memory limit, executor.
         The other arguments replace its fields.
+    description : Description, optional
+        Description of the scene, with the files of its pictures. None for that of `scene`, where
+        it is a COGS file.
     force : bool
         Replace an existing file.
     progress : Progress
@@ -133,7 +138,8 @@ def encode(
         if isinstance(progress, OverallProgress):
             progress.plan(stage_costs(len(splats), request))
         look, request = find_look_of(splats, request)
-        metadata = FileMetadata(look, request.stored_cameras)
+        described = _description_of(scene) if description is None else description
+        metadata = FileMetadata(look, request.stored_cameras, described)
         encoded = pipeline.encode(
             splats,
             request,
@@ -211,7 +217,8 @@ def tune(
     given = None if cameras is None else _views(cameras)
     views = choose_tuning_views(splats, given, threads=config.train.threads, progress=progress)
     request = TuneRequest(views, _target(target, scene), config)
-    metadata = FileMetadata(find_first_look(splats, given, threads=config.train.threads))
+    look = find_first_look(splats, given, threads=config.train.threads)
+    metadata = FileMetadata(look, description=_description_of(scene))
     tuned = tuning.tune(splats, request, size_of=metadata.file_bytes, progress=progress)
     return _save(tuned.encoded, metadata, path, force)
 
@@ -273,7 +280,7 @@ def layers(
     encoded = make_levels(splats, LevelsRequest(views, config), progress=progress)
     given = None if cameras is None else views
     look = find_first_look(splats, given, threads=config.threads)
-    return _save(encoded, FileMetadata(look), path, force)
+    return _save(encoded, FileMetadata(look, description=_description_of(scene)), path, force)
 
 
 def compare(
@@ -412,6 +419,14 @@ def _splats(scene: Splats | _Path, workspace: Workspace | None = None) -> Splats
         with open_scene(scene) as file:
             return file.decode()
     return read_scene(scene, zeros=(workspace or IN_MEMORY).zeros)
+
+
+def _description_of(scene: Splats | _Path) -> Description | None:
+    """Return the description of a COGS file; None for other scenes."""
+    if isinstance(scene, Splats) or not is_cogs(scene):
+        return None
+    with open_scene(scene) as file:
+        return file.description(pictures=True)
 
 
 def _views(cameras: Sequence[Camera] | _Path) -> Sequence[Camera]:

@@ -33,6 +33,7 @@ _MODULES: Final = {
     "serve": "cli.serve.serve",
     "upload": "cli.upload.upload",
     "info": "cli.info.info",
+    "describe": "cli.describe.describe",
     "check": "cli.check.check",
     "compare": "cli.compare.compare",
     "render": "cli.render.render",

@@ -322,13 +322,16 @@ def transform_camera(
     ValueError
         See `transform`.
     """
-    turned = camera.rotation @ _require_rotation(rotation).T
+    turn = _require_rotation(rotation)
+    turned = camera.rotation @ turn.T
     if not (math.isfinite(scale) and scale > 0):
         raise ValueError(f"scale {scale}, expected a positive finite number")
+    target = camera.target
     return replace(
         camera,
         rotation=turned,
         translation=scale * camera.translation - turned @ np.array(translation),
+        target=None if target is None else scale * turn @ target + np.array(translation),
     )
 
 

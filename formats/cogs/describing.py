@@ -8,10 +8,11 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
+from cogsplat.codec.views.view_text import unit_up
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, check_output, is_folder
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import BytesSource, Source, require_within
@@ -56,8 +57,8 @@ def describe(
     description: Description | None,
     output: StrPath | None = None,
     *,
-    up: Sequence[float] | None = None,
-    first_view: Camera | None = None,
+    up: str | ArrayLike | None = None,
+    view: str | Camera | None = None,
     force: bool = False,
     limits: Limits | None = None,
 ) -> Described:
@@ -76,10 +77,10 @@ def describe(
     output : path, optional
         New file; or, where it ends in ``.cogsm`` or is a folder, a manifest. By default `path`
         itself is replaced, which needs `force`.
-    up : sequence of float, optional
-        New direction against gravity, in the frame of the means; its length does not matter.
-    first_view : Camera, optional
-        New view where viewers start, in the frame of the means.
+    up : str or array-like of 3 float, optional
+        New direction against gravity in the frame of the means, or its text (``"-y"``).
+    view : Camera or str, optional
+        New view where viewers start, or its text (``"x,y,z,tx,ty,tz,fov"``).
     force : bool
         Whether to replace an existing file or manifest.
     limits : Limits, optional
@@ -89,7 +90,7 @@ def describe(
     ------
     DataError
         ``bad-description``: a value that readers refuse, or a picture without its file;
-        ``root-size``, ``bad-scene-info``.
+        ``bad-view-text``, ``root-size``, ``bad-scene-info``.
     CogsplatError
         The scene cannot be read or the output cannot be written.
 
@@ -109,7 +110,7 @@ def describe(
         check_output(target, force=force, inputs=inputs)
     with open_cogs(open_source(scene), limits=limits) as file:
         filled = _with_files(description, file)
-        source = described_source(file, filled, up=up, first_view=first_view)
+        source = described_source(file, filled, up=up, view=view)
         with open_cogs(source, limits=limits) as changed:
             if to_folder:
                 done = unpack_cogs(changed, target.parent, name=target.name, force=force)
@@ -159,8 +160,8 @@ def described_source(
     file: CogsFile,
     description: Description | None,
     *,
-    up: Sequence[float] | None = None,
-    first_view: Camera | None = None,
+    up: str | ArrayLike | None = None,
+    view: str | Camera | None = None,
 ) -> Source:
     """Return the bytes of a file with another description, as a source over the file's own.
 
@@ -170,13 +171,13 @@ def described_source(
         Open file, whose other segments are read when their bytes are.
     description : Description or None
         New description, with the files of its pictures; None for none.
-    up, first_view
+    up, view
         As in `describe`.
 
     Raises
     ------
     DataError
-        ``bad-description``, ``root-size``, ``bad-scene-info``.
+        ``bad-description``, ``bad-view-text``, ``root-size``, ``bad-scene-info``.
     """
     kinds = file.segments.kind
     kept = np.flatnonzero((kinds != SegmentKind.DESCRIPTION) & (kinds != SegmentKind.PICTURE))
@@ -184,8 +185,8 @@ def described_source(
     root = replace(
         file.root,
         chunks=file.chunks,
-        up=file.root.up if up is None else _unit(up),
-        first_view=first_view or file.root.first_view,
+        up=file.root.up if up is None else unit_up(up),
+        first_view=file.first_view(view=view, up=up),
     )
     pieces: list[_Piece] = []
     for part in lay_out_index(root, _joined(file.segments, kept, segment_table(new))):
@@ -199,15 +200,6 @@ def described_source(
                 payload = new[row - len(kept)].payload
                 pieces.append(_Piece(BytesSource(payload), 0, len(payload)))
     return _JoinedSource(file.name, pieces)
-
-
-def _unit(direction: Sequence[float]) -> NDArray[np.float64]:
-    """Return a direction with length 1."""
-    vector = np.array(direction, np.float64)
-    length = float(np.linalg.norm(vector))
-    if vector.shape != (3,) or not np.isfinite(length) or length == 0:
-        raise DataError("bad-scene-info", f"up {list(direction)}, expected a direction")
-    return vector / length
 
 
 def _joined(table: SegmentTable, rows: NDArray[np.int64], other: SegmentTable) -> SegmentTable:

@@ -171,6 +171,15 @@ class Description:
         found = {"poster": self.poster, "sky": self.sky}
         return {name: picture for name, picture in found.items() if picture is not None}
 
+    def updated(self, other: Description) -> Description:
+        """Return the description with every field of another that is set."""
+        given = {key: value for key, value in vars(other).items() if value not in (None, ())}
+        return replace(self, **given)
+
+    def without_pictures(self) -> Description:
+        """Return the description without poster and sky."""
+        return replace(self, poster=None, sky=None)
+
     def with_pictures(self, pictures: Mapping[str, Picture]) -> Description:
         """Return the description with other pictures, by name; those not named stay."""
         poster, sky = pictures.get("poster", self.poster), pictures.get("sky", self.sky)

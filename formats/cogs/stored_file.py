@@ -9,9 +9,13 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import FormatError, TruncatedError
 from cogsplat.codec.splats import MAX_SH_DEGREE
+from cogsplat.codec.views.pose import down_direction
+from cogsplat.codec.views.view_text import parse_view, unit_up
 from cogsplat.formats.network.segment_cache import SegmentCache
 from cogsplat.formats.network.traffic import Traffic
 from cogsplat.formats.storage.source import RemoteSource, Source, has_range
@@ -205,6 +209,31 @@ class StoredFile:
         """Row of the description's segment in `segments`; None if the file has no description."""
         row = self._pages.ends(last=False).description
         return row if row >= 0 else None
+
+    def first_view(
+        self, *, view: str | Camera | None = None, up: str | ArrayLike | None = None
+    ) -> Camera | None:
+        """Return the view where viewers start; None if there is none.
+
+        Parameters
+        ----------
+        view : Camera or str, optional
+            Another view, or its text (``"x,y,z,tx,ty,tz,fov"``).
+        up : str or array-like of 3 float, optional
+            Direction against gravity in which the text is level; by default the file's.
+
+        Raises
+        ------
+        DataError
+            ``bad-view-text``.
+        """
+        if view is None:
+            return self.root.first_view
+        if isinstance(view, Camera):
+            return view
+        stored = self.root.up
+        level = -down_direction(self.root.info.axes) if stored is None else stored
+        return parse_view(view).camera(level if up is None else unit_up(up))
 
     def select(
         self,

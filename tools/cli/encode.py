@@ -21,12 +21,14 @@ from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams.payload_limits import MAX_CHUNK_SPLATS
 from cogsplat.codec.threads import thread_count
+from cogsplat.formats.cogs.description import Description
+from cogsplat.formats.cogs.description_json import read_description
 from cogsplat.formats.scenes.memory_cap import working_memory
 from cogsplat.tools.cluster.dask_executor import connected
 from cogsplat.tools.evaluation.byte_inventory import stored_sizes
 from cogsplat.tools.evaluation.prefix_quality import PrefixQuality
 from cogsplat.tools.evaluation.report_page import write_report
-from cogsplat.tools.terminal.limits_option import limits_option
+from cogsplat.tools.terminal.limits_option import current_limits, limits_option
 from cogsplat.tools.terminal.option_groups import GroupedCommand
 from cogsplat.tools.terminal.options import (
     background_option,
@@ -63,6 +65,7 @@ from cogsplat.tools.terminal.standard_streams import INPUT, PATH, WRITTEN_PATH, 
 from cogsplat.tools.terminal.values import FiniteNumber, byte_count, number_of_bytes
 from cogsplat.tools.workflow.byte_table import print_byte_table
 from cogsplat.tools.workflow.compile_ahead import CompileAhead
+from cogsplat.tools.workflow.descriptions import description_of
 from cogsplat.tools.workflow.file_evaluation import FileEvaluation, settings_of
 from cogsplat.tools.workflow.inputs import (
     LoadedScene,
@@ -225,6 +228,13 @@ _GROUPS: Final = {
 @click.option("--no-prune", is_flag=True, help="Keep every splat.")
 @no_extras_option
 @up_option
+@click.option(
+    "--describe",
+    type=PATH,
+    metavar="FILE.json",
+    help="Store the description of a JSON file: title, licence, views, poster and more. Without "
+    "it, that of SCENE. `cogsplat describe` changes it later.",
+)
 @click.option("--store-cameras", is_flag=True, help="Store all cameras of --cameras in the file.")
 @jitter_option
 @top_k_option(None)
@@ -320,7 +330,12 @@ def _encode(options: EncodeOptions) -> None:
             stages("connect", 1, 1)
             request = replace(request, executor=executor)
         made = cogsplat.encode(
-            splats, options.out, request=request, force=options.force, progress=stages
+            splats,
+            options.out,
+            request=request,
+            description=_description(options),
+            force=options.force,
+            progress=stages,
         )
         stages("write", 1, 1)
         qualities = _measure(options, evaluation, given, made, stages)
@@ -328,6 +343,15 @@ def _encode(options: EncodeOptions) -> None:
         _print_summary(
             _NewFile(options, request, made, given, len(splats), evaluation, qualities, stages)
         )
+
+
+def _description(options: EncodeOptions) -> Description | None:
+    """Return the description of the scene, with the keys of the file of ``--describe`` set."""
+    found = description_of(options.scene, options.edits)
+    if options.describe is None:
+        return found
+    given = read_description(options.describe, limits=current_limits())
+    return given if found is None else found.updated(given)
 
 
 def _prepare_scene(options: EncodeOptions, splats: Splats, progress: Progress) -> Splats:

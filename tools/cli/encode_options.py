@@ -57,6 +57,7 @@ class EncodeOptions:
     report: Path | None
     images: Path | None
     memory: int | None
+    describe: Path | None
     format_name: str | None
     background: Colour
     edits: SceneEdits

@@ -14,6 +14,7 @@ import cogsplat
 from cogsplat.codec.segments.attributes import AttributeType, attribute_types
 from cogsplat.codec.splats import SceneInfo, Splats, sh_coefficients
 from cogsplat.codec.views.view_text import view_text
+from cogsplat.formats.cogs.description_json import to_json
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.scenes.registry import format_of
 from cogsplat.formats.storage.byte_counts import ByteCount
@@ -46,6 +47,7 @@ from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT_BY_RANGES, unfetched_url
 from cogsplat.tools.terminal.values import ChunkRange
 from cogsplat.tools.workflow.byte_table import print_byte_table
+from cogsplat.tools.workflow.description_facts import description_facts
 from cogsplat.tools.workflow.inputs import (
     LoadedScene,
     Selection,
@@ -147,6 +149,9 @@ def _cogs_info(path: Path, all_chunks: bool, as_json: bool) -> dict[str, object]
         row = file.view_table_row
         view_table = file.view_table() if row is None or file.is_present(row) else None
         viewpoints = None if row is not None else 0
+        row = file.description_row
+        is_described = row is not None and file.is_present(row)
+        description = file.description() if is_described else None
         if view_table is not None:
             viewpoints = len(view_table.positions)
     if not as_json:
@@ -155,9 +160,15 @@ def _cogs_info(path: Path, all_chunks: bool, as_json: bool) -> dict[str, object]
             length = size_text(int(file.segments.length[file.view_table_row]))
             there = "not there" if viewpoints is None else count_text(viewpoints, "viewpoint")
             print_facts(("view table", f"{there}, {length}"))
+        if description is not None:
+            print_facts(*description_facts(description))
         _print_chunks(chunk_sizes(file), all_chunks=all_chunks)
         print_byte_table(sizes, file)
-    return {**_cogs_report(path, version, file, sizes, cameras), "viewpoints": viewpoints}
+    return {
+        **_cogs_report(path, version, file, sizes, cameras),
+        "viewpoints": viewpoints,
+        "description": None if description is None else to_json(description),
+    }
 
 
 def _scene_info(path: Path, scene: LoadedScene, as_json: bool) -> dict[str, object]:

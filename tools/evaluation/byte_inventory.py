@@ -23,6 +23,15 @@ _CHUNK_KINDS: Final = (
     SegmentKind.HEAD, SegmentKind.REFINEMENT, SegmentKind.TAIL, SegmentKind.OPACITIES,
 )  # fmt: skip
 
+# Segment and label of the kinds that are counted whole.
+_WHOLE: Final = {
+    SegmentKind.CAMERAS: ("cameras", "all columns"),
+    SegmentKind.COMPENSATION: ("compensation", "shifts and codes"),
+    SegmentKind.VIEW_TABLE: ("view table", "viewpoints and shares"),
+    SegmentKind.DESCRIPTION: ("description", "texts and views"),
+    SegmentKind.PICTURE: ("picture", "poster and sky"),
+}
+
 
 @dataclass(frozen=True)
 class StoredSize:
@@ -169,20 +178,14 @@ def stored_sizes(file: CogsFile, *, by_stream: bool = True) -> list[StoredSize]:
         if not by_stream:
             found[_segment_name(number), "not read"] += int(file.segments.length[row])
             continue
-        if number == SegmentKind.CAMERAS:
-            found["cameras", "all columns"] += int(file.segments.length[row])
-            continue
         if number == SegmentKind.ATTRIBUTES:
             payload = file.read_segment(row)
             where = f"{file.name}: segment {row}"
             for label, size in attribute_bytes(payload, file.root.attributes, where).items():
                 found["attributes", label] += size
             continue
-        if number == SegmentKind.COMPENSATION:
-            found["compensation", "shifts and codes"] += int(file.segments.length[row])
-            continue
-        if number == SegmentKind.VIEW_TABLE:
-            found["view table", "viewpoints and shares"] += int(file.segments.length[row])
+        if number in _WHOLE:
+            found[_WHOLE[SegmentKind(number)]] += int(file.segments.length[row])
             continue
         if number >= SKIPPABLE_KIND:
             found[f"kind {number}", "unknown"] += int(file.segments.length[row])

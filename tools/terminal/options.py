@@ -135,8 +135,8 @@ def background_option(command: Command) -> Command:
         type=colour,
         default="black",
         show_default=True,
-        metavar="R,G,B",
-        help="Colour behind the splats, components 0 to 1; or black or white.",
+        metavar="COLOUR",
+        help="Colour behind the splats: #rrggbb, R,G,B from 0 to 1, black or white.",
     )(command)
 
 

@@ -13,6 +13,7 @@ from cogsplat.formats.storage.byte_counts import ByteCount, parse_byte_count, pa
 
 _RANGE: Final = re.compile(r"([0-9]{0,9}):([0-9]{0,9})")
 _SIZE: Final = re.compile(r"([0-9]{1,6})[x×]([0-9]{1,6})", re.IGNORECASE)
+_HEXADECIMAL: Final = re.compile(r"#[0-9A-Fa-f]{6}")
 _COLOURS: Final = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0)}
 
 # Digits of the largest label, 2³² - 1.
@@ -108,7 +109,7 @@ def chunk_range(text: str) -> ChunkRange:
 
 
 def colour(text: str) -> Colour:
-    """Parse a colour: ``R,G,B`` in [0, 1], ``black`` or ``white``.
+    """Parse a colour: ``R,G,B`` in [0, 1], ``#rrggbb``, ``black`` or ``white``.
 
     Raises
     ------
@@ -117,13 +118,17 @@ def colour(text: str) -> Colour:
     """
     if text.strip().lower() in _COLOURS:
         return _COLOURS[text.strip().lower()]
+    if _HEXADECIMAL.fullmatch(text.strip()):
+        red, green, blue = bytes.fromhex(text.strip()[1:])
+        return red / 255, green / 255, blue / 255
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         numbers = []
     if len(numbers) != 3 or not all(0.0 <= number <= 1.0 for number in numbers):
         raise click.BadParameter(
-            f"{text!r}, expected three numbers from 0 to 1 such as 0.6,0,0.4, black or white"
+            f"{text!r}, expected #rrggbb, three numbers from 0 to 1 such as 0.6,0,0.4, black or "
+            "white"
         )
     return numbers[0], numbers[1], numbers[2]
 

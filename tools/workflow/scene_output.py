@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,9 @@ import click
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.splats import Splats
+from cogsplat.formats.cogs.description import Description
 from cogsplat.formats.scenes.registry import WRITABLE
 from cogsplat.formats.storage.atomic import storage_errors
 from cogsplat.tools.terminal.output import display_name, size_text
@@ -99,6 +102,7 @@ def write_any(
     stages: Stages,
     writing: SceneWriting | None = None,
     by_object: bool = False,
+    description: Description | None = None,
 ) -> WrittenScene:
     """Write a scene in a format.
 
@@ -119,6 +123,8 @@ def write_any(
         Options of single formats, and whether extra attributes are written.
     by_object : bool
         Whether each chunk of a COGS file holds splats of one object only.
+    description : Description, optional
+        Description of a COGS file; other formats have no place for one, which a warning says.
 
     Raises
     ------
@@ -137,12 +143,25 @@ def write_any(
         config = EncodeConfig(ordering=OrderConfig(by_object=by_object), threads=threads)
         request = EncodeRequest(cameras=cameras, config=config)
         stages.plan(stage_costs(len(splats), request))
-        cogsplat.encode(splats, out, request=request, force=force, progress=stages)
+        cogsplat.encode(
+            splats,
+            out,
+            request=request,
+            description=description,
+            force=force,
+            progress=stages,
+        )
         stages("write", 1, 1)
         with cogsplat.open(out) as file:
             stored = int(file.root.splats)
         with storage_errors(out):
             return WrittenScene(name, out.stat().st_size, stored)
+    if description is not None:
+        warnings.warn(
+            f"{out}: the description is left out, which {name} has no place for",
+            CogsplatWarning,
+            stacklevel=2,
+        )
     with stages.stage("write"):
         cogsplat.write(
             splats,
