@@ -1,0 +1,155 @@
+"""Descriptions that change in a file or folder, while all else keeps its bytes."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fault_server import FaultServer, serving
+from pictures import picture
+
+import cogsplat
+from cogsplat import Description, Picture
+from cogsplat.codec.errors import CogsplatError, DataError
+from cogsplat.formats.cogs.layout import SegmentKind
+
+VECTORS = Path(__file__).resolve().parents[2] / "vectors" / "valid"
+
+NAMES = ["one-splat", "empty", "pages", "pages-only", "levels", "attributes-pages", "pictures"]
+
+
+def described():
+    return Description(
+        title="Garden",
+        poster=Picture("image/jpeg", 6, 3, data=picture()),
+        sky=Picture("image/webp", 6, 3, data=picture("WEBP")),
+    )
+
+
+def other_hashes(file):
+    kinds = (SegmentKind.DESCRIPTION, SegmentKind.PICTURE)
+    rows = zip(file.segments.kind, file.segments.hash, strict=True)
+    return [digest.tobytes() for kind, digest in rows if kind not in kinds]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_described_file_keeps_all_other_segments(name, tmp_path):
+    source, out = VECTORS / f"{name}.cogs", tmp_path / "new.cogs"
+    done = cogsplat.describe(source, described(), out, up="+y", view="0,0,-4,0,0,0,45")
+    assert done.size_bytes == done.written_bytes == out.stat().st_size
+    with cogsplat.open(source) as before, cogsplat.open(out) as after:
+        after.verify()
+        found = after.description(pictures=True)
+        assert (found.title, found.poster.data, found.sky.data) == (
+            "Garden", picture(), picture("WEBP"),
+        )  # fmt: skip
+        assert other_hashes(after) == other_hashes(before)
+        assert after.root.up.tolist() == [0.0, 1.0, 0.0]
+        assert after.root.first_view.position == pytest.approx([0.0, 0.0, -4.0])
+        assert after.root.levels == before.root.levels
+        assert np.array_equal(after.chunks.box, before.chunks.box)
+
+
+def test_a_removed_description_leaves_the_file_that_was(tmp_path):
+    cogsplat.describe(VECTORS / "sh2.cogs", None, tmp_path / "plain.cogs")
+    cogsplat.describe(VECTORS / "sh2.cogs", described(), tmp_path / "new.cogs")
+    cogsplat.describe(tmp_path / "new.cogs", Description(), force=True)
+    assert (tmp_path / "new.cogs").read_bytes() == (tmp_path / "plain.cogs").read_bytes()
+
+
+def test_a_title_in_a_folder_is_one_small_object(tmp_path):
+    folder = tmp_path / "scene"
+    cogsplat.unpack(VECTORS / "pictures-pages.cogs", folder)
+    before = {path.name: path.stat().st_mtime_ns for path in (folder / "segments").iterdir()}
+    with cogsplat.open(folder) as file:
+        old = file.description()
+    done = cogsplat.describe(folder, Description(title="New", poster=old.poster, sky=old.sky),
+                             force=True)  # fmt: skip
+    added = {path.name: path for path in (folder / "segments").iterdir()
+             if path.name not in before}  # fmt: skip
+    (new,) = added.values()
+    assert done.written_bytes == new.stat().st_size + (folder / "manifest.cogsm").stat().st_size
+    assert all((folder / "segments" / name).stat().st_mtime_ns == at for name, at in before.items())
+    with cogsplat.open(folder) as file:
+        file.verify()
+        assert file.description(pictures=True).title == "New"
+
+
+def test_a_folder_gets_a_second_manifest(tmp_path):
+    folder = tmp_path / "scene"
+    cogsplat.unpack(VECTORS / "sh1.cogs", folder)
+    cogsplat.describe(folder, Description(title="French"), folder / "fr.cogsm")
+    with cogsplat.open(folder) as plain, cogsplat.open(folder / "fr.cogsm") as french:
+        assert plain.description() is None
+        assert french.description().title == "French"
+
+
+def test_nothing_is_replaced_unless_told(tmp_path):
+    scene = tmp_path / "scene.cogs"
+    shutil.copy(VECTORS / "sh1.cogs", scene)
+    folder = tmp_path / "scene"
+    cogsplat.unpack(scene, folder)
+    calls = {
+        "exists": [(scene, None), (folder, None), (scene, folder / "manifest.cogsm")],
+        "output-is-input": [(scene, scene), (folder, folder)],
+    }
+    before = scene.read_bytes()
+    for code, cases in calls.items():
+        for given, out in cases:
+            with pytest.raises(CogsplatError) as caught:
+                cogsplat.describe(given, described(), out, force=code == "output-is-input")
+            assert caught.value.code == code
+    assert scene.read_bytes() == before
+    cogsplat.describe(scene, described(), force=True)
+    with cogsplat.open(scene) as file:
+        assert file.description().title == "Garden"
+
+
+def test_a_picture_without_its_file_is_that_of_the_scene(tmp_path):
+    first, second = tmp_path / "first.cogs", tmp_path / "second.cogs"
+    cogsplat.describe(VECTORS / "sh1.cogs", described(), first)
+    with cogsplat.open(first) as file:
+        known = file.description()
+    cogsplat.describe(first, Description(poster=known.poster), second)
+    with cogsplat.open(second) as file:
+        assert file.description(pictures=True).poster.data == picture()
+    with pytest.raises(DataError, match="poster: no file"):
+        cogsplat.describe(VECTORS / "sh1.cogs", Description(poster=known.poster), second,
+                          force=True)  # fmt: skip
+
+
+def test_a_damaged_segment_is_not_copied(tmp_path):
+    data = bytearray((VECTORS / "sh1.cogs").read_bytes())
+    data[-1] ^= 1
+    (tmp_path / "bad.cogs").write_bytes(data)
+    with pytest.raises(CogsplatError) as caught:
+        cogsplat.describe(tmp_path / "bad.cogs", described(), tmp_path / "new.cogs")
+    assert caught.value.code == "segment-crc"
+    assert not (tmp_path / "new.cogs").exists()
+
+
+def test_an_encode_keeps_the_description_of_its_source(tmp_path):
+    scene = tmp_path / "scene.cogs"
+    from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
+
+    cogsplat.encode(synth(300), scene, cameras=synth_cameras(3), description=described())
+    cogsplat.encode(scene, tmp_path / "again.cogs", cameras=synth_cameras(3), preset="fast")
+    with cogsplat.open(tmp_path / "again.cogs") as file:
+        file.verify()
+        assert file.description(pictures=True).sky.data == picture("WEBP")
+
+
+def test_over_a_network_a_description_takes_one_request(tmp_path):
+    data = (VECTORS / "pictures-pages.cogs").read_bytes()
+    with serving(FaultServer(data)) as server, cogsplat.open(server.url()) as file:
+        assert file.description().poster.width == 4
+        assert len(file.description(pictures=True).pictures()) == 2
+
+
+def test_a_cut_file_gives_what_has_come():
+    data = (VECTORS / "pictures.cogs").read_bytes()
+    with cogsplat.open(data, size_bytes=len(data) - 1) as file:
+        assert file.description().sky.width == 4
+        with pytest.raises(CogsplatError) as caught:
+            file.description(pictures=True)
+    assert caught.value.code == "file-truncated"
