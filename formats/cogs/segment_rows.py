@@ -7,6 +7,8 @@ read.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -58,13 +60,23 @@ def tail_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I6
             f"{source.name}: a tail in a scene of SH degree 0, expected none",
             clause="5.4",
         )
-    return _rows_by_chunk(source, table, heads, SegmentKind.TAIL, code="chunk-tails", clause="5.4")
+    return _rows_by_chunk(
+        source,
+        table,
+        heads,
+        SegmentKind.TAIL,
+        lambda message: FormatError("chunk-tails", message, clause="5.4"),
+    )
 
 
 def refinement_rows(source: Source, table: SegmentTable, heads: I64) -> I64:
     """Return the segment row of each chunk's refinement (SPEC 5.4); -1 for none."""
     return _rows_by_chunk(
-        source, table, heads, SegmentKind.REFINEMENT, code="chunk-refinements", clause="5.4"
+        source,
+        table,
+        heads,
+        SegmentKind.REFINEMENT,
+        lambda message: FormatError("chunk-refinements", message, clause="5.4"),
     )
 
 
@@ -100,24 +112,33 @@ def attribute_rows(source: Source, root: Root, table: SegmentTable, heads: I64) 
             clause="5.7",
         )
     return _rows_by_chunk(
-        source, table, heads, SegmentKind.ATTRIBUTES, code="attribute-segments", clause="5.7"
+        source,
+        table,
+        heads,
+        SegmentKind.ATTRIBUTES,
+        lambda message: FormatError("attribute-segments", message, clause="5.7"),
     )
 
 
 def _rows_by_chunk(
-    source: Source, table: SegmentTable, heads: I64, kind: SegmentKind, *, code: str, clause: str
+    source: Source,
+    table: SegmentTable,
+    heads: I64,
+    kind: SegmentKind,
+    refusal: Callable[[str], FormatError],
 ) -> I64:
-    """Return the row of each chunk's segment of a kind, -1 for none; raise `code` for misplaced."""
+    """Return the row of each chunk's segment of a kind, -1 for none; raise the error if misplaced.
+
+    `refusal` returns the error to raise, from a description.
+    """
     rows = np.flatnonzero(table.kind == kind)
     owners = table.owner[rows]
     # The head comes first, so a chunk whose page was not read has no segment before that page.
     once = len(np.unique(owners)) == len(owners) and bool((owners < len(heads)).all())
     if not once or bool((heads[owners] > rows).any()):
-        raise FormatError(
-            code,
+        raise refusal(
             f"{source.name}: {kind.name.lower()} segments of chunks {owners.tolist()[:8]}, "
-            f"expected at most one for each of {len(heads)} chunks, behind its head",
-            clause=clause,
+            f"expected at most one for each of {len(heads)} chunks, behind its head"
         )
     found = np.full(len(heads), -1, np.int64)
     found[owners] = rows
