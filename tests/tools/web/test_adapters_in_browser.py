@@ -107,7 +107,7 @@ def look_from(page: Page, view: Camera) -> None:
     wait_frames(page)
 
 
-def wait_frames(page: Page, count: int = 12) -> None:
+def wait_frames(page: Page, count: int = 6) -> None:
     """Wait for some pictures: the renderers sort beside them, and show the order later."""
     page.evaluate("() => { example.frames = 0; }")
     page.wait_for_function(f"() => example.frames >= {count}", timeout=PATIENCE_MS)
