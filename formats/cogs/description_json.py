@@ -53,8 +53,23 @@ def read_description(path: Path, *, limits: Limits | None = None) -> Description
     StorageError
         The file or a picture cannot be read.
     """
+    return from_json(read_object(path, limits=limits), path)
+
+
+def read_object(path: Path, *, limits: Limits | None = None) -> dict[str, object]:
+    """Return the object of a JSON file of a description's size.
+
+    Raises
+    ------
+    FormatError
+        ``bad-description-file``: no JSON object, or too long a file.
+    LimitError
+        ``json-too-long``.
+    StorageError
+        The file cannot be read.
+    """
     data = _read_at_most(path, _MAX_JSON_BYTES, _CODE)
-    return from_json(parse_object(data, str(path), _CODE, limits=limits).values, path)
+    return parse_object(data, str(path), _CODE, limits=limits).values
 
 
 def from_json(value: Mapping[str, object], path: Path) -> Description:
@@ -123,7 +138,7 @@ def _read_at_most(path: Path, most: int, code: str) -> bytes:
     with storage_errors(path), open_for_read(path) as file:
         data = file.read(most + 1)
     if len(data) > most:
-        raise DataError(code, f"{path}: longer than {most} bytes, expected at most as many")
+        raise FormatError(code, f"{path}: longer than {most} bytes, expected at most as many")
     return data
 
 

@@ -77,7 +77,7 @@ def _with_turned_sky(description: Description, axes: str, turn: F64) -> Descript
     sky = description.sky
     if sky is None or np.array_equal(turn, np.eye(3)):
         return description
-    before = _sky_axes(axes) if sky.rotation is None else sky.rotation
+    before = right_down_front(axes) if sky.rotation is None else sky.rotation
     after = before @ turn.T
     if np.linalg.det(after) < 0:
         warnings.warn(
@@ -89,8 +89,20 @@ def _with_turned_sky(description: Description, axes: str, turn: F64) -> Descript
     return replace(description, sky=replace(sky, rotation=after))
 
 
-def _sky_axes(axes: str) -> F64:
-    """Return the right, down and front of the axes of a scene, row by row (SPEC 5.14)."""
+def right_down_front(axes: str) -> F64:
+    """Return the directions right, down and front in the axes of a scene, row by row (SPEC 4.2).
+
+    Parameters
+    ----------
+    axes : str
+        Axes such as ``RDF``.
+
+    Examples
+    --------
+    >>> from cogsplat.formats.cogs.moved_description import right_down_front
+    >>> right_down_front("LUF").tolist()
+    [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
     rows = np.zeros((3, 3))
     for axis, letter in enumerate(axes):
         row = next(row for row, pair in enumerate(("RL", "DU", "FB")) if letter in pair)

@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import FormatError, TruncatedError
@@ -231,9 +231,13 @@ class StoredFile:
             return self.root.first_view
         if isinstance(view, Camera):
             return view
+        return parse_view(view).camera(self.up if up is None else unit_up(up))
+
+    @property
+    def up(self) -> NDArray[np.float64]:
+        """Direction against gravity in the frame of the means, a unit vector."""
         stored = self.root.up
-        level = -down_direction(self.root.info.axes) if stored is None else stored
-        return parse_view(view).camera(level if up is None else unit_up(up))
+        return -down_direction(self.root.info.axes) if stored is None else stored
 
     def select(
         self,

@@ -11,11 +11,23 @@ import click
 import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
+from cogsplat.codec.views.view_text import unit_up
+from cogsplat.formats.cogs.describing import Described
 from cogsplat.formats.cogs.description import Description, Picture
-from cogsplat.formats.cogs.description_json import read_description, read_picture_file, to_json
+from cogsplat.formats.cogs.description_json import (
+    from_json,
+    read_object,
+    read_picture_file,
+    to_json,
+)
 from cogsplat.formats.cogs.description_segment import UNITS
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.network.urls import is_url
+from cogsplat.formats.scenes.supersplat_settings import (
+    is_settings,
+    parse_settings,
+    write_settings,
+)
 from cogsplat.tools.pictures.png import to_image
 from cogsplat.tools.pictures.posters import write_poster
 from cogsplat.tools.terminal.limits_option import current_limits, limits_option
@@ -39,10 +51,14 @@ from cogsplat.tools.terminal.standard_streams import (
 from cogsplat.tools.terminal.values import Colour, FiniteNumber, colour
 from cogsplat.tools.workflow.description_facts import description_facts
 from cogsplat.tools.workflow.inputs import input_source
+from cogsplat.tools.workflow.output_files import check_outputs
 
 from .render import fitted
 
 _KEYS: Final = tuple(field.name for field in fields(Description))
+
+_SETTINGS_SUFFIX: Final = ".json"
+"""Extension of an output that is written as settings of the SuperSplat viewer."""
 
 _FIRST_VIEW: Final = "first-view"
 """Value of ``--poster`` for a picture of the first view."""
@@ -55,7 +71,8 @@ _POSTER_SIZE: Final = (1280, 720)
     epilog="\b\nExample:\n"
     "  cogsplat describe scene.cogs\n"
     "  cogsplat describe scene.cogs new.cogs --title Garden --licence CC-BY-4.0\n"
-    "  cogsplat describe folder/ --force --from description.json --poster first-view"
+    "  cogsplat describe folder/ --force --from description.json --poster first-view\n"
+    "  cogsplat describe scene.cogs settings.json"
 )
 @click.argument("scene", type=INPUT_BY_RANGES, metavar="SCENE")
 @click.argument("out", type=WRITTEN_PATH, metavar="[OUT]", required=False)
@@ -65,7 +82,8 @@ _POSTER_SIZE: Final = (1280, 720)
     type=PATH,
     metavar="FILE.json",
     help="Set every key that a JSON file has, as --json prints it; views, a camera path and "
-    "annotations among them. Pictures are paths relative to FILE.json.",
+    "annotations among them. Pictures are paths relative to FILE.json. Settings of the SuperSplat "
+    "viewer are read as well.",
 )
 @click.option("--title", metavar="TEXT", help="Name of the scene.")
 @click.option("--text", metavar="TEXT", help="What the scene shows.")
@@ -144,7 +162,8 @@ def describe(
 
     Without options, the description is printed. With options, it is changed, and written into OUT,
     or with --force into SCENE itself. Nothing is encoded: all other segments keep their bytes. A
-    folder gets a small object and a new manifest.
+    folder gets a small object and a new manifest. OUT.json gets the description as settings of the
+    SuperSplat viewer.
     """
     values = {key: value for key, value in given.items() if value is not None}
     changes = bool(values or clear or named) or any(
@@ -162,10 +181,19 @@ def describe(
         with stages.stage("read"), cogsplat.open(path, limits=current_limits()) as file:
             description = file.description() or Description()
             added = tuple(_named_view(file, text, up) for text in named)
+            start = file.first_view(view=view, up=up)
+            axes, level = file.root.info.axes, file.up if up is None else unit_up(up)
         if "all" in clear:
             description = Description()
         if json_file is not None:
-            description = description.updated(read_description(json_file, limits=current_limits()))
+            value = read_object(json_file, limits=current_limits())
+            if is_settings(value):
+                settings = parse_settings(value, str(json_file), axes, level)
+                read = settings.description
+                start = settings.first_view if view is None else start
+            else:
+                read = from_json(value, json_file)
+            description = description.updated(read)
         names = {camera.name for camera in added}
         kept = tuple(camera for camera in description.views if camera.name not in names)
         description = replace(description, **values, views=(*kept, *added))
@@ -179,15 +207,14 @@ def describe(
         cleared = {key: getattr(Description(), key) for key in clear if key != "all"}
         description = replace(description, **cleared)
         with stages.stage("write"):
-            done = cogsplat.describe(
-                path,
-                description,
-                out,
-                up=up,
-                view=view,
-                force=force,
-                limits=current_limits(),
-            )
+            if out is not None and out.suffix.lower() == _SETTINGS_SUFFIX:
+                check_outputs(out, force=force)
+                size = write_settings(out, description, start, axes, level, force=force)
+                done = Described(out, size, size, description)
+            else:
+                done = cogsplat.describe(
+                    path, description, out, up=up, view=start, force=force, limits=current_limits()
+                )
     shown = Description() if done.description is None else done.description
     if as_json:
         print_json(

@@ -7,7 +7,8 @@ from pathlib import Path
 import cogsplat
 from cogsplat.formats.cogs.description import Description
 from cogsplat.formats.cogs.moved_description import move_description
-from cogsplat.formats.scenes.registry import is_cogs
+from cogsplat.formats.scenes.gltf.file import read_copyright
+from cogsplat.formats.scenes.registry import format_of, is_cogs
 from cogsplat.tools.terminal.limits_option import current_limits
 from cogsplat.tools.terminal.partial import partial_accepted
 
@@ -30,7 +31,7 @@ def description_of(scene: Path, edits: SceneEdits | None = None) -> Description 
         The description cannot be read, or breaks SPEC.
     """
     if not is_cogs(scene):
-        return None
+        return _of_other_format(scene)
     with cogsplat.open(scene, partial=partial_accepted(), limits=current_limits()) as file:
         row = file.description_row
         if row is None or not file.is_present(row):
@@ -43,3 +44,11 @@ def description_of(scene: Path, edits: SceneEdits | None = None) -> Description 
     if description is None or edits is None or not edits.moves:
         return description
     return move_description(description, axes, edits.scale, edits.rotation, edits.translate)
+
+
+def _of_other_format(scene: Path) -> Description | None:
+    """Return the description that a scene of another format has: the copyright of a glTF asset."""
+    if format_of(scene).name != "gltf":
+        return None
+    holder = read_copyright(scene, limits=current_limits())
+    return Description(credits=holder) if holder else None

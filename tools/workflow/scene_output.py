@@ -158,7 +158,8 @@ def write_any(
             return WrittenScene(name, out.stat().st_size, stored)
     if description is not None:
         warnings.warn(
-            f"{out}: the description is left out, which {name} has no place for",
+            f"{out}: the description is left out, which {name} has no place for; `cogsplat "
+            "describe SCENE settings.json` writes what the SuperSplat viewer shows of it",
             CogsplatWarning,
             stacklevel=2,
         )

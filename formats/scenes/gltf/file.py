@@ -52,6 +52,9 @@ _COMPONENTS: Final = {
 }
 _WIDTHS: Final = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 
+# Longest credits of a description, bytes (SPEC 5.13).
+_MAX_COPYRIGHT_BYTES: Final = 1024
+
 # Values of extensionsRequired that are accepted; KHR_mesh_quantization allows integer attributes.
 _KNOWN_EXTENSIONS: Final = frozenset({"KHR_gaussian_splatting", "KHR_mesh_quantization"})
 
@@ -316,6 +319,21 @@ def open_gltf(path: StrPath, *, limits: Limits | None = None) -> Gltf:
         raise UnsupportedError("gltf-version", f"{where}: glTF {version[:20]!r}, expected 2.x")
     _check_extensions(root, where)
     return Gltf(root, where, Path(path).parent, binary, embedded, len(data))
+
+
+def read_copyright(path: StrPath, *, limits: Limits | None = None) -> str:
+    """Return the copyright of a glTF asset as a text of SPEC 5.13; empty for none.
+
+    Control characters become spaces, and a text of more than 1,024 bytes is cut.
+
+    Raises
+    ------
+    CogsplatError
+        See `open_gltf`.
+    """
+    text = open_gltf(path, limits=limits).root.child("asset").text("copyright", "")
+    plain = "".join(letter if letter.isprintable() else " " for letter in text).strip()
+    return plain.encode()[:_MAX_COPYRIGHT_BYTES].decode(errors="ignore")
 
 
 def _check_header(head: bytes, size: int, where: str) -> None:
