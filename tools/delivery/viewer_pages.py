@@ -136,7 +136,7 @@ def _titled(title: str, attributes: str = "") -> str:
     # File names may contain characters that HTML forbids, e.g. lone surrogates.
     text = html.escape(printable(title))
     page = _replaced(page, _TITLE, f"<title>{text}</title>")
-    tag = f'<cogsplat-viewer id="page" label="{text}"{attributes}>'
+    tag = f'{_VIEWER_TAG[:-1]} label="{text}"{attributes}>'
     return _replaced(page, _VIEWER_TAG, tag)
 
 

@@ -79,7 +79,6 @@ export class CogsFeed implements SceneFeed {
     const { scene, signal } = this;
     if (scene?.index.description === undefined || signal === undefined) return undefined;
     return {
-      axes: scene.info.axes,
       signal,
       description: () => scene.description(signal),
       picture: (name) => scene.picture(name, signal),

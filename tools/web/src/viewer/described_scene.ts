@@ -21,7 +21,7 @@ export class DescribedScene {
   /** @param hasBackground - Whether the page has chosen a background of its own. */
   constructor(
     private readonly stage: Stage,
-    private readonly description: Description,
+    readonly description: Description,
     hasBackground: boolean,
   ) {
     const { title, text, credits, licence, date, views, path, annotations, background } = description;
@@ -81,10 +81,18 @@ export class DescribedScene {
   }
 
   /** Show the sky behind the splats. */
-  async showSky(picture: Blob, axes: string): Promise<void> {
+  async showSky(picture: Blob): Promise<void> {
+    const { scene } = this.stage;
     const bitmap = await createImageBitmap(picture);
-    this.sky = new Sky(this.stage.scene.gl, bitmap, this.description.sky?.rotation, axes);
-    this.stage.scene.show({ sky: this.sky.draw });
+    this.sky = new Sky(scene.gl, bitmap, this.description.sky?.rotation, scene.axes);
+    scene.show({ sky: this.sky.draw });
+  }
+
+  /** Give the sky to another description of the same scene. */
+  moveSky(other: DescribedScene): void {
+    other.sky = this.sky;
+    this.sky = undefined;
+    this.stage.scene.show({ sky: other.sky?.draw });
   }
 
   drawn(): void {
@@ -110,8 +118,9 @@ export class DescribedScene {
   remove(): void {
     this.annotations.remove();
     for (const part of [this.caption, this.about, this.play]) part?.remove();
+    if (this.sky === undefined) return;
     this.stage.scene.show({ sky: undefined });
-    this.sky?.close();
+    this.sky.close();
   }
 
   private toggleAbout(): void {

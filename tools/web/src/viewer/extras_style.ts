@@ -1,12 +1,13 @@
 /** The look of the parts that are loaded when they are asked for, inside the viewer's shadow. */
 export const EXTRAS_STYLE = `
 .panel { align-self: flex-end; width: min(310px, 100%); min-height: 0; overflow: auto; padding: 14px 16px; }
-.panel label { display: grid; grid-template-columns: 1fr 150px; align-items: center; gap: 8px; margin: 7px 0; }
+.panel :is(label, .row) { display: grid; grid-template-columns: 1fr 150px; align-items: center; gap: 8px; margin: 7px 0; }
 .panel select, .panel input:not([type=checkbox]) { font: inherit; width: 100%; min-height: 28px; accent-color: var(--accent); }
 .panel input[type=checkbox] { justify-self: end; width: 18px; height: 18px; accent-color: var(--accent); }
 .panel .wide { width: 100%; min-height: 34px; margin-top: 4px; border: 1px solid var(--edge); border-radius: 8px; background: none; cursor: pointer; }
 .panel table { width: 100%; margin-top: 8px; border-collapse: collapse; color: var(--soft); font-variant-numeric: tabular-nums; }
 .panel td + td { text-align: right; color: var(--ink); }
+.panel span { display: flex; gap: 6px; }
 .panel details { margin-top: 8px; color: var(--soft); }
 .panel h2 { margin: 0 0 8px; font-size: 15px; }
 kbd { font: inherit; padding: 0 5px; border: 1px solid var(--edge); border-radius: 5px; color: var(--ink); }

@@ -42,7 +42,7 @@ const [decoder, viewer] = [...document.querySelectorAll(WORKER_BLOCKS)].map((blo
 if (decoder !== undefined && viewer !== undefined) CogsplatViewer.workers = workersOfTexts(decoder, viewer);
 defineViewer();
 
-const own = document.querySelector<CogsplatViewer>("body > cogsplat-viewer#page");
+const own = document.querySelector<CogsplatViewer>("main > cogsplat-viewer#page");
 if (own !== null) {
   window.cogsplatViewer = own;
   passKeysTo(own);

@@ -14,6 +14,9 @@ export interface PanelHost {
   isTurning(): boolean;
   copyView(): void;
   measure(): void;
+  /** Write, or read from a file, SuperSplat's settings. */
+  exportSettings(): void;
+  importSettings(file: File): void;
 }
 
 /** The settings: a form whose fields take effect at once. */
@@ -41,6 +44,14 @@ export class Panel {
     click("#reload", () => host.reload());
     click("#choose", () => host.chooseOther());
     click("#copyView", () => host.copyView());
+    click("#export", () => host.exportSettings());
+    const file = form.querySelector<HTMLInputElement>("#settingsFile")!;
+    click("#import", () => file.click());
+    file.addEventListener("change", () => {
+      const [chosen] = file.files!;
+      if (chosen !== undefined) host.importSettings(chosen);
+      file.value = "";
+    });
     click("#measure", () => {
       this.close();
       host.measure();

@@ -48,8 +48,6 @@ export interface FeedHost {
 
 /** Where the description of a scene and its pictures come from. */
 export interface DescriptionSource {
-  /** Axes of the scene, such as `RDF`. */
-  readonly axes: string;
   /** Aborted when another scene is loaded. */
   readonly signal: AbortSignal;
   description(): Promise<Description | undefined>;

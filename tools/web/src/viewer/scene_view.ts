@@ -85,6 +85,8 @@ export class SceneView {
   readonly controls: Controls;
   readonly meter = new Meter();
   statistics: ViewerStatistics = EMPTY;
+  /** Axes of the scene. */
+  axes = "RDF";
   /** Highest SH degree of the scene. */
   degree = 3;
   /** Maximum number of device pixels per CSS pixel. */
@@ -256,6 +258,11 @@ export class SceneView {
     if (layer === undefined) return undefined;
     const shift = this.origin.map((value, axis) => value - layer.scene.origin[axis]!) as Vector;
     return { words: layer.words, rows: layer.rows, shift };
+  }
+
+  /** Direction against gravity; undefined before a scene is open. */
+  get up(): Vector | undefined {
+    return this.camera?.up;
   }
 
   /** Text of the camera's pose; undefined before a scene is open. */
@@ -438,6 +445,7 @@ export class SceneView {
   private mainHost(shown: Shown): FeedHost {
     return {
       begin: (scene, info) => {
+        this.axes = info.axes;
         this.degree = scene.shDegree;
         this.levels = info.levels;
         this.origin = info.origin;

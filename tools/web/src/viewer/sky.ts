@@ -38,12 +38,7 @@ export class Sky {
     rotation: readonly number[] | undefined,
     axes: string,
   ) {
-    const opposite = { R: "L", D: "U", F: "B" };
-    this.rotation =
-      rotation ??
-      (["R", "D", "F"] as const).flatMap((name) =>
-        [...axes].map((axis) => (axis === name ? 1 : axis === opposite[name] ? -1 : 0)),
-      );
+    this.rotation = rotation ?? rightDownFront(axes);
   }
 
   /** Draw the sky over the whole render target. */
@@ -98,4 +93,12 @@ export class Sky {
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
     gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
   }
+}
+
+/** Return the directions right, down and front of axes such as `RDF`, row by row. */
+export function rightDownFront(axes: string): number[] {
+  const opposite = { R: "L", D: "U", F: "B" };
+  return (["R", "D", "F"] as const).flatMap((name) =>
+    [...axes].map((axis) => (axis === name ? 1 : axis === opposite[name] ? -1 : 0)),
+  );
 }

@@ -1,4 +1,5 @@
 // Program of the viewer's parts that are loaded when they are asked for.
+import type { Description } from "../container/description.js";
 import { DescribedScene } from "./described_scene.js";
 import { EXTRAS_STYLE } from "./extras_style.js";
 import { FilmStrip } from "./film_strip.js";
@@ -9,13 +10,33 @@ import { Panel, type PanelHost } from "./panel.js";
 import { pick } from "./pick.js";
 import type { DescriptionSource } from "./scene_feed.js";
 import { type Projection, projectionOf, type Stage } from "./stage.js";
+import { exportSettings, importSettings } from "./supersplat_settings.js";
 import type { ViewerPose } from "./viewer_handle.js";
 
 /** Share of the distance to a point that is left after a double click on it. */
 const NEARER = 0.6;
 
+/** Description of a scene without one. */
+const NO_DESCRIPTION: Description = {
+  title: undefined,
+  text: undefined,
+  licence: undefined,
+  credits: undefined,
+  date: undefined,
+  metresPerUnit: undefined,
+  unit: undefined,
+  background: undefined,
+  views: [],
+  path: undefined,
+  annotations: [],
+  georeference: undefined,
+  poster: undefined,
+  sky: undefined,
+};
+
 /** Parts of the stage that the element gives. */
-export type StageParts = Omit<Stage, "pick" | "projection" | "flyTo" | "closePanels"> & Omit<PanelHost, "measure">;
+export type StageParts = Omit<Stage, "pick" | "projection" | "flyTo" | "closePanels"> &
+  Omit<PanelHost, "measure" | "exportSettings" | "importSettings">;
 
 /** Focus, measuring and other parts of one viewer that its first picture does not need. */
 export class Extras {
@@ -36,7 +57,12 @@ export class Extras {
     };
     const button = (id: string): HTMLElement => parts.tools.querySelector(id)!;
     this.strip = new FilmStrip(this.stage, button("#film"));
-    this.panel = new Panel(this.stage, button("#settings"), { ...parts, measure: () => this.toggleMeasure() });
+    this.panel = new Panel(this.stage, button("#settings"), {
+      ...parts,
+      measure: () => this.toggleMeasure(),
+      exportSettings: () => this.exportSettings(),
+      importSettings: (file) => void this.importSettings(file),
+    });
     const sheet = new CSSStyleSheet();
     sheet.replaceSync(EXTRAS_STYLE);
     const shadow = parts.root.getRootNode() as ShadowRoot;
@@ -104,13 +130,48 @@ export class Extras {
       const description = await source.description();
       if (description === undefined) return;
       this.clear();
-      this.scale = description;
-      const described = new DescribedScene(this.stage, description, hasBackground);
-      this.described = described;
+      const described = this.showDescription(description, hasBackground);
       const sky = description.sky === undefined ? undefined : await source.picture("sky");
-      if (sky !== undefined && this.described === described) await described.showSky(sky, source.axes);
+      if (sky !== undefined && this.described === described) await described.showSky(sky);
     } catch (error) {
       if (!source.signal.aborted) this.stage.hint(`The description of the scene cannot be shown: ${String(error)}`);
+    }
+  }
+
+  private showDescription(description: Description, hasBackground: boolean): DescribedScene {
+    this.scale = description;
+    this.described = new DescribedScene(this.stage, description, hasBackground);
+    return this.described;
+  }
+
+  /** Offer SuperSplat's settings for download: the description, and the present pose. */
+  private exportSettings(): void {
+    const { scene } = this.stage;
+    if (scene.view === undefined) return;
+    const parts = this.described?.description ?? NO_DESCRIPTION;
+    const text = JSON.stringify(exportSettings(parts, scene.view, { axes: scene.axes, up: scene.up! }), undefined, 2);
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(new Blob([text], { type: "application/json" }));
+    link.download = "settings.json";
+    link.click();
+    URL.revokeObjectURL(link.href);
+  }
+
+  /** Show SuperSplat's settings in place of these parts of the description. */
+  private async importSettings(file: File): Promise<void> {
+    const { scene, hint } = this.stage;
+    if (scene.up === undefined) return;
+    try {
+      const { parts, start } = importSettings(await file.text(), { axes: scene.axes, up: scene.up });
+      const { described } = this;
+      const description = { ...NO_DESCRIPTION, ...described?.description, ...parts };
+      const shown = this.showDescription(description, false);
+      described?.moveSky(shown);
+      described?.remove();
+      if (start !== undefined) this.flyTo(start);
+    } catch (error) {
+      if (!(error instanceof SyntaxError)) throw error;
+      hint(`${file.name} cannot be used: ${error.message}`);
     }
   }
 
