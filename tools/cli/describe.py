@@ -81,9 +81,9 @@ _POSTER_SIZE: Final = (1280, 720)
     "json_file",
     type=PATH,
     metavar="FILE.json",
-    help="Set every key that a JSON file has, as --json prints it; views, a camera path and "
-    "annotations among them. Pictures are paths relative to FILE.json. Settings of the SuperSplat "
-    "viewer are read as well.",
+    help="Set every key that a JSON file has, such as the output of --json; views, a camera path "
+    "and annotations among them. Pictures are paths relative to FILE.json. Settings of the "
+    "SuperSplat viewer are read as well.",
 )
 @click.option("--title", metavar="TEXT", help="Name of the scene.")
 @click.option("--text", metavar="TEXT", help="What the scene shows.")
@@ -187,6 +187,9 @@ def describe(
             description = Description()
         if json_file is not None:
             value = read_object(json_file, limits=current_limits())
+            printed = value.get("description")
+            if isinstance(printed, dict):
+                value = printed
             if is_settings(value):
                 settings = parse_settings(value, str(json_file), axes, level)
                 read = settings.description
@@ -240,7 +243,7 @@ def _show(scene: Path, *, as_json: bool) -> None:
     ) as file:
         description = file.description() or Description()
     if as_json:
-        print_json(to_json(description))
+        print_json({"source": display_name(scene), "description": to_json(description)})
     elif description.is_empty:
         print_line(f"{display_name(scene)}: no description")
     else:

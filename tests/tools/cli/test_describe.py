@@ -25,12 +25,12 @@ def described(run: Run, small: SmallScene, tmp_path: Path) -> Path:
 
 def test_a_description_is_shown(run: Run, small: SmallScene, described: Path) -> None:
     assert "no description" in run("describe", small.cogs).out
-    assert run("describe", small.cogs, "--json").json == {}
+    assert run("describe", small.cogs, "--json").json["description"] == {}
     shown = run("describe", described).out
     for text in ("Garden", "CC-BY-4.0", "#ff8000", "0.5 m", "1: Door"):
         assert text in shown
         assert text in run("info", described).out
-    value = run("describe", described, "--json").json
+    value = run("describe", described, "--json").json["description"]
     assert value["title"] == "Garden"
     assert run("info", described, "--json").json["description"] == value
     assert run("check", described).code == 0
@@ -39,7 +39,7 @@ def test_a_description_is_shown(run: Run, small: SmallScene, described: Path) ->
 def test_keys_are_set_and_cleared(run: Run, described: Path, tmp_path: Path) -> None:
     (tmp_path / "p.webp").write_bytes(picture("WEBP", (40, 30)))
     (tmp_path / "d.json").write_text(
-        json.dumps({"title": "Park", "poster": "p.webp"}), encoding="utf-8"
+        json.dumps({"description": {"title": "Park", "poster": "p.webp"}}), encoding="utf-8"
     )
     done = run("describe", described, "--from", tmp_path / "d.json", "--force", "--json").json
     told = done["description"]
@@ -99,14 +99,14 @@ def test_other_commands_keep_it(
     for name, arguments in outputs.items():
         assert run(*arguments).code == 0, name
         out = next(a for a in arguments[2:] if str(a).endswith(".cogs"))
-        told = run("describe", out, "--json").json
+        told = run("describe", out, "--json").json["description"]
         assert told["title"] == title["title"], name
         if name == "convert":
             assert told["metres_per_unit"] == 0.25
     encoded = run("encode", described, tmp_path / "e.cogs", "--preset", "fast", "--describe",
                   tmp_path / "d.json")  # fmt: skip
     assert encoded.code == 0
-    told = run("describe", tmp_path / "e.cogs", "--json").json
+    told = run("describe", tmp_path / "e.cogs", "--json").json["description"]
     assert (told["title"], told["licence"]) == ("Encoded", "CC-BY-4.0")
     assert "the description is left out" in run("convert", described, tmp_path / "x.ply").err
     merged = run("merge", described, described, tmp_path / "m.cogs")
@@ -138,6 +138,5 @@ def test_the_copyright_of_a_gltf_becomes_the_credits(
     (tmp_path / "scene.bin").write_bytes(data[28 + length :])
     model.write_text(json.dumps(value), encoding="utf-8")
     assert run("convert", model, tmp_path / "new.cogs").code == 0
-    assert run("describe", tmp_path / "new.cogs", "--json").json == {
-        "credits": "2026 The maintainers"
-    }
+    told = run("describe", tmp_path / "new.cogs", "--json").json["description"]
+    assert told == {"credits": "2026 The maintainers"}

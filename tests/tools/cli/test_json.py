@@ -36,7 +36,10 @@ NAMED = {
 
 def paths(value: object, at: str = "") -> Iterator[str]:
     """Yield the keys of a JSON value: ``points[].name``, with ``*`` for names of things."""
-    if isinstance(value, dict):
+    if at == "description":
+        # Its keys are those of SPEC 5.13.
+        yield at
+    elif isinstance(value, dict):
         for key, inner in value.items():
             shown = "*" if at in NAMED else key
             yield from paths(inner, f"{at}.{shown}".lstrip("."))
@@ -87,6 +90,7 @@ def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> lis
         "decimate": [small.ply, out / "a.ply", "--to", "50%", "--by", "antimatter"],
         "export-html": [small.cogs, out / "a.html"],
         "info": [small.cogs, "--statistics"],
+        "describe": [small.cogs, out / "a.cogs", "--title", "Garden"],
         "lab score": [small.ply, out / "a.npy", *cameras],
         "lab order": [labelled, out / "a.npy", "--order", "antimatter", "--objects", *cameras],
         "lab views": [small.ply, out / "a.json"],
