@@ -146,6 +146,7 @@ def described(small: SmallScene, tmp_path_factory: pytest.TempPathFactory) -> by
             Annotation(place, "Middle", "Look <i>here</i>", views[9]),
             Annotation(behind, "Behind", ""),
         ),
+        poster=sky(),
         sky=sky(),
     )
     path = tmp_path_factory.mktemp("described") / "scene.cogs"
@@ -250,6 +251,22 @@ def test_the_sky_is_behind_the_splats(page: Page, server: FaultyServer, describe
         u = 0.5 + np.arctan2(d[0], d[2]) / (2 * np.pi)
         v = 0.5 + np.arcsin(d[1] / np.linalg.norm(d)) / np.pi
         assert np.abs(found[y, x] - [u, v, 0]).max() < 0.03, (x, y)
+
+
+def test_a_scene_that_waits_for_a_click_shows_the_poster_of_its_file(
+    page: Page, server: FaultyServer, described: bytes
+) -> None:
+    server.files["scene.cogs"] = described
+    server.files["wait.html"] = (
+        b'<!doctype html><script type="module" src="viewer.js"></script>'
+        b'<cogsplat-viewer src="scene.cogs" lazy="click" style="height: 200px"></cogsplat-viewer>'
+    )
+    page.goto(f"{server.url}wait.html")
+    poster = page.locator("#filePoster")
+    expect(poster).to_be_visible()
+    assert poster.evaluate("(it) => it.width") == SKY_WIDTH
+    page.get_by_role("button", name="Show the scene").click()
+    expect(poster).to_be_hidden(timeout=30_000)
 
 
 def test_poses_are_texts(page: Page, server: FaultyServer) -> None:

@@ -28,7 +28,7 @@ void main() {
 .panel .wide { width: 100%; min-height: 34px; margin-top: 4px; border: 1px solid var(--edge); border-radius: 8px; background: none; cursor: pointer; }
 .panel table { width: 100%; margin-top: 8px; border-collapse: collapse; color: var(--soft); font-variant-numeric: tabular-nums; }
 .panel td + td { text-align: right; color: var(--ink); }
-.panel span { display: flex; gap: 6px; }
+.panel .row span { display: flex; gap: 6px; }
 .panel details { margin-top: 8px; color: var(--soft); }
 .panel h2 { margin: 0 0 8px; font-size: 15px; }
 kbd { font: inherit; padding: 0 5px; border: 1px solid var(--edge); border-radius: 5px; color: var(--ink); }
@@ -81,7 +81,7 @@ kbd { font: inherit; padding: 0 5px; border: 1px solid var(--edge); border-radiu
   <button class="wide" type="button" id="reload">Load again</button>
   <label>Fill holes while loading <input name="fill" type="checkbox" checked /></label>
   <label>Compare with a file <button class="wide" type="button" id="choose">Choose …</button></label>
-  <div class="row">SuperSplat's settings <span><button class="wide" type="button" id="export">Export</button><button class="wide" type="button" id="import">Import …</button></span></div>
+  <div class="row">SuperSplat's settings <span><button class="wide" type="button" id="export">Export</button><button class="wide" type="button" id="import">Import</button></span></div>
   <input id="settingsFile" type="file" accept=".json" hidden />
   <label>Statistics <input name="statistics" type="checkbox" /></label>
   <table id="statistics" hidden><tbody></tbody></table>

@@ -1,3 +1,5 @@
+import { folders } from "../loader/folders.js";
+import { StreamedScene } from "../loader/streamed_scene.js";
 import { Divide } from "./divide.js";
 import { MARKUP } from "./markup.js";
 import { formatBytes, formatShare, parseColour } from "./numbers.js";
@@ -64,8 +66,8 @@ const PageElement = globalThis.HTMLElement ?? (class {} as typeof HTMLElement);
  * | `up` | direction against gravity, `x,y,z` or an axis such as `-y`; by default that of the scene |
  * | `target` | point that turning goes around, `x,y,z` |
  * | `gestures` | `all`: the wheel and one finger move the camera; `page`: they scroll the page; by default `all` where the element fills the window |
- * | `lazy` | nothing is fetched until the element is on the screen; `click`: until its button is pressed |
- * | `poster` | URL of a picture shown until the first picture of the scene |
+ * | `lazy` | nothing is fetched until the element is on the screen; `click`: until its button is pressed, but for the poster |
+ * | `poster` | URL of a picture shown until the first picture of the scene; with `lazy="click"` by default that of the file |
  * | `auto-rotate` | turns until a touch, in degrees per second; 12 by default, none where the system asks for reduced motion |
  *
  * It dispatches `cogsplat-change` when `statistics` change, and `cogsplat-view` when the camera has come to rest in
@@ -204,7 +206,28 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
       button.hidden = false;
       const options = { signal, once: true };
       button.addEventListener("click", () => [begin(), this.find("canvas").focus()], options);
+      const src = this.getAttribute("src");
+      if (src !== null && !this.hasAttribute("poster")) void this.showFilePoster(src, signal);
     } else this.watch(signal, (isVisible, observer) => isVisible && [observer.disconnect(), begin()]);
+  }
+
+  /** Show the poster that the file holds, if any; the rest of the file is not fetched. */
+  private async showFilePoster(src: string, signal: AbortSignal): Promise<void> {
+    try {
+      const scene = await StreamedScene.open(absoluteAddress(src, document.baseURI), { signal, folders });
+      const picture = await scene.picture("poster", signal);
+      if (picture === undefined) return;
+      const bitmap = await createImageBitmap(picture);
+      const canvas = document.createElement("canvas");
+      canvas.className = "poster";
+      canvas.id = "filePoster";
+      [canvas.width, canvas.height] = [bitmap.width, bitmap.height];
+      // Not an image element, whose blob a page's policy may refuse.
+      canvas.getContext("bitmaprenderer")!.transferFromImageBitmap(bitmap);
+      this.find("#loading").prepend(canvas);
+    } catch {
+      // Without a poster the element waits all the same; pressing its button says what is wrong with the scene.
+    }
   }
 
   /** Call a function when the element enters or leaves the screen. */

@@ -7,7 +7,7 @@ export const EXTRAS_STYLE = `
 .panel .wide { width: 100%; min-height: 34px; margin-top: 4px; border: 1px solid var(--edge); border-radius: 8px; background: none; cursor: pointer; }
 .panel table { width: 100%; margin-top: 8px; border-collapse: collapse; color: var(--soft); font-variant-numeric: tabular-nums; }
 .panel td + td { text-align: right; color: var(--ink); }
-.panel span { display: flex; gap: 6px; }
+.panel .row span { display: flex; gap: 6px; }
 .panel details { margin-top: 8px; color: var(--soft); }
 .panel h2 { margin: 0 0 8px; font-size: 15px; }
 kbd { font: inherit; padding: 0 5px; border: 1px solid var(--edge); border-radius: 5px; color: var(--ink); }

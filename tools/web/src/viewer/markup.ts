@@ -5,7 +5,7 @@ export const MARKUP = `
 <div id="root" class="empty">
   <canvas tabindex="0" role="application" aria-roledescription="3D scene"></canvas>
   <div class="overlay" id="overlay"></div>
-  <div class="loading" id="loading"><img id="poster" alt="" hidden /><div class="spinner"></div><div id="hint" aria-hidden="true"></div>
+  <div class="loading" id="loading"><img class="poster" id="poster" alt="" hidden /><div class="spinner"></div><div id="hint" aria-hidden="true"></div>
     <button class="start" id="start" aria-label="Show the scene" hidden>${icon("M8 5.5v13l11-6.5z")}</button></div>
   <div class="divide" id="divide" role="slider" tabindex="0" aria-label="Where the two scenes meet" aria-valuemin="0" aria-valuemax="100" hidden></div>
   <div class="glass name left" id="otherName" hidden></div>

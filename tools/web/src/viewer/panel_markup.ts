@@ -18,7 +18,7 @@ export const PANEL_MARKUP = `
   <button class="wide" type="button" id="reload">Load again</button>
   <label>Fill holes while loading <input name="fill" type="checkbox" checked /></label>
   <label>Compare with a file <button class="wide" type="button" id="choose">Choose …</button></label>
-  <div class="row">SuperSplat's settings <span><button class="wide" type="button" id="export">Export</button><button class="wide" type="button" id="import">Import …</button></span></div>
+  <div class="row">SuperSplat's settings <span><button class="wide" type="button" id="export">Export</button><button class="wide" type="button" id="import">Import</button></span></div>
   <input id="settingsFile" type="file" accept=".json" hidden />
   <label>Statistics <input name="statistics" type="checkbox" /></label>
   <table id="statistics" hidden><tbody></tbody></table>
