@@ -135,9 +135,7 @@ class ChunkDecoder(StoredFile):
         index = self._pages.ends(last=True)
         last = ChunkDecoder(self._source, index, self._limits)
         # A partial file may lack the page that lists the pictures.
-        if len(index.segments) == len(index.root.segments) + sum(
-            page.segments for page in index.root.pages
-        ):
+        if last.has_all_pages:
             description_segment.require_pictures(found, index.pictures, self.name)
         filled: dict[str, Picture] = {}
         for name, picture in found.pictures().items():

@@ -137,6 +137,12 @@ class StoredFile:
         return self._pages.num_chunks
 
     @property
+    def has_all_pages(self) -> bool:
+        """Whether the tables have the segments of all pages; a partial file may lack its last."""
+        stated = len(self.root.segments) + sum(page.segments for page in self.root.pages)
+        return len(self._index.segments) == stated
+
+    @property
     def source_bytes(self) -> int:
         """Number of the file's bytes that the source holds."""
         return self.file_length - self.missing_bytes

@@ -80,7 +80,8 @@ def _checks(file: ChunkDecoder) -> Iterator[Check]:
     described = file.description_row
     if described is not None:
         offset = int(file.offsets[described])
-        yield Check("description", offset, partial(file.description, pictures=True))
+        check = partial(file.description, pictures=file.has_all_pages)
+        yield Check("description", offset, check)
     for chunk in range(file.num_chunks):
         yield from _progressive_checks(file, chunk)
 

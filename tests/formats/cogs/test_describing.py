@@ -146,6 +146,19 @@ def test_over_a_network_a_description_takes_one_request(tmp_path):
         assert len(file.description(pictures=True).pictures()) == 2
 
 
+def test_a_file_without_its_last_page_is_checked_as_far_as_it_goes():
+    data = (VECTORS / "pictures-pages.cogs").read_bytes()
+    with cogsplat.open(data) as whole:
+        end = int(whole.offsets[len(whole.root.segments) - 1])
+        end += int(whole.root.segments.length[-1])
+    with cogsplat.open(data, size_bytes=end) as file:
+        assert not file.has_all_pages
+        file.verify()
+        with pytest.raises(CogsplatError) as caught:
+            file.description(pictures=True)
+    assert caught.value.code == "file-truncated"
+
+
 def test_a_cut_file_gives_what_has_come():
     data = (VECTORS / "pictures.cogs").read_bytes()
     with cogsplat.open(data, size_bytes=len(data) - 1) as file:
