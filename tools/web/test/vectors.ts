@@ -26,7 +26,7 @@ export interface ValidVector {
   /** Map of the description, with the keys of SPEC 5.13. */
   readonly description?: Readonly<Record<string, unknown>>;
   /** Media type, width, height and SHA-256 of each picture, by name. */
-  readonly pictures?: Readonly<Record<string, readonly [string, number, number, string]>>;
+  readonly pictures?: Readonly<Partial<Record<"poster" | "sky", readonly [string, number, number, string]>>>;
   /** Position, direction and shares of each viewpoint. */
   readonly view_table?: readonly (readonly [readonly number[], readonly number[], readonly number[]])[];
 }
