@@ -25,8 +25,11 @@ import own_files  # noqa: E402
 import torch_files  # noqa: E402
 from targets import joined  # noqa: E402
 
+import cogsplat  # noqa: E402
 from cogsplat.codec.splats import Splats  # noqa: E402
+from cogsplat.formats.cogs.description_json import to_json  # noqa: E402
 from cogsplat.formats.scenes.registry import write_scene  # noqa: E402
+from cogsplat.formats.scenes.supersplat_settings import write_settings  # noqa: E402
 from cogsplat.tools.workflow.batch_log import BatchLog  # noqa: E402
 from cogsplat.tools.workflow.tune_checkpoint import write_checkpoint  # noqa: E402
 
@@ -178,6 +181,25 @@ def own(folder: Path) -> Iterator[tuple[str, str, bytes]]:
         yield "upload", vector, manifest
 
 
+def descriptions(folder: Path) -> Iterator[tuple[str, str, bytes]]:
+    """Yield descriptions and settings of the SuperSplat viewer."""
+    source = (ROOT / "tests" / "vectors" / "valid" / "pictures.cogs").read_bytes()
+    with cogsplat.open(source) as file:
+        poster = file.description(pictures=True).poster.data
+    path = (ROOT / "tests" / "vectors" / "valid" / "description.cogs").read_bytes()
+    with cogsplat.open(path) as file:
+        described = file.description()
+        level = np.array([0.0, -1.0, 0.0])
+        write_settings(
+            folder / "settings.json", described, described.views[0], "RDF", level, force=True
+        )
+    value = {**to_json(described), "poster": "p.jpg"}
+    yield "description", "every_key", joined(json.dumps(value).encode(), poster)
+    yield "description", "poster", joined(b'{"poster": {"file": "p.jpg"}}', poster)
+    yield "description", "title", joined(b'{"title": "Garden", "metres_per_unit": 1}', b"")
+    yield "settings", "every_key", (folder / "settings.json").read_bytes()
+
+
 def own_harm(folder: Path) -> Iterator[tuple[str, str, bytes]]:
     """Yield files of our own kinds that took too much, or met a traceback."""
     page = io.BytesIO()
@@ -206,7 +228,7 @@ def own_harm(folder: Path) -> Iterator[tuple[str, str, bytes]]:
 
 def main() -> None:
     """Write all files; those of the COGS target are the conformance vectors."""
-    for made in (scenes, harm, own, own_harm):
+    for made in (scenes, harm, own, descriptions, own_harm):
         with tempfile.TemporaryDirectory() as folder:
             for target, name, data in made(Path(folder)):
                 path = CORPUS / target / name

@@ -26,9 +26,12 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams import decoding_tiers
 from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.formats.cameras.colmap_points import read_points
+from cogsplat.formats.cogs.description_json import read_description, read_object, to_json
+from cogsplat.formats.cogs.description_segment import pack_segments, unpack_description
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.formats.scenes.registry import FORMATS, read_scene, scene_bytes
+from cogsplat.formats.scenes.supersplat_settings import parse_settings, write_settings
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import BytesSource
 from cogsplat.tools.lab.conformance import reference_decoder
@@ -131,6 +134,23 @@ def _points(path: Path) -> None:
     found = read_points(path, limits=LIMITS)
     assert 0 < len(found.positions) == len(found.colours) <= LIMITS.splats
     assert np.isfinite(found.positions).all()
+
+
+def _description(path: Path) -> None:
+    """What is read of JSON and a picture can be stored, and comes back."""
+    description = read_description(path, limits=LIMITS)
+    segments = pack_segments(description)
+    if segments:
+        found = unpack_description(segments[0].payload, "stored")
+        assert to_json(found) == to_json(description)
+
+
+def _settings(path: Path) -> None:
+    up = np.array([0.0, -1.0, 0.0])
+    value = read_object(path, limits=LIMITS)
+    settings = parse_settings(value, str(path), "RDF", up)
+    write_settings(path, settings.description, settings.first_view, "RDF", up, force=True)
+    parse_settings(read_object(path, limits=LIMITS), str(path), "RDF", up)
 
 
 def _mask(path: Path) -> None:
@@ -274,6 +294,8 @@ TARGETS: dict[str, Target] = {
         Target("colmap_txt", ("cameras.txt", "images.txt"), _model),
         Target("points_bin", ("points3D.bin",), _points),
         Target("points_txt", ("points3D.txt",), _points),
+        Target("description", ("d.json", "p.jpg"), _description),
+        Target("settings", ("settings.json",), _settings),
         Target("mask", ("v.png",), _mask),
         Target("checkpoint", ("a.npz",), own_files.read_tune_checkpoint),
         Target("batch_jsonl", ("a.jsonl",), own_files.read_batch_manifest),
