@@ -13,27 +13,25 @@ from .config import EncodeConfig
 _BLENDING: Final = ("render.sensitivities", "render.blend_weights", "render.rasteriser")
 _GAIN: Final = ("render.marginal_gains",)
 _FIT: Final = ("render.gradients", "encode.shift_kernels")
-_PLANNING: Final = ("render.peak_weights",)
 _OTHERS: Final = (
     "render.shading",
     "scoring.view_sums",
     "render.depth_order",
     "render.tiles",
     "render.projection",
-    # Of close views, in which predictions are measured, and of planned ones.
+    # Of the first view, of close views, in which predictions are measured, and of planned ones.
+    "render.peak_weights",
     "views.occlusion",
 )
 
 
-def needed_kernels(config: EncodeConfig, *, planned: bool) -> list[DeclaredKernel]:
+def needed_kernels(config: EncodeConfig) -> list[DeclaredKernel]:
     """Return the kernels that an encode calls.
 
     Parameters
     ----------
     config : EncodeConfig
         Configuration of the encode.
-    planned : bool
-        Whether views are planned because no cameras are given.
 
     Notes
     -----
@@ -45,7 +43,6 @@ def needed_kernels(config: EncodeConfig, *, planned: bool) -> list[DeclaredKerne
         *(_GAIN if split_name(config.order)[0] == "gain" else ()),
         *(_BLENDING[1:] if near_lossless else _BLENDING),
         *(_FIT if config.compensates else ()),
-        *(_PLANNING if planned else ()),
         *_OTHERS,
     ]
     return kernels_in(f"cogsplat.codec.{module}" for module in modules)

@@ -307,7 +307,7 @@ def _encode(options: EncodeOptions) -> None:
     copied = options.edits.changes or options.choice.masks is not None
     folder = options.out.absolute().parent
     working = working_memory(options.scene, request.config, options.memory, folder, copied=copied)
-    kernels = needed_kernels(request.config, planned=options.cameras is None)
+    kernels = needed_kernels(request.config)
     with (
         Stages(shown=not (options.quiet or options.as_json)) as stages,
         working as workspace,

@@ -27,7 +27,7 @@ def every_kernel() -> list[DeclaredKernel]:
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.needed_kernels import needed_kernels
 
-    encoding = needed_kernels(EncodeConfig(), planned=True)
+    encoding = needed_kernels(EncodeConfig())
     return encoding + kernels_in((*KERNEL_MODULES, *_TRAINING))
 
 

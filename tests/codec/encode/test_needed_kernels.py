@@ -34,7 +34,7 @@ cogsplat.decode(sys.argv[1])
 vq = EncodeConfig(chunk_splats=300, threads=1, profile="vq", order="contribution")
 cogsplat.encode(splats, sys.argv[1], cameras=synth_cameras(4, 64, 48), config=vq, force=True)
 cogsplat.decode(sys.argv[1])
-kernels = needed_kernels(config, planned=True) + kernels_in(KERNEL_MODULES)
+kernels = needed_kernels(config) + kernels_in(KERNEL_MODULES)
 for kernel in kernels:
     types, _ = sigutils.normalize_signature(f"({kernel.types},)")
     called = kernel.function.signatures
@@ -51,7 +51,7 @@ def test_every_kernel_is_called_with_the_types_that_are_declared(tmp_path):
 
 def test_what_an_encode_does_not_call_is_not_needed():
     def modules(**config):
-        kernels = needed_kernels(EncodeConfig(**config), planned=False)
+        kernels = needed_kernels(EncodeConfig(**config))
         return {kernel.function.__module__.split(".")[-1] for kernel in kernels}
 
     whole = modules()
@@ -59,7 +59,5 @@ def test_what_an_encode_does_not_call_is_not_needed():
     fast = modules(order="contribution", compensate=False)
     assert whole - fast == {"marginal_gains", "gradients", "shift_kernels"}
     assert "sensitivities" not in modules(order="contribution", profile="near-lossless")
-    assert "occlusion" in whole
-    planned = needed_kernels(EncodeConfig(), planned=True)
-    assert "peak_weights" in {k.function.__module__.split(".")[-1] for k in planned}
-    assert len({kernel.name for kernel in planned}) == len(planned)
+    kernels = needed_kernels(EncodeConfig())
+    assert len({kernel.name for kernel in kernels}) == len(kernels)

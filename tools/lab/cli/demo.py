@@ -67,7 +67,7 @@ def demo(out: Path, splats: int, threads: int, force: bool, quiet: bool, as_json
 
     from . import demonstration
 
-    kernels = needed_kernels(EncodeConfig(), planned=False) + kernels_in(TRANSFORM_MODULES)
+    kernels = needed_kernels(EncodeConfig()) + kernels_in(TRANSFORM_MODULES)
     with (
         Stages(shown=not (quiet or as_json)) as stages,
         CompileAhead(kernels, thread_count(threads)) as ahead,
