@@ -186,6 +186,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     clearTimeout(this.quiet);
     clearTimeout(this.hint);
     CogsplatViewer.budget.leave(this);
+    this.extras?.clear();
     this.scene?.dispose();
     this.scene = this.extras = undefined;
     this.shadow.replaceChildren();
@@ -348,6 +349,8 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     const togglePanel = (): void => void this.withExtras((extras) => extras.togglePanel());
     click("settings", togglePanel);
     click("full", () => void this.toggleFullScreen());
+    click("headset", () => void this.withExtras((extras) => extras.toggleHeadset()));
+    void this.offerHeadset();
     click("again", () => void (this.source !== undefined && this.load(this.source)));
     this.watch(signal, (isVisible) => {
       this.scene!.isVisible = isVisible;
@@ -408,6 +411,14 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
       },
       { signal },
     );
+  }
+
+  /** Show the button of headsets where the browser has one. */
+  private async offerHeadset(): Promise<void> {
+    const { xr } = navigator as { readonly xr?: { isSessionSupported(mode: string): Promise<boolean> } };
+    // A page may forbid headsets to its frames.
+    const isSupported = await xr?.isSessionSupported("immersive-vr").catch(() => false);
+    if (isSupported && this.root !== null) this.find("#headset").hidden = false;
   }
 
   /** Whether the wheel and one finger scroll the page: the element does not fill the window, or the page is a frame. */

@@ -14,6 +14,20 @@ export interface View {
   readonly translation: readonly number[];
   /** Focal lengths, pixels of the canvas. */
   readonly focal: readonly [number, number];
+  /** Principal point from the middle of the picture, right and down, pixels; the middle by default. */
+  readonly principal?: readonly [number, number];
+}
+
+/** Where a picture is drawn in place of the canvas: for one eye. */
+export interface EyeTarget {
+  readonly framebuffer: WebGLFramebuffer | null;
+  /** Lower left corner and size, pixels. */
+  readonly x: number;
+  readonly y: number;
+  readonly width: number;
+  readonly height: number;
+  /** Direction that orders the splats of both eyes. */
+  readonly forward: readonly number[];
 }
 
 /** Draws what is behind the splats over the render target: for a view, its size in px, and whether colours are linear. */
@@ -80,15 +94,18 @@ export class SplatRenderer {
    *
    * @param view - Camera, with a translation relative to its origin in the world.
    * @param layers - The scene and, in a comparison, the second one, left of the divide.
+   * @param eye - Where to draw in place of the canvas.
    * @returns Whether the picture shows all rows received.
    */
   draw(
     view: View & { readonly origin: readonly number[] },
     layers: readonly SplatLayer[],
     options: PictureOptions,
+    eye?: EyeTarget,
   ): boolean {
-    const { gl, canvas, composite, target } = this;
-    const { width, height } = canvas;
+    const { gl, composite, target } = this;
+    const { width, height } = eye ?? this.canvas;
+    if (eye !== undefined) target.resize(width, height);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.framebuffer);
     gl.viewport(0, 0, width, height);
     gl.clearColor(0, 0, 0, 0);
@@ -102,12 +119,16 @@ export class SplatRenderer {
     const whole = layers.map((layer, i) => {
       if (i === 0) gl.scissor(divide, 0, width - divide, height);
       else gl.scissor(0, 0, divide, height);
-      return this.drawLayer(layer, viewInSpace(view, view.origin, layer.scene.origin), options.degree);
+      const whole = layer.prepare(eye?.forward ?? view.rotation.slice(6, 9));
+      this.drawLayer(layer, viewInSpace(view, view.origin, layer.scene.origin), options.degree, width, height);
+      return whole;
     });
     gl.disable(gl.SCISSOR_TEST);
     gl.disable(gl.BLEND);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, eye?.framebuffer ?? null);
+    gl.viewport(eye?.x ?? 0, eye?.y ?? 0, width, height);
     gl.useProgram(composite.program);
+    gl.uniform2i(composite.uniform("corner"), eye?.x ?? 0, eye?.y ?? 0);
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, target.texture);
     if (options.fill > 0) gl.generateMipmap(gl.TEXTURE_2D);
@@ -131,10 +152,9 @@ export class SplatRenderer {
     this.gl.deleteProgram(this.composite.program);
   }
 
-  private drawLayer(layer: SplatLayer, view: View, degree: number): boolean {
-    const { gl, canvas, splats } = this;
-    const { rotation: r, translation: t } = view;
-    const whole = layer.prepare(r.slice(6, 9));
+  private drawLayer(layer: SplatLayer, view: View, degree: number, width: number, height: number): void {
+    const { gl, splats } = this;
+    const { rotation: r, translation: t, principal = [0, 0] } = view;
     gl.useProgram(splats.program);
     gl.uniform1i(splats.uniform("count"), layer.drawnRows);
     gl.uniform1i(splats.uniform("degree"), Math.min(degree, layer.scene.shDegree));
@@ -144,7 +164,8 @@ export class SplatRenderer {
     const position = [0, 1, 2].map((i) => -(r[i]! * t[0]! + r[3 + i]! * t[1]! + r[6 + i]! * t[2]!));
     gl.uniform3f(splats.uniform("cameraPosition"), position[0]!, position[1]!, position[2]!);
     gl.uniform2f(splats.uniform("focal"), view.focal[0], view.focal[1]);
-    gl.uniform2f(splats.uniform("viewport"), canvas.width, canvas.height);
+    gl.uniform2f(splats.uniform("principal"), principal[0], principal[1]);
+    gl.uniform2f(splats.uniform("viewport"), width, height);
     gl.uniform1f(splats.uniform("kernel"), layer.scene.kernelPx);
     gl.uniform1i(splats.uniform("antialiased"), Number(layer.scene.antialiased));
     gl.uniform2f(splats.uniform("rgbRange"), layer.ranges.rgbMin, layer.ranges.rgbMax);
@@ -159,7 +180,6 @@ export class SplatRenderer {
     });
     const instances = Math.ceil(layer.drawnRows / SPLATS_PER_INSTANCE);
     gl.drawArraysInstanced(gl.TRIANGLES, 0, 3 * SPLATS_PER_INSTANCE, instances);
-    return whole;
   }
 
   private build(): [Program, Program, Target] {

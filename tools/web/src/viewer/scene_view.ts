@@ -10,7 +10,7 @@ import { Meter } from "./meter.js";
 import { OrbitCamera, type Vector } from "./orbit.js";
 import { PicturePace } from "./picture_pace.js";
 import { PlyFeed, plyOf } from "./ply_feed.js";
-import { type PictureOptions, SplatRenderer } from "./renderer.js";
+import { type EyeTarget, type PictureOptions, SplatRenderer, type View } from "./renderer.js";
 import type { DescriptionSource, FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
 import { SplatLayer } from "./splat_layer.js";
 import { poseOf, type ViewText } from "./view_text.js";
@@ -119,6 +119,8 @@ export class SceneView {
   private scheduled = false;
   private dirty = false;
   private lost = false;
+  /** Whether a headset's frames draw in place of the browser's. */
+  private isPresenting = false;
   private lastFrame = 0;
   private lastChange = 0;
   /** Whether the last picture has full resolution and shows all rows received. */
@@ -386,6 +388,32 @@ export class SceneView {
     this.redraw();
   }
 
+  /** Leave the drawing to `drawEyes`; the function returned draws on the canvas again, in the pose before. */
+  present(): () => void {
+    this.endMotion(true);
+    const before = this.view;
+    this.isPresenting = true;
+    return () => {
+      this.isPresenting = false;
+      if (before !== undefined) this.camera?.setPose(before);
+      this.redraw();
+    };
+  }
+
+  /** Draw the rows received for each eye of a head. */
+  drawEyes(head: ViewerPose, eyes: readonly { readonly view: View; readonly target: EyeTarget }[]): void {
+    const { camera, renderer, main } = this;
+    if (camera === undefined || main?.layer === undefined || this.lost) return;
+    camera.setPose(head);
+    this.passPose();
+    main.feed.work(WORK_MILLISECONDS);
+    if (!this.canDraw()) return;
+    this.drawLevels(head.fy);
+    main.layer.upload();
+    const options = { ...this.picture, fill: 0 };
+    for (const { view, target } of eyes) renderer.draw({ ...view, origin: this.origin }, [main.layer], options, target);
+  }
+
   /** Resolve when the canvas shows all rows received in the requested view. */
   async settled(): Promise<void> {
     this.redraw();
@@ -542,12 +570,12 @@ export class SceneView {
 
   private readonly frame = (time: number): void => {
     this.scheduled = false;
-    if (this.abort.signal.aborted || this.lost) return;
+    if (this.abort.signal.aborted || this.lost || this.isPresenting) return;
     const { controls, layers, pace } = this;
     this.passPose();
     const more = [this.main, this.other].map((shown) => shown?.feed.work(WORK_MILLISECONDS) ?? false).some(Boolean);
     if (!this.canDraw()) return;
-    this.drawLevels();
+    this.drawLevels(this.focal);
     pace.splats = layers.reduce((sum, layer) => sum + layer.rows, 0);
     if (!pace.isFree) {
       this.schedule(LOOK_MILLISECONDS);
@@ -631,11 +659,14 @@ export class SceneView {
     }
   }
 
-  /** Draw the level of the picture's size, or the chosen one. */
-  private drawLevels(): void {
-    if (this.camera === undefined) return;
+  /** Focal length of the canvas, pixels; 1 before a scene is open. */
+  private get focal(): number {
     const [width, height] = this.size(1);
-    const focal = this.camera.view(height, width).focal[1];
+    return this.camera?.view(height, width).focal[1] ?? 1;
+  }
+
+  /** Draw the level of a focal length, pixels, or the chosen one. */
+  private drawLevels(focal: number): void {
     const [level, other] = [this.main, this.other].map((shown) => shown?.feed.drawLevel(focal, this.chosenLevel));
     if (level === this.statistics.level && other === this.otherLevel) return;
     this.otherLevel = other;

@@ -29,6 +29,7 @@ uniform mat3 rotation;       // world to camera: x right, y down, z forward
 uniform vec3 translation;
 uniform vec3 cameraPosition; // in the space of the means
 uniform vec2 focal;          // px
+uniform vec2 principal;      // px from the middle
 uniform vec2 viewport;       // px
 uniform float kernel;        // px^2, added to projected covariances
 uniform bool antialiased;
@@ -145,7 +146,7 @@ void main() {
   // A triangle around the circle that the ellipse is of: one costs less than the two of a square.
   vec2 corner = (number == 0 ? vec2(0.0, 2.0) : vec2(number == 1 ? -1.7320508 : 1.7320508, -1.0)) * reach;
   vec2 px = corner.x * sqrt(longer) * direction + corner.y * sqrt(determinant / longer) * vec2(direction.y, -direction.x);
-  vec2 centre = focal * p.xy / p.z;
+  vec2 centre = focal * p.xy / p.z + principal;
   offset = corner;
   vec3 dc = vec3(uvec3(w.x, w.x >> 8, w.x >> 16) & 255u) / 255.0 * (rgbRange.y - rgbRange.x) + rgbRange.x;
   colour = vec4(max(dc + higherBands(index, normalize(mean - cameraPosition)), 0.0), opacity);
@@ -184,6 +185,7 @@ precision highp float;
 uniform highp sampler2D picture;  // premultiplied by alpha
 uniform vec4 background;          // display-encoded, not premultiplied
 uniform float fill;
+uniform ivec2 corner;             // px, of the picture in the render target
 uniform int divide;               // px; left of it the second scene is drawn
 uniform bvec2 linear;             // of the scene right of the divide, and left
 out vec4 pixel;
@@ -192,10 +194,10 @@ vec3 encoded(vec3 c) { return mix(12.92 * c, 1.055 * pow(max(c, 0.0), vec3(1.0 /
 vec3 decoded(vec3 c) { return mix(c / 12.92, pow((c + 0.055) / 1.055, vec3(2.4)), greaterThan(c, vec3(0.04045))); }
 
 void main() {
-  ivec2 at = ivec2(gl_FragCoord.xy);
+  ivec2 at = ivec2(gl_FragCoord.xy) - corner;
   vec4 c = texelFetch(picture, at, 0);
   if (fill > 0.0) {
-    vec2 uv = gl_FragCoord.xy / vec2(textureSize(picture, 0));
+    vec2 uv = (vec2(at) + 0.5) / vec2(textureSize(picture, 0));
     vec4 around = vec4(0.0);
     for (int level = 6; level > 0; level--) {
       vec4 coarse = textureLod(picture, uv, float(level));

@@ -42,7 +42,7 @@ export class Sky {
   }
 
   /** Draw the sky over the whole render target. */
-  readonly draw: SkyPass = ({ rotation, focal }, width, height, linear) => {
+  readonly draw: SkyPass = ({ rotation, focal, principal = [0, 0] }, width, height, linear) => {
     const { gl } = this;
     // Lost graphics take both with them.
     if (this.program === undefined || !gl.isProgram(this.program)) this.build();
@@ -58,7 +58,7 @@ export class Sky {
     );
     gl.uniformMatrix3fv(uniform("rotation"), true, combined);
     gl.uniform2f(uniform("focal"), focal[0], focal[1]);
-    gl.uniform2f(uniform("middle"), width / 2, height / 2);
+    gl.uniform2f(uniform("middle"), width / 2 + principal[0], height / 2 - principal[1]);
     gl.uniform1f(uniform("lod"), Math.max(0, Math.log2(this.picture.width / (2 * Math.PI * focal[0]))));
     gl.uniform1i(uniform("picture"), 0);
     gl.uniform1i(uniform("linear"), Number(linear));

@@ -4,6 +4,7 @@ import { DescribedScene } from "./described_scene.js";
 import { EXTRAS_STYLE } from "./extras_style.js";
 import { FilmStrip } from "./film_strip.js";
 import { aheadOf, distance, flight, positionOf, translationOf } from "./flight.js";
+import { Headset } from "./headset.js";
 import { Measure, type Scale } from "./measure.js";
 import type { Vector } from "./orbit.js";
 import { Panel, type PanelHost } from "./panel.js";
@@ -44,6 +45,7 @@ export class Extras {
   private readonly strip: FilmStrip;
   private readonly panel: Panel;
   private measure: Measure | undefined;
+  private headset: Headset | undefined;
   private described: DescribedScene | undefined;
   private scale: Scale = { metresPerUnit: undefined, unit: undefined };
 
@@ -105,6 +107,22 @@ export class Extras {
     this.measure = new Measure(this.stage, this.scale, () => {
       this.measure = undefined;
     });
+  }
+
+  /** Show the scene in the headset, or end that. */
+  async toggleHeadset(): Promise<void> {
+    if (this.headset !== undefined) {
+      this.headset.end();
+      return;
+    }
+    const { scene, hint } = this.stage;
+    try {
+      this.headset = await Headset.begin(scene, this.scale.metresPerUnit, () => {
+        this.headset = undefined;
+      });
+    } catch (error) {
+      hint(`The headset cannot show the scene: ${(error as Error).message}`);
+    }
   }
 
   /** Follow a picture that was drawn. */
@@ -184,6 +202,7 @@ export class Extras {
 
   /** Forget the scene: another is loaded. */
   clear(): void {
+    this.headset?.end();
     this.strip.close();
     this.described?.remove();
     this.measure?.close();
