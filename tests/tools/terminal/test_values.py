@@ -86,11 +86,14 @@ def test_colours() -> None:
     assert colour("0.613,0.010,0.398") == (0.613, 0.01, 0.398)
     assert colour("White") == (1.0, 1.0, 1.0)
     assert colour("black") == (0.0, 0.0, 0.0)
+    assert colour("#ff0033") == (1.0, 0.0, 0.2)
 
 
-@pytest.mark.parametrize("text", ["", "1", "1,2", "0,0,1.1", "-0.1,0,0", "nan,0,0", "red", "0,0,"])
+@pytest.mark.parametrize(
+    "text", ["", "1", "1,2", "0,0,1.1", "-0.1,0,0", "nan,0,0", "red", "0,0,", "#fff", "#ff00zz"]
+)
 def test_other_colours_are_refused(text: str) -> None:
-    with pytest.raises(click.BadParameter, match="expected three numbers"):
+    with pytest.raises(click.BadParameter, match="three numbers from 0 to 1"):
         colour(text)
 
 
