@@ -18,7 +18,9 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import one_blas_thread
 
 from .first_look import FirstLook
-from .pose import down_direction
+from .framed_views import around, inside, places_inside
+from .occlusion import Occluders
+from .pose import down_direction, front_direction, level_axes
 from .subsample import Subsample, subsample
 from .up_direction import up_from_cameras, up_from_splats
 from .view_sets import sample_evenly
@@ -46,10 +48,36 @@ _TRIED_PX: Final = 64
 _CLEAR: Final = 0.3
 # A splat that reaches further than this share of the picture is out of focus to a viewer: too near.
 _LARGE_SHARE: Final = 0.25
+# Width by height of the frames of a screen and of a telephone.
+_FRAMES: Final = (16.0 / 9.0, 9.0 / 19.5)
 # Factor of a view that such splats fill, and of one whose distance or pitch is three times as far
 # from the cameras' median as is usual.
 _BLURRED_FACTOR: Final = 0.2
 
+# The bulk of a scene: the quartiles of each axis, widened by so many times their distance.
+_BULK_REACH: Final = 0.5
+# Opacity from which on a splat in the core box has to be in the picture of the whole scene.
+_OPAQUE: Final = 0.1
+# Usual elevation of a view around a scene, degrees, and how far others may be from it; how much the
+# side counts that the axes call the front; how much light and contrast count.
+_USUAL_ELEVATION: Final = 18.0
+_ELEVATION_SPREAD: Final = 40.0
+_FRONT: Final = 0.05
+_LIGHT: Final = 0.1
+_CONTRAST: Final = 0.4
+# Share of the scene that only views from inside show, above which it is shown from inside.
+_LEAST_HIDDEN: Final = 0.05
+# A place is free where splats within this share of the scene's size block at most this share of
+# the directions.
+_CLEARANCE: Final = 0.06
+_FREE: Final = 0.1
+# Free places that are tried at most, headings at each, and half the angle of a view, radians.
+_TRIED_PLACES: Final = 8
+_HEADINGS: Final = 12
+_HALF_VIEW: Final = math.radians(37.0)
+
+# Basis of the DC coefficient (SPEC 2.3).
+_DC: Final = 0.28209479177387814
 # The middle of the picture: this share of its width and height.
 _MIDDLE: Final = 0.3
 
@@ -110,8 +138,11 @@ def find_first_look(
         first = parse_view(view).camera(found_up)
     elif view is not None:
         first = view if scene is None or view.target is not None else _aim(scene, view)
-    elif scene is not None and cameras:
-        first = _best_camera(scene, cameras, found_up)
+    elif scene is not None and core is not None:
+        if cameras:
+            first = _best_camera(scene, cameras, found_up)
+        else:
+            first = _best_view(scene, core, found_up, front_direction(splats.info.axes))
     return FirstLook(found_up, first, core)
 
 
@@ -146,6 +177,7 @@ def _best_camera(scene: Subsample, cameras: Sequence[Camera], up: F64) -> Camera
     """Return the given camera, levelled, that shows most of what the cameras look at."""
     tried = [level(camera, up) for camera in sample_evenly(cameras, _TRIED_CAMERAS)]
     pictures = [_Picture.of(scene, camera) for camera in tried]
+    sharpness = [_sharpness_in_frames(scene, camera) for camera in tried]
     looks = np.zeros(len(scene))
     for picture in pictures:
         looks[picture.index] += picture.clear
@@ -153,11 +185,130 @@ def _best_camera(scene: Subsample, cameras: Sequence[Camera], up: F64) -> Camera
     distances = np.array([picture.middle_depth for picture in pictures])
     pitches = np.array([float(camera.rotation[2] @ up) for camera in tried])
     scores = [
-        float(weights[picture.index] @ picture.clear) * picture.sharpness for picture in pictures
+        float(weights[picture.index] @ picture.clear) * sharp
+        for picture, sharp in zip(pictures, sharpness, strict=True)
     ]
     usual = _likeness(np.log(distances)) * _likeness(pitches)
     best = int(np.argmax(np.array(scores) * usual))
     return _with_target(tried[best], distances[best])
+
+
+def _best_view(scene: Subsample, core: F64, up: F64, front: F64) -> Camera | None:
+    """Return the view around or inside a scene that shows most of it; None where none shows any."""
+    points = _points_to_hold(scene, core)
+    if not len(points):
+        return None
+    weights = scene.counts * _opacities(scene)
+    outside = _views_around(scene, points, up, front)
+    inside, from_inside = _views_inside(scene, points, weights, up)
+    from_outside = np.zeros(len(scene))
+    for view in outside:
+        view.picture.add_to(from_outside)
+    hidden = weights @ np.maximum(from_inside - from_outside, 0.0) / weights.sum()
+    exposed = weights @ np.maximum(from_outside - from_inside, 0.0) / weights.sum()
+    views = inside if hidden > max(exposed, _LEAST_HIDDEN) else outside
+    if not views:
+        return None
+    shares = [float(weights[view.picture.index] @ view.picture.clear) for view in views]
+    tastes = [view.taste * view.picture.sharpness for view in views]
+    light = _merit(np.array([view.picture.light for view in views]))
+    contrast = _merit(np.array([view.picture.contrast for view in views]))
+    scores = np.sqrt(shares) * tastes * (1.0 + _LIGHT * light) * (1.0 + _CONTRAST * contrast)
+    best = views[int(scores.argmax())]
+    if best.camera.target is not None:
+        return best.camera
+    return _with_target(best.camera, best.picture.middle_depth)
+
+
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """A view that is tried as the first one.
+
+    Parameters
+    ----------
+    camera : Camera
+    picture : _Picture
+        What it shows.
+    taste : float
+        Factor for its elevation and side.
+    """
+
+    camera: Camera
+    picture: _Picture
+    taste: float
+
+
+def _points_to_hold(scene: Subsample, core: F64) -> F64:
+    """Return the points that a view of the whole scene holds: opaque splats in the core box."""
+    means = scene.splats.means.astype(np.float64)
+    inside = ((means >= core[:3]) & (means <= core[3:])).all(axis=1)
+    opaque = inside & (_opacities(scene) >= _OPAQUE)
+    return means[opaque if opaque.any() else inside]
+
+
+def _opacities(scene: Subsample) -> F64:
+    """Return the opacity of each splat, 0 to 1."""
+    logits = np.clip(scene.splats.opacities.astype(np.float64), -30.0, 30.0)
+    opacities: F64 = 1.0 / (1.0 + np.exp(-logits))
+    return opacities
+
+
+def _views_around(scene: Subsample, points: F64, up: F64, front: F64) -> list[_Tried]:
+    """Return views of the whole scene, and of its bulk, from all around."""
+    low, high = np.quantile(points, (0.25, 0.75), axis=0)
+    reach = _BULK_REACH * (high - low)
+    bulk = points[((points >= low - reach) & (points <= high + reach)).all(axis=1)]
+    level = np.stack(level_axes(up), axis=1)
+    least, most = (points @ level).min(axis=0), (points @ level).max(axis=0)
+    found = []
+    for held in (points, bulk):
+        if not len(held):
+            continue
+        centre = 0.5 * (held.min(axis=0) + held.max(axis=0))
+        for camera in around(held, centre, up, front, 2.0 * NEAR):
+            stand = camera.position @ level
+            if held is bulk and not ((stand >= least) & (stand <= most)).all():
+                # Who stands beside the scene sees an object, and gets the whole of it.
+                continue
+            elevation = math.degrees(
+                math.asin(min(1.0, max(-1.0, -float(camera.rotation[2] @ up))))
+            )
+            taste = math.exp(-(((elevation - _USUAL_ELEVATION) / _ELEVATION_SPREAD) ** 2))
+            taste *= 1.0 + _FRONT * float(camera.rotation[2] @ front)
+            found.append(_Tried(camera, _Picture.of(scene, camera), taste))
+    return found
+
+
+def _views_inside(scene: Subsample, points: F64, weights: F64, up: F64) -> tuple[list[_Tried], F64]:
+    """Return the best view from each of some free places inside a scene, and how clear all is."""
+    places = places_inside(points, up)
+    size = float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
+    blocked = Occluders(scene.splats).occlusion(places, np.full(len(places), _CLEARANCE * size))
+    free = np.flatnonzero(blocked <= _FREE)
+    found: list[_Tried] = []
+    shown_clear = np.zeros(len(scene))
+    for place in places[free[:: max(1, math.ceil(len(free) / _TRIED_PLACES))]]:
+        looks = np.zeros(_HEADINGS)
+        for quarter in range(4):
+            camera = inside(place, 0.5 * math.pi * quarter, up)
+            picture = _Picture.of(scene, camera, wide=True)
+            picture.add_to(shown_clear)
+            offsets = scene.splats.means[picture.index].astype(np.float64) - place
+            side, other = level_axes(up)
+            angles = np.arctan2(offsets @ other, offsets @ side)
+            shown = weights[picture.index] * picture.clear
+            for heading in range(_HEADINGS):
+                turned = np.angle(np.exp(1j * (angles - 2.0 * math.pi * heading / _HEADINGS)))
+                looks[heading] += float(np.sum(shown, where=np.abs(turned) < _HALF_VIEW))
+        camera = inside(place, 2.0 * math.pi * int(looks.argmax()) / _HEADINGS, up)
+        found.append(_Tried(camera, _Picture.of(scene, camera), 1.0))
+    return found, shown_clear
+
+
+def _merit(values: F64) -> F64:
+    """Return how much larger each value is than their median, -1 to 1."""
+    merit: F64 = np.clip(values / max(float(np.median(values)), 1e-9) - 1.0, -1.0, 1.0)
+    return merit
 
 
 def _likeness(values: F64) -> F64:
@@ -166,6 +317,17 @@ def _likeness(values: F64) -> F64:
     spread = 1.5 * float(np.median(offsets)) + 1e-9
     likeness: F64 = 1.0 / (1.0 + np.square(offsets / (3.0 * spread)))
     return likeness
+
+
+def _sharpness_in_frames(scene: Subsample, camera: Camera) -> float:
+    """Return the sharpness of a camera's view in a wide and in an upright frame, which show more."""
+    product = 1.0
+    for aspect in _FRAMES:
+        width = max(camera.width, round(camera.height * aspect))
+        height = max(camera.height, round(camera.width / aspect))
+        seen = replace(camera, width=width, height=height, cx=0.5 * width, cy=0.5 * height)
+        product *= _Picture.of(scene, seen).sharpness
+    return math.sqrt(product)
 
 
 def level(camera: Camera, up: F64) -> Camera:
@@ -208,17 +370,31 @@ class _Picture:
         1 for a picture of small splats, less where large near splats fill it.
     middle_depth : float
         Median depth of what the middle of the picture shows, scene units.
+    light, contrast : float
+        Mean brightness of what is shown, 0 to 1, and how much its colours differ.
     """
 
     index: NDArray[np.int32]
     clear: F64
     sharpness: float
     middle_depth: float
+    light: float
+    contrast: float
+
+    def add_to(self, clear: F64) -> None:
+        """Raise how clearly each splat of the subsample is seen to what this picture shows."""
+        clear[self.index] = np.maximum(clear[self.index], self.clear)
 
     @classmethod
-    def of(cls, scene: Subsample, camera: Camera) -> _Picture:
-        """Draw a small picture of a subsample."""
+    def of(cls, scene: Subsample, camera: Camera, *, wide: bool = False) -> _Picture:
+        """Draw a small picture of a subsample; a wide one shows 90 degrees in fewer pixels."""
         small = _shrunk(camera)
+        if wide:
+            side = _TRIED_PX // 2
+            small = replace(
+                small, width=side, height=side, fx=0.5 * side, fy=0.5 * side,
+                cx=0.5 * side, cy=0.5 * side,
+            )  # fmt: skip
         index, peaks = peak_weights(scene.splats, small, NEAR)
         clear = np.minimum(1.0, peaks.astype(np.float64) / _CLEAR)
         means = scene.splats.means[index].astype(np.float64)
@@ -237,7 +413,13 @@ class _Picture:
         depth = 1.0
         if weights[middle].any():
             (depth,) = _quantiles(depths[middle], weights[middle], (0.5,))
-        return cls(index, clear, sharpness, depth)
+        colours = np.clip(0.5 + _DC * scene.splats.sh0[index].astype(np.float64), 0.0, 1.0)
+        mean = weights @ colours / max(float(weights.sum()), 1e-12)
+        # Differences of the channels: faces differ in colour, what shines in brightness alone.
+        chroma = np.diff(colours - mean, axis=1)
+        spread = weights @ np.square(chroma) / max(float(weights.sum()), 1e-12)
+        contrast = math.sqrt(float(spread.sum()))
+        return cls(index, clear, sharpness, depth, float(mean.mean()), contrast)
 
 
 def _shrunk(camera: Camera) -> Camera:

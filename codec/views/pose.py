@@ -102,6 +102,17 @@ def level_axes(up: F64) -> tuple[F64, F64]:
     return side, np.cross(up, side)
 
 
+def front_direction(axes: str) -> F64:
+    """Return the direction that a frame calls the front, a unit vector, (3,) float64.
+
+    Parameters
+    ----------
+    axes : str
+        Directions of x, y and z; see `SceneInfo.axes`.
+    """
+    return np.array([1.0 if letter == "F" else -1.0 if letter == "B" else 0.0 for letter in axes])
+
+
 def down_direction(axes: str) -> F64:
     """Return the down direction of a frame.
 

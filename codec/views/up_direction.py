@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.geometry.rotations import matrices, unit
 
+from .low_discrepancy import even_directions
+from .pose import level_axes
 from .subsample import Subsample
 
 F64 = NDArray[np.float64]
@@ -27,6 +31,40 @@ _OUTLIER_SINE: Final = 0.03
 _ROUNDS: Final = 10
 # Length of the mean up axis below which the cameras point up in all directions.
 _LEAST_MEAN: Final = 0.2
+
+# Fewest splats from which surfaces can be told.
+_LEAST_SPLATS: Final = 50
+# Quantile of the splats' areas above which a splat counts no more: skies and blurred walls.
+_LARGEST: Final = 0.99
+# Directions that are searched for planes, planes that are tried, and cosine of the angle that two
+# planes are apart.
+_DIRECTIONS: Final = 1200
+_PLANES: Final = 6
+_APART: Final = math.cos(math.radians(20.0))
+# Angle within which a normal belongs to a plane, radians; and those of the rounds of refining.
+_PLANE_ANGLE: Final = math.radians(12.0)
+_REFINING: Final = (math.radians(15.0), math.radians(10.0), math.radians(6.0), math.radians(6.0))
+# Heights are counted in steps of this share of the half diagonal, from -1 to 1.
+_STEP: Final = 0.025
+_STEPS: Final = 80
+# Share of the area that a plane which holds nearly everything is compared with.
+_OWN_SHARE: Final = 0.1
+# Weights of what speaks for a direction: the largest plane with mass on it, and all level area.
+_GROUND, _LEVEL = 4.0, 2.0
+# Cells across the core box in which a plane and what is above it are compared.
+_CELLS: Final = 24
+# Reciprocal of the share of area that is not level from which on level area counts in full.
+_OTHERS: Final = 5.0
+# How much more a direction must show than the usual up: nothing up to the first angle to it, this
+# from the second on.
+_NEAR, _FAR = math.radians(10.0), math.radians(35.0)
+_DISTRUST: Final = 0.4
+# Cosine of the angle of a plane's normal to the usual up from which on the planes of the scene lie
+# along the axes of the format, and how many times as much another direction must show then.
+_AGREEING: Final = math.cos(math.radians(8.0))
+_AGREEMENT: Final = 2.0
+# Cosine of the angle up to which the usual up is exact.
+_EXACT: Final = math.cos(math.radians(1.0))
 
 
 def up_from_cameras(cameras: Sequence[Camera], usual: F64) -> F64:
@@ -69,5 +107,165 @@ def up_from_cameras(cameras: Sequence[Camera], usual: F64) -> F64:
 
 
 def up_from_splats(scene: Subsample, core: F64, usual: F64) -> F64:
-    """Return the up direction that a scene's splats show."""
-    return usual
+    """Return the up direction that a scene's splats show.
+
+    Flat splats show surfaces. Candidates are the normals of the largest surfaces, and `usual`. Up is
+    the candidate with the largest level surfaces, with mass that rests on them and space above. It
+    is near `usual` unless another direction has far more of both.
+
+    Parameters
+    ----------
+    scene : Subsample
+        Scene.
+    core : (6,) float64
+        Bounding box without stray splats, scene units.
+    usual : (3,) float64
+        Unit vector against gravity by the axes of the format.
+
+    Returns
+    -------
+    (3,) float64
+        Unit vector in the frame of the means.
+    """
+    surface = _Surface.of(scene, core)
+    if surface is None:
+        return usual
+    best, best_score = usual, surface.score(usual)
+    planes = surface.normals_of_planes()
+    if any(abs(float(normal @ usual)) > _AGREEING for normal in planes):
+        # The planes lie along the axes of the format, so that somebody chose them.
+        refined = surface.refine(usual)
+        if float(refined @ usual) < _EXACT:
+            best = refined
+        best_score *= _AGREEMENT
+    for normal in planes:
+        for sign in (1.0, -1.0):
+            refined = surface.refine(sign * normal)
+            angle = math.acos(min(1.0, max(-1.0, float(refined @ usual))))
+            score = surface.score(refined) - _distrust(angle)
+            if score > best_score:
+                best, best_score = refined, score
+    return best
+
+
+def _distrust(angle: float) -> float:
+    """Return how much more a direction must show than the usual up, by its angle to it."""
+    return _DISTRUST * min(1.0, max(0.0, angle - _NEAR) / (_FAR - _NEAR))
+
+
+@dataclass(frozen=True, eq=False)
+class _Surface:
+    """Flat splats of a scene, as samples of its surfaces.
+
+    Parameters
+    ----------
+    means : (n, 3) float64
+        Positions relative to the middle of the core box, in half diagonals of it.
+    normals : (n, 3) float64
+        Shortest axis of each splat.
+    areas : (n,) float64
+        Share of the area, weighted by opacity.
+    flat : (n,) float64
+        Share of the area whose normal is known.
+    """
+
+    means: F64
+    normals: F64
+    areas: F64
+    flat: F64
+
+    @classmethod
+    def of(cls, scene: Subsample, core: F64) -> _Surface | None:
+        """Return the surfaces within the core box; None if there are too few splats."""
+        splats = scene.splats
+        means = splats.means.astype(np.float64)
+        inside = ((means >= core[:3]) & (means <= core[3:])).all(axis=1)
+        if inside.sum() < _LEAST_SPLATS:
+            return None
+        means = means[inside]
+        log_scales = np.clip(splats.scales[inside].astype(np.float64), -40.0, 40.0)
+        order = np.argsort(log_scales, axis=1)
+        thin, middle, large = np.take_along_axis(log_scales, order, axis=1).T
+        axes = matrices(unit(splats.quats[inside])).astype(np.float64)
+        normals = np.take_along_axis(axes, order[:, None, :1], axis=2)[:, :, 0]
+        opacity = 1.0 / (1.0 + np.exp(-np.clip(splats.opacities[inside], -30.0, 30.0)))
+        log_areas = middle + large
+        areas = opacity * np.exp(np.minimum(log_areas, np.quantile(log_areas, _LARGEST)))
+        if not areas.sum() > 0.0:
+            return None
+        flat = np.square(1.0 - np.exp(thin - middle))
+        half = 0.5 * float(np.linalg.norm(core[3:] - core[:3])) or 1.0
+        areas = areas / areas.sum()
+        return cls((means - 0.5 * (core[:3] + core[3:])) / half, normals, areas, areas * flat)
+
+    def normals_of_planes(self) -> list[F64]:
+        """Return the directions that most area faces, the largest first."""
+        directions = even_directions(_DIRECTIONS)
+        directions = directions[directions[:, 2] >= 0.0]
+        cosines = np.abs(directions @ self.normals.T)
+        facing = np.exp(-np.square(np.arccos(np.minimum(cosines, 1.0)) / _PLANE_ANGLE)) @ self.flat
+        found: list[F64] = []
+        while len(found) < _PLANES and facing.max() > 0.0:
+            row = int(facing.argmax())
+            found.append(directions[row])
+            facing[np.abs(directions @ directions[row]) > _APART] = 0.0
+        return found
+
+    def refine(self, up: F64) -> F64:
+        """Return a direction nearby that is orthogonal to level surfaces and parallel to walls."""
+        for angle in _REFINING:
+            cosines = self.normals @ up
+            level = self.flat * np.exp(
+                -np.square(np.arccos(np.minimum(np.abs(cosines), 1.0)) / angle)
+            )
+            upright = self.flat * np.exp(
+                -np.square(np.arcsin(np.minimum(np.abs(cosines), 1.0)) / angle)
+            )
+            weights = level - upright
+            values, vectors = np.linalg.eigh((self.normals * weights[:, None]).T @ self.normals)
+            found: F64 = vectors[:, 2] * np.sign(vectors[:, 2] @ up)
+            if values[2] <= 0.0 or float(found @ up) < _APART:
+                return up
+            up = found
+        return up
+
+    def score(self, up: F64) -> float:
+        """Return how much level surface there is across a direction, and mass that rests on it."""
+        cosines = np.minimum(np.abs(self.normals @ up), 1.0)
+        level = self.flat * np.exp(-np.square(np.arccos(cosines) / _PLANE_ANGLE))
+        heights = self.means @ up
+        rows = np.clip(((heights + 1.0) / _STEP).astype(np.int64), 0, _STEPS - 1)
+        planes = np.bincount(rows, level, _STEPS)
+        planes = planes + np.roll(planes, 1)
+        mass = np.bincount(rows, self.areas, _STEPS)
+        # Mass below and above each plane, but for its own slab of two steps on each side.
+        total = np.concatenate([[0.0], np.cumsum(mass)])
+        below = total[np.maximum(np.arange(_STEPS) - 2, 0)]
+        above = total[-1] - total[np.minimum(np.arange(_STEPS) + 2, _STEPS)]
+        rests = (above - below) / (above + below + _OWN_SHARE)
+        grounds = planes * np.maximum(rests, 0.0)
+        row = int(grounds.argmax())
+        slab = (rows >= row - 1) & (rows <= row) & (level > 0.5 * self.flat)
+        ground = float(grounds[row]) * self._footing(up, slab, rows > row + 1)
+        clutter = self.areas - level
+        low, high = np.quantile(heights, (0.01, 0.99))
+        lean = 1.0 - 2.0 * float(clutter @ ((heights - low) / (high - low + 1e-12))) / clutter.sum()
+        # A lone plane, such as a painting, does not say what is up.
+        lone = min(1.0, _OTHERS * (1.0 - float(level.sum() / self.flat.sum())))
+        return (_GROUND * ground + _LEVEL * float(level.sum()) * lone) * (1.0 + lean)
+
+    def _footing(self, up: F64, slab: NDArray[np.bool_], above: NDArray[np.bool_]) -> float:
+        """Return the share of the mass above a plane that has the plane below it.
+
+        Parameters
+        ----------
+        up : (3,) float64
+        slab, above : (n,) bool
+            Splats of the plane, and those above it.
+        """
+        flat = self.means @ np.stack(level_axes(up), axis=1)
+        cells = np.clip(((flat + 1.0) * (0.5 * _CELLS)).astype(np.int64), 0, _CELLS - 1)
+        cell = cells[:, 0] * _CELLS + cells[:, 1]
+        covered = np.bincount(cell[slab], minlength=_CELLS * _CELLS) > 0
+        mass = float(self.areas[above].sum())
+        return float(self.areas[above & covered[cell]].sum()) / mass if mass > 0.0 else 0.0

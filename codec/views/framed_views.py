@@ -1,0 +1,141 @@
+"""Framed views: cameras around a scene that hold all of it, and places inside it to look from."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+
+from .pose import level_axes
+from .view_text import level_rotation
+
+F64 = NDArray[np.float64]
+
+# Field of view of the longer side of a framed picture, degrees.
+_FOV_DEG: Final = 50.0
+# Width by height of a framed picture, from upright to wide, and its number of pixels.
+_NARROWEST, _WIDEST = 0.75, 16.0 / 9.0
+_PIXELS: Final = 1280 * 960
+# Free margin at each side, as a share of the picture.
+_MARGIN: Final = 0.06
+# Elevations of the cameras around a scene, degrees, and the number of cameras at each.
+_RINGS: Final = ((15.0, 12), (40.0, 6))
+
+# Field of view of the picture inside a scene, degrees across, and its size.
+_INSIDE_FOV_DEG: Final = 75.0
+_INSIDE_SIZE: Final = (1280, 960)
+# Pitch of the views inside a scene, degrees downwards.
+_INSIDE_PITCH_DEG: Final = 8.0
+# Places inside a scene: a grid of so many by so many at these shares of its height.
+_GRID: Final = 4
+_HEIGHTS: Final = (0.35, 0.6)
+
+
+def framed(points: F64, centre: F64, towards: F64, up: F64, near_plane: float) -> Camera:
+    """Return the level camera that looks in a direction and holds points as large as fits.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+        Points to hold, scene units; at least one.
+    centre : (3,) float64
+        Point whose depth the target has.
+    towards : (3,) float64
+        Direction of view, a unit vector.
+    up : (3,) float64
+        Unit vector against gravity.
+    near_plane : float
+        Least depth of the points, scene units.
+
+    Returns
+    -------
+    Camera
+        Its picture is as wide or tall as the points need, between 3:4 and 16:9.
+    """
+    rotation = level_rotation(towards, up)
+    seen = (points - centre) @ rotation.T
+    spans = np.maximum(seen.max(axis=0) - seen.min(axis=0), 1e-12)
+    aspect = min(_WIDEST, max(_NARROWEST, float(spans[0] / spans[1])))
+    longer = math.tan(math.radians(0.5 * _FOV_DEG))
+    slopes = np.array([longer, longer / aspect] if aspect >= 1.0 else [longer * aspect, longer])
+    inner = slopes * (1.0 - 2.0 * _MARGIN)
+    # The camera stands `back` behind the centre, moved aside by `aside`: both sides just fit.
+    highest = (seen[:, :2] / inner - seen[:, 2:]).max(axis=0)
+    lowest = (-seen[:, :2] / inner - seen[:, 2:]).max(axis=0)
+    aside = 0.5 * inner * (highest - lowest)
+    back = float((0.5 * (highest + lowest)).max())
+    back = max(back, near_plane - float(seen[:, 2].min()))
+    height = math.sqrt(_PIXELS / aspect)
+    width_px, height_px = round(height * aspect), round(height)
+    focal = 0.5 * width_px / float(slopes[0])
+    position = centre + rotation.T @ np.array([aside[0], aside[1], -back])
+    return Camera(
+        width_px, height_px, focal, focal, 0.5 * width_px, 0.5 * height_px,
+        rotation, -rotation @ position, "first view", position + back * towards,
+    )  # fmt: skip
+
+
+def around(points: F64, centre: F64, up: F64, front: F64, near_plane: float) -> list[Camera]:
+    """Return level cameras all around points that each hold all of them.
+
+    Parameters
+    ----------
+    points, centre, up, near_plane
+        As in `framed`.
+    front : (3,) float64
+        Direction in which the first camera looks, if it is not vertical.
+    """
+    side, other = level_axes(up)
+    flat = front - (front @ up) * up
+    size = float(np.linalg.norm(flat))
+    if size > 1e-3:
+        side = flat / size
+        other = np.cross(up, side)
+    found = []
+    for degrees, count in _RINGS:
+        elevation = math.radians(degrees)
+        for number in range(count):
+            angle = 2.0 * math.pi * number / count
+            level = math.cos(angle) * side + math.sin(angle) * other
+            towards = math.cos(elevation) * level - math.sin(elevation) * up
+            found.append(framed(points, centre, towards, up, near_plane))
+    return found
+
+
+def places_inside(points: F64, up: F64) -> F64:
+    """Return places within the extent of points: a grid at two heights, (n, 3) float64."""
+    side, other = level_axes(up)
+    axes = np.stack([side, other, up])
+    low, high = (points @ axes.T).min(axis=0), (points @ axes.T).max(axis=0)
+    steps = (np.arange(_GRID) + 0.5) / _GRID
+    shares = np.array([(x, y, z) for z in _HEIGHTS for x in steps for y in steps])
+    places: F64 = (low + shares * (high - low)) @ axes
+    return places
+
+
+def inside(place: F64, angle: float, up: F64) -> Camera:
+    """Return a camera at a place that looks about level.
+
+    Parameters
+    ----------
+    place : (3,) float64
+        Position, scene units.
+    angle : float
+        Heading about `up`, radians, from the first of `level_axes`.
+    up : (3,) float64
+        Unit vector against gravity.
+    """
+    side, other = level_axes(up)
+    pitch = math.radians(_INSIDE_PITCH_DEG)
+    level = math.cos(angle) * side + math.sin(angle) * other
+    rotation = level_rotation(math.cos(pitch) * level - math.sin(pitch) * up, up)
+    width, height = _INSIDE_SIZE
+    focal = 0.5 * width / math.tan(math.radians(0.5 * _INSIDE_FOV_DEG))
+    return Camera(
+        width, height, focal, focal, 0.5 * width, 0.5 * height,
+        rotation, -rotation @ place, "first view",
+    )  # fmt: skip
