@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from .codec.cameras import Camera
 from .codec.encode.config import EncodeConfig, Target
 from .codec.encode.request import EncodeRequest
+from .codec.errors import DataError
 from .codec.geometry.rotations import normalise_extremes
 from .codec.progress import OverallProgress, Progress, TimedProgress, silent
 from .codec.splats import Splats
@@ -328,7 +329,7 @@ def compare(
 
 def render(
     scene: Splats | _Path,
-    camera: Camera,
+    camera: Camera | None = None,
     *,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     threads: int = 0,
@@ -339,8 +340,8 @@ def render(
     ----------
     scene : Splats or path
         Scene in memory, or a file of any known format.
-    camera : Camera
-        View to render.
+    camera : Camera, optional
+        View to render; by default the first view of the file, or one chosen by what it shows.
     background : tuple of float
         RGB behind the splats, each 0 to 1.
     threads : int
@@ -351,11 +352,17 @@ def render(
     >>> import cogsplat
     >>> cogsplat.render("scene.cogs", cogsplat.read_cameras("cameras.json")[0]).shape
     (48, 64, 3)
+
+    Raises
+    ------
+    DataError
+        ``empty-scene``: no camera is given, and no splat can be drawn.
     """
     from .codec.render.rasteriser import RenderConfig
     from .codec.render.rasteriser import render as rasterise
 
     splats = _splats(scene)
+    camera = camera or _first_view(scene, splats, threads)
     config = RenderConfig(
         splats.info.kernel_px, splats.info.antialiased, background=background, threads=threads
     )
@@ -393,6 +400,20 @@ def score(
 
     config = config or contribution.ScoreConfig()
     return contribution.score(_splats(scene), _views(cameras), config, progress=progress)
+
+
+def _first_view(scene: Splats | _Path, splats: Splats, threads: int) -> Camera:
+    """Return the first view of a file, or one that is chosen by what it shows."""
+    from .codec.views.first_look_search import find_first_look
+
+    if not isinstance(scene, Splats) and is_cogs(scene):
+        with open_scene(scene) as file:
+            if file.root.first_view is not None:
+                return file.root.first_view
+    found = find_first_look(splats, threads=threads).view
+    if found is None:
+        raise DataError("empty-scene", "no splat that can be drawn, expected a camera")
+    return found
 
 
 def _require_scene(scene: object) -> None:

@@ -55,7 +55,7 @@ _FRAMES: Final = (16.0 / 9.0, 9.0 / 19.5)
 _BLURRED_FACTOR: Final = 0.2
 
 # The bulk of a scene: the quartiles of each axis, widened by so many times their distance.
-_BULK_REACH: Final = 0.5
+_BULK_REACH: Final = 0.8
 # Opacity from which on a splat in the core box has to be in the picture of the whole scene.
 _OPAQUE: Final = 0.1
 # Usual elevation of a view around a scene, degrees, and how far others may be from it; how much the
@@ -65,14 +65,22 @@ _ELEVATION_SPREAD: Final = 40.0
 _FRONT: Final = 0.05
 _LIGHT: Final = 0.1
 _CONTRAST: Final = 0.4
-# Share of the scene that only views from inside show, above which it is shown from inside.
-_LEAST_HIDDEN: Final = 0.05
-# A place is free where splats within this share of the scene's size block at most this share of
-# the directions.
+# Share of what not all views show that only views from inside show, above which a scene is shown
+# from inside.
+_LEAST_HIDDEN: Final = 0.12
+# A place is free where splats within this share of the scene's size, or of its height, block at
+# most this share of the directions.
 _CLEARANCE: Final = 0.06
+_HEADROOM: Final = 0.25
 _FREE: Final = 0.1
+# Directions in which a place is tested, and the share of them that are blocked in a room: all but
+# one of 64. A jar with an opening has less.
+_DIRECTIONS: Final = 64
+_ENCLOSED: Final = 0.98
+# Focal length of a picture of 120 degrees, in widths.
+_WIDE_FOCAL: Final = 0.29
 # Free places that are tried at most, headings at each, and half the angle of a view, radians.
-_TRIED_PLACES: Final = 8
+_TRIED_PLACES: Final = 9
 _HEADINGS: Final = 12
 _HALF_VIEW: Final = math.radians(37.0)
 
@@ -206,7 +214,7 @@ def _best_view(scene: Subsample, core: F64, up: F64, front: F64) -> Camera | Non
         view.picture.add_to(from_outside)
     hidden = weights @ np.maximum(from_inside - from_outside, 0.0) / weights.sum()
     exposed = weights @ np.maximum(from_outside - from_inside, 0.0) / weights.sum()
-    views = inside if hidden > max(exposed, _LEAST_HIDDEN) else outside
+    views = inside if hidden > _LEAST_HIDDEN * (hidden + exposed) else outside
     if not views:
         return None
     shares = [float(weights[view.picture.index] @ view.picture.clear) for view in views]
@@ -283,11 +291,16 @@ def _views_inside(scene: Subsample, points: F64, weights: F64, up: F64) -> tuple
     """Return the best view from each of some free places inside a scene, and how clear all is."""
     places = places_inside(points, up)
     size = float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
-    blocked = Occluders(scene.splats).occlusion(places, np.full(len(places), _CLEARANCE * size))
-    free = np.flatnonzero(blocked <= _FREE)
+    occluders = Occluders(scene.splats)
+    reach = min(_CLEARANCE * size, _HEADROOM * float(np.ptp(points @ up)))
+    blocked = occluders.occlusion(places, np.full(len(places), reach))
+    free = places[blocked <= _FREE]
+    far = occluders.occlusion(free, np.full(len(free), np.inf), _DIRECTIONS)
+    enclosed = far >= _ENCLOSED
+    free = free[enclosed] if 2 * int(enclosed.sum()) >= len(enclosed) else free[:0]
     found: list[_Tried] = []
     shown_clear = np.zeros(len(scene))
-    for place in places[free[:: max(1, math.ceil(len(free) / _TRIED_PLACES))]]:
+    for place in _spread(free, _TRIED_PLACES):
         looks = np.zeros(_HEADINGS)
         for quarter in range(4):
             camera = inside(place, 0.5 * math.pi * quarter, up)
@@ -305,6 +318,17 @@ def _views_inside(scene: Subsample, points: F64, weights: F64, up: F64) -> tuple
     return found, shown_clear
 
 
+def _spread(places: F64, count: int) -> F64:
+    """Return some of the places, each far from those before it."""
+    chosen: list[int] = []
+    distances = np.full(len(places), np.inf)
+    while len(chosen) < min(count, len(places)):
+        chosen.append(int(distances.argmax()))
+        offsets = np.linalg.norm(places - places[chosen[-1]], axis=1)
+        distances = np.minimum(distances, offsets)
+    return places[chosen]
+
+
 def _merit(values: F64) -> F64:
     """Return how much larger each value is than their median, -1 to 1."""
     merit: F64 = np.clip(values / max(float(np.median(values)), 1e-9) - 1.0, -1.0, 1.0)
@@ -320,7 +344,7 @@ def _likeness(values: F64) -> F64:
 
 
 def _sharpness_in_frames(scene: Subsample, camera: Camera) -> float:
-    """Return the sharpness of a camera's view in a wide and in an upright frame, which show more."""
+    """Return the sharpness of a camera's view in a wide and in an upright frame."""
     product = 1.0
     for aspect in _FRAMES:
         width = max(camera.width, round(camera.height * aspect))
@@ -387,12 +411,12 @@ class _Picture:
 
     @classmethod
     def of(cls, scene: Subsample, camera: Camera, *, wide: bool = False) -> _Picture:
-        """Draw a small picture of a subsample; a wide one shows 90 degrees in fewer pixels."""
+        """Draw a small picture of a subsample; a wide one shows 120 degrees in fewer pixels."""
         small = _shrunk(camera)
         if wide:
             side = _TRIED_PX // 2
             small = replace(
-                small, width=side, height=side, fx=0.5 * side, fy=0.5 * side,
+                small, width=side, height=side, fx=_WIDE_FOCAL * side, fy=_WIDE_FOCAL * side,
                 cx=0.5 * side, cy=0.5 * side,
             )  # fmt: skip
         index, peaks = peak_weights(scene.splats, small, NEAR)

@@ -30,9 +30,11 @@ _INSIDE_FOV_DEG: Final = 75.0
 _INSIDE_SIZE: Final = (1280, 960)
 # Pitch of the views inside a scene, degrees downwards.
 _INSIDE_PITCH_DEG: Final = 8.0
-# Places inside a scene: a grid of so many by so many at these shares of its height.
-_GRID: Final = 4
-_HEIGHTS: Final = (0.35, 0.6)
+# Places inside a scene: a grid of so many by so many, at this share of its height.
+_GRID: Final = 6
+_HEIGHT: Final = 0.55
+# Directions in a quarter turn that the grid may have.
+_TURNS: Final = 18
 
 
 def framed(points: F64, centre: F64, towards: F64, up: F64, near_plane: float) -> Camera:
@@ -107,14 +109,27 @@ def around(points: F64, centre: F64, up: F64, front: F64, near_plane: float) -> 
 
 
 def places_inside(points: F64, up: F64) -> F64:
-    """Return places within the extent of points: a grid at two heights, (n, 3) float64."""
-    side, other = level_axes(up)
-    axes = np.stack([side, other, up])
+    """Return places within the extent of points: a level grid, (n, 3) float64."""
+    axes = _fitting_axes(points, up)
     low, high = (points @ axes.T).min(axis=0), (points @ axes.T).max(axis=0)
     steps = (np.arange(_GRID) + 0.5) / _GRID
-    shares = np.array([(x, y, z) for z in _HEIGHTS for x in steps for y in steps])
+    shares = np.array([(x, y, _HEIGHT) for x in steps for y in steps])
     places: F64 = (low + shares * (high - low)) @ axes
     return places
+
+
+def _fitting_axes(points: F64, up: F64) -> F64:
+    """Return two level axes and `up`, (3, 3), along which points fill the smallest rectangle."""
+    side, other = level_axes(up)
+    best, smallest = np.stack([side, other, up]), math.inf
+    for step in range(_TURNS):
+        angle = 0.5 * math.pi * step / _TURNS
+        turned = math.cos(angle) * side + math.sin(angle) * other
+        axes = np.stack([turned, np.cross(up, turned), up])
+        area = float(np.prod(np.ptp(points @ axes[:2].T, axis=0)))
+        if area < smallest:
+            best, smallest = axes, area
+    return best
 
 
 def inside(place: F64, angle: float, up: F64) -> Camera:

@@ -109,9 +109,9 @@ def up_from_cameras(cameras: Sequence[Camera], usual: F64) -> F64:
 def up_from_splats(scene: Subsample, core: F64, usual: F64) -> F64:
     """Return the up direction that a scene's splats show.
 
-    Flat splats show surfaces. Candidates are the normals of the largest surfaces, and `usual`. Up is
-    the candidate with the largest level surfaces, with mass that rests on them and space above. It
-    is near `usual` unless another direction has far more of both.
+    Flat splats show surfaces. Candidates are the normals of the largest surfaces, and `usual`. The
+    candidate with the largest level surfaces is chosen, with mass that rests on them. `usual` is
+    left for directions that have far more of both.
 
     Parameters
     ----------
@@ -252,7 +252,8 @@ class _Surface:
         lean = 1.0 - 2.0 * float(clutter @ ((heights - low) / (high - low + 1e-12))) / clutter.sum()
         # A lone plane, such as a painting, does not say what is up.
         lone = min(1.0, _OTHERS * (1.0 - float(level.sum() / self.flat.sum())))
-        return (_GROUND * ground + _LEVEL * float(level.sum()) * lone) * (1.0 + lean)
+        found = (_GROUND * ground + _LEVEL * float(level.sum()) * lone) * (1.0 + lean)
+        return float(found)
 
     def _footing(self, up: F64, slab: NDArray[np.bool_], above: NDArray[np.bool_]) -> float:
         """Return the share of the mass above a plane that has the plane below it.

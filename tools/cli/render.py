@@ -8,6 +8,9 @@ from pathlib import Path
 import click
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.views.pose import down_direction
+from cogsplat.codec.views.view_text import parse_view
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import (
@@ -37,26 +40,26 @@ from cogsplat.tools.workflow.inputs import (
     LoadedScene,
     Selection,
     load_cameras,
-    plan_cameras,
     read_any,
 )
+from cogsplat.tools.workflow.order_options import parse_view_option
 from cogsplat.tools.workflow.output_files import check_outputs
 
 
 @click.command(
     epilog="\b\nExample:\n"
-    "  cogsplat render scene.cogs whole.png --cameras cameras.json --camera 3\n"
+    "  cogsplat render scene.cogs whole.png --cameras cameras.json --view 3\n"
     "  cogsplat render scene.cogs tenth.png --bytes 10% --size 960x720"
 )
 @click.argument("path", type=INPUT, metavar="IN")
 @click.argument("out", type=OutputPath(".png"), metavar="OUT.png")
-@cameras_option("Without it, the file's first view, else a planned view.")
+@cameras_option("The first of them is rendered, or that of --view.")
 @click.option(
-    "--camera",
-    "index",
-    type=click.IntRange(min=0),
-    metavar="INDEX",
-    help="Index of the camera, from 0; without --cameras, of the planned views.",
+    "--view",
+    type=parse_view_option,
+    metavar="POSE|INDEX",
+    help="Pose x,y,z,tx,ty,tz,fov[,roll], or the index of a camera of --cameras, from 0.  "
+    "[default: the file's first view, or one chosen by what it shows]",
 )
 @click.option(
     "--size",
@@ -80,7 +83,7 @@ def render(
     path: Path,
     out: Path,
     cameras: Path | None,
-    index: int | None,
+    view: str | None,
     picture: tuple[int, int] | None,
     format_name: str | None,
     background: Colour,
@@ -107,7 +110,7 @@ def render(
     with Stages(shown=not (quiet or as_json)) as stages:
         with stages.stage("read"):
             scene = read_any(path, part, threads=threads)
-            camera = _camera(scene, cameras, index)
+            camera = _camera(scene, cameras, view, threads)
         if picture:
             camera = fitted(camera, *picture)
         info = scene.splats.info
@@ -141,24 +144,32 @@ def render(
         print_line(f"{out}: {camera.width}x{camera.height}, {size_text(written)}")
         drawn = f"{len(scene.splats):,} of {scene.file_splats:,}"
         print_facts(
-            ("camera", camera.name or f"{index or 0}"),
+            ("camera", camera.name or view or "0"),
             ("splats", f"{drawn}, SH degree {scene.splats.sh_degree}"),
             ("time", stages.summary()),
         )
 
 
-def _camera(scene: LoadedScene, cameras: Path | None, index: int | None) -> Camera:
-    """Return the camera that the options choose.
-
-    By default, it is the first view of the scene, or else the first planned camera.
-    """
-    if cameras is None and index is None and scene.first_view is not None:
+def _camera(scene: LoadedScene, cameras: Path | None, view: str | None, threads: int) -> Camera:
+    """Return the camera that the options choose; by default the first view of the scene."""
+    if view is not None and not view.isdecimal():
+        up = scene.up if scene.up is not None else -down_direction(scene.splats.info.axes)
+        return parse_view(view).camera(up)
+    if cameras is not None:
+        views, index = load_cameras(cameras), int(view or 0)
+        if index >= len(views):
+            raise click.UsageError(f"--view {index}, expected 0 to {len(views) - 1}, or a pose")
+        return views[index]
+    if view is not None:
+        raise click.UsageError(f"--view {view} without --cameras, expected them, or a pose")
+    if scene.first_view is not None:
         return scene.first_view
-    views = load_cameras(cameras) if cameras else plan_cameras(scene.splats)
-    index = index or 0
-    if index >= len(views):
-        raise click.UsageError(f"--camera {index}, expected 0 to {len(views) - 1}")
-    return views[index]
+    from cogsplat.codec.views.first_look_search import find_first_look
+
+    found = find_first_look(scene.splats, threads=threads).view
+    if found is None:
+        raise DataError("empty-scene", "no splat that can be drawn, expected --view")
+    return found
 
 
 def fitted(camera: Camera, width: int, height: int) -> Camera:

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import click
+import numpy as np
+from numpy.typing import NDArray
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
@@ -116,6 +118,8 @@ class LoadedScene:
         Numbers of the chunks whose shN is zero because their tails were not read.
     first_view : Camera or None
         View to show first, as stored in the file.
+    up : (3,) float64 or None
+        Unit vector against gravity, as stored in the file.
     lost_extras : tuple of str
         Extra attributes of the file that some of the decoded chunks lack.
     unrefined : tuple of int
@@ -130,6 +134,7 @@ class LoadedScene:
     file_splats: int
     without_tails: tuple[int, ...]
     first_view: Camera | None
+    up: NDArray[np.float64] | None = None
     lost_extras: tuple[str, ...] = ()
     unrefined: tuple[int, ...] = ()
 
@@ -274,6 +279,7 @@ def decode_part_with(decode: Decode, path: Path, part: Selection) -> LoadedScene
             file_splats=file.root.splats,
             without_tails=tuple(missing) if splats.sh_degree else (),
             first_view=file.root.first_view,
+            up=file.root.up,
             lost_extras=tuple(
                 kind.name
                 for kind in file.root.attributes

@@ -110,7 +110,7 @@ def test_names_with_escape_sequences(run: Run, small: SmallScene, tmp_path: Path
     cameras = tmp_path / "cameras.json"
     cameras.write_text(json.dumps(entries))
     out = tmp_path / "pic\x1b[2Jture.png"
-    ran = run("render", small.ply, out, "--cameras", cameras, "--camera", 0, "--size", "32x24")
+    ran = run("render", small.ply, out, "--cameras", cameras, "--view", 0, "--size", "32x24")
     assert ran.code == 0, ran.err
     assert only_shown(ran.out + ran.err)
     assert "\\x1b[31m" in ran.out

@@ -54,7 +54,7 @@ def test_compare_and_render(run: Run, small: SmallScene, ksplat: Path, tmp_path:
     assert told.code == 0
     assert told.json["test"]["psnr_db"] > 35
     out = tmp_path / "a.png"
-    assert run("render", ksplat, out, "--cameras", small.cameras, "--camera", 1).code == 0
+    assert run("render", ksplat, out, "--cameras", small.cameras, "--view", 1).code == 0
     assert out.read_bytes().startswith(b"\x89PNG")
 
 

@@ -93,7 +93,7 @@ def test_cameras_that_see_nothing_are_refused(run: Run, small: SmallScene, tmp_p
 
 def test_render_draws_the_camera_asked_for(run: Run, small: SmallScene, tmp_path: Path) -> None:
     out = tmp_path / "out.png"
-    arguments = ["--cameras", small.cameras, "--camera", 4, "--background", "0.25,0.5,1"]
+    arguments = ["--cameras", small.cameras, "--view", 4, "--background", "0.25,0.5,1"]
     assert run("render", small.ply, out, *arguments).code == 0
     camera = cogsplat.read_cameras(small.cameras)[4]
     config = RenderConfig(background=(0.25, 0.5, 1.0))
@@ -119,7 +119,7 @@ def test_render_makes_views_up_where_there_are_none(
 ) -> None:
     out, other = tmp_path / "out.png", tmp_path / "other.png"
     assert run("render", small.ply, out, "--size", "90x60").code == 0
-    assert run("render", small.ply, other, "--size", "90x60", "--camera", 7).code == 0
+    assert run("render", small.ply, other, "--size", "90x60", "--view", "0,0,-9,0,0,0,50").code == 0
     first, second = picture(out), picture(other)
     assert first.shape == second.shape == (60, 90, 3)
     assert first.any()
@@ -129,7 +129,7 @@ def test_render_makes_views_up_where_there_are_none(
 def test_render_refuses_a_camera_that_is_not_there(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
-    arguments = ["--cameras", small.cameras, "--camera", VIEWS]
+    arguments = ["--cameras", small.cameras, "--view", VIEWS]
     told = run("render", small.ply, tmp_path / "out.png", *arguments)
     assert told.code == 2
     assert f"expected 0 to {VIEWS - 1}" in told.err
