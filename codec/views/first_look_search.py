@@ -32,9 +32,9 @@ F64 = NDArray[np.float64]
 _READ_SPLATS: Final = 60_000
 _DRAWN_SPLATS: Final = 6_000
 
-# Core box: the quartiles of each axis, widened by so many times their distance, hold what is no
-# sky; of that, this share at each end is left out as floaters.
-_FENCE: Final = 3.0
+# Core box: the quartiles of each axis, widened by so many times their largest distance, hold what
+# is no sky; of that, this share at each end is left out as floaters.
+_FENCE: Final = 5.0
 _STRAY_SHARE: Final = 0.005
 
 # Decimals of an estimated up direction.
@@ -46,6 +46,8 @@ _TRIED_CAMERAS: Final = 24
 _TRIED_PX: Final = 64
 # Peak weight from which on a splat counts as clearly seen.
 _CLEAR: Final = 0.3
+# Radius from which on a splat is made out in the full picture, px.
+_RESOLVED_PX: Final = 4.0
 # A splat that reaches further than this share of the picture is out of focus to a viewer: too near.
 _LARGE_SHARE: Final = 0.25
 # Width by height of the frames of a screen and of a telephone.
@@ -54,8 +56,11 @@ _FRAMES: Final = (16.0 / 9.0, 9.0 / 19.5)
 # from the cameras' median as is usual.
 _BLURRED_FACTOR: Final = 0.2
 
-# The bulk of a scene: the quartiles of each axis, widened by so many times their distance.
-_BULK_REACH: Final = 0.8
+# The bulk of a scene: the quartiles of each axis, widened by so many times their largest distance.
+_BULK_REACH: Final = 0.35
+# A scene surrounds a place where so many of its sides have at least so many points.
+_SIDES, _SURROUNDED = 12, 10
+_LEAST_ON_SIDE: Final = 2
 # Opacity from which on a splat in the core box has to be in the picture of the whole scene.
 _OPAQUE: Final = 0.1
 # Usual elevation of a view around a scene, degrees, and how far others may be from it; how much the
@@ -65,9 +70,13 @@ _ELEVATION_SPREAD: Final = 40.0
 _FRONT: Final = 0.05
 _LIGHT: Final = 0.1
 _CONTRAST: Final = 0.4
-# Share of what not all views show that only views from inside show, above which a scene is shown
-# from inside.
-_LEAST_HIDDEN: Final = 0.12
+# Contents are what only views from inside show, further than a cell from what others show: the
+# inner side of a wall is none. A scene is shown from inside where contents are more than this share
+# of what only views from outside show.
+_LEAST_CONTENTS: Final = 0.12
+# Length of a cell, as a share of the scene's diagonal, and cells along the diagonal.
+_CELL: Final = 0.02
+_CELLS_ACROSS: Final = 51
 # A place is free where splats within this share of the scene's size, or of its height, block at
 # most this share of the directions.
 _CLEARANCE: Final = 0.06
@@ -169,13 +178,11 @@ def _core_box(scene: Subsample) -> F64:
     """Return the bounding box of a scene without sky and floaters, (6,)."""
     means = scene.splats.means.astype(np.float64)
     weights = scene.counts / (1.0 + np.exp(-np.clip(scene.splats.opacities, -30.0, 30.0)))
-    inside = np.ones(len(means), np.bool_)
-    for axis in range(3):
-        low, high = _quantiles(means[:, axis], weights, (0.25, 0.75))
-        reach = _FENCE * (high - low)
-        inside &= (means[:, axis] >= low - reach) & (means[:, axis] <= high + reach)
-    if not inside.any():
-        inside[:] = True
+    quartiles = [_quantiles(means[:, axis], weights, (0.25, 0.75)) for axis in range(3)]
+    low, high = np.array(quartiles).T
+    # One reach for all axes: what stands on a flat ground belongs to the scene.
+    reach = _FENCE * float((high - low).max())
+    inside = ((means >= low - reach) & (means <= high + reach)).all(axis=1)
     shares = (_STRAY_SHARE, 1.0 - _STRAY_SHARE)
     ends = [_quantiles(means[inside, axis], weights[inside], shares) for axis in range(3)]
     return np.array([low for low, _ in ends] + [high for _, high in ends])
@@ -212,12 +219,15 @@ def _best_view(scene: Subsample, core: F64, up: F64, front: F64) -> Camera | Non
     from_outside = np.zeros(len(scene))
     for view in outside:
         view.picture.add_to(from_outside)
-    hidden = weights @ np.maximum(from_inside - from_outside, 0.0) / weights.sum()
-    exposed = weights @ np.maximum(from_outside - from_inside, 0.0) / weights.sum()
-    views = inside if hidden > _LEAST_HIDDEN * (hidden + exposed) else outside
+    contents = weights * np.maximum(from_inside - from_outside, 0.0)
+    contents[_near_shown(scene, from_outside, points)] = 0.0
+    exposed = weights * np.maximum(from_outside - from_inside, 0.0)
+    views = outside
+    if contents.sum() > _LEAST_CONTENTS * exposed.sum():
+        views = inside + [view for view in outside if view.is_within]
     if not views:
         return None
-    shares = [float(weights[view.picture.index] @ view.picture.clear) for view in views]
+    shares = [float(weights[view.picture.index] @ view.picture.detail) for view in views]
     tastes = [view.taste * view.picture.sharpness for view in views]
     light = _merit(np.array([view.picture.light for view in views]))
     contrast = _merit(np.array([view.picture.contrast for view in views]))
@@ -239,11 +249,14 @@ class _Tried:
         What it shows.
     taste : float
         Factor for its elevation and side.
+    is_within : bool
+        Whether the scene surrounds the camera.
     """
 
     camera: Camera
     picture: _Picture
     taste: float
+    is_within: bool = True
 
 
 def _points_to_hold(scene: Subsample, core: F64) -> F64:
@@ -264,18 +277,16 @@ def _opacities(scene: Subsample) -> F64:
 def _views_around(scene: Subsample, points: F64, up: F64, front: F64) -> list[_Tried]:
     """Return views of the whole scene, and of its bulk, from all around."""
     low, high = np.quantile(points, (0.25, 0.75), axis=0)
-    reach = _BULK_REACH * (high - low)
+    reach = _BULK_REACH * float((high - low).max())
     bulk = points[((points >= low - reach) & (points <= high + reach)).all(axis=1)]
-    level = np.stack(level_axes(up), axis=1)
-    least, most = (points @ level).min(axis=0), (points @ level).max(axis=0)
     found = []
     for held in (points, bulk):
         if not len(held):
             continue
         centre = 0.5 * (held.min(axis=0) + held.max(axis=0))
         for camera in around(held, centre, up, front, 2.0 * NEAR):
-            stand = camera.position @ level
-            if held is bulk and not ((stand >= least) & (stand <= most)).all():
+            is_within = held is bulk and _surround(points, camera.position, up)
+            if held is bulk and not is_within:
                 # Who stands beside the scene sees an object, and gets the whole of it.
                 continue
             elevation = math.degrees(
@@ -283,8 +294,25 @@ def _views_around(scene: Subsample, points: F64, up: F64, front: F64) -> list[_T
             )
             taste = math.exp(-(((elevation - _USUAL_ELEVATION) / _ELEVATION_SPREAD) ** 2))
             taste *= 1.0 + _FRONT * float(camera.rotation[2] @ front)
-            found.append(_Tried(camera, _Picture.of(scene, camera), taste))
+            found.append(_Tried(camera, _Picture.of(scene, camera), taste, is_within))
     return found
+
+
+def _near_shown(scene: Subsample, clear: F64, points: F64) -> NDArray[np.bool_]:
+    """Return whether splats lie where clearly seen splats do: in the same cells of space."""
+    low = points.min(axis=0)
+    cell = _CELL * float(np.linalg.norm(points.max(axis=0) - low)) or 1.0
+    cells = np.clip((scene.splats.means - low) / cell, 0, _CELLS_ACROSS - 1).astype(np.int64)
+    number = (cells[:, 0] * _CELLS_ACROSS + cells[:, 1]) * _CELLS_ACROSS + cells[:, 2]
+    return np.isin(number, np.unique(number[clear >= _CLEAR]))
+
+
+def _surround(points: F64, place: F64, up: F64) -> bool:
+    """Return whether there are points on all sides of a place."""
+    flat = (points - place) @ np.stack(level_axes(up), axis=1)
+    sides = ((np.arctan2(flat[:, 1], flat[:, 0]) / math.pi + 1.0) * (0.5 * _SIDES)).astype(np.int64)
+    counts = np.bincount(np.minimum(sides, _SIDES - 1), minlength=_SIDES)
+    return int((counts >= _LEAST_ON_SIDE).sum()) >= _SURROUNDED
 
 
 def _views_inside(scene: Subsample, points: F64, weights: F64, up: F64) -> tuple[list[_Tried], F64]:
@@ -390,6 +418,8 @@ class _Picture:
         Rows of the subsample in the picture.
     clear : (n,) float64
         How clearly each is seen, 0 to 1.
+    detail : (n,) float64
+        How clearly each is seen, less where it is too small to be made out.
     sharpness : float
         1 for a picture of small splats, less where large near splats fill it.
     middle_depth : float
@@ -400,6 +430,7 @@ class _Picture:
 
     index: NDArray[np.int32]
     clear: F64
+    detail: F64
     sharpness: float
     middle_depth: float
     light: float
@@ -443,7 +474,8 @@ class _Picture:
         chroma = np.diff(colours - mean, axis=1)
         spread = weights @ np.square(chroma) / max(float(weights.sum()), 1e-12)
         contrast = math.sqrt(float(spread.sum()))
-        return cls(index, clear, sharpness, depth, float(mean.mean()), contrast)
+        detail = clear * np.minimum(1.0, scene.sizes[index] * camera.fy / depths / _RESOLVED_PX)
+        return cls(index, clear, detail, sharpness, depth, float(mean.mean()), contrast)
 
 
 def _shrunk(camera: Camera) -> Camera:

@@ -20,6 +20,8 @@ _FOV_DEG: Final = 50.0
 # Width by height of a framed picture, from upright to wide, and its number of pixels.
 _NARROWEST, _WIDEST = 0.75, 16.0 / 9.0
 _PIXELS: Final = 1280 * 960
+# Least field of view of a small object, as a share of the usual one.
+_LEAST_ZOOM: Final = 1e-3
 # Free margin at each side, as a share of the picture.
 _MARGIN: Final = 0.06
 # Elevations of the cameras around a scene, degrees, and the number of cameras at each.
@@ -56,7 +58,8 @@ def framed(points: F64, centre: F64, towards: F64, up: F64, near_plane: float) -
     Returns
     -------
     Camera
-        Its picture is as wide or tall as the points need, between 3:4 and 16:9.
+        Its picture is as wide or tall as the points need, between 3:4 and 16:9. Where the points
+        are nearer than `near_plane` allows, the camera zooms in.
     """
     rotation = level_rotation(towards, up)
     seen = (points - centre) @ rotation.T
@@ -70,7 +73,11 @@ def framed(points: F64, centre: F64, towards: F64, up: F64, near_plane: float) -
     lowest = (-seen[:, :2] / inner - seen[:, 2:]).max(axis=0)
     aside = 0.5 * inner * (highest - lowest)
     back = float((0.5 * (highest + lowest)).max())
-    back = max(back, near_plane - float(seen[:, 2].min()))
+    if back < near_plane - float(seen[:, 2].min()):
+        # A small object: the camera stands off and zooms in.
+        back = near_plane - float(seen[:, 2].min())
+        reach = np.abs(seen[:, :2] - aside) / (inner * (seen[:, 2:] + back))
+        slopes = slopes * max(float(reach.max()), _LEAST_ZOOM)
     height = math.sqrt(_PIXELS / aspect)
     width_px, height_px = round(height * aspect), round(height)
     focal = 0.5 * width_px / float(slopes[0])

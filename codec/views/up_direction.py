@@ -47,10 +47,12 @@ _REFINING: Final = (math.radians(15.0), math.radians(10.0), math.radians(6.0), m
 # Heights are counted in steps of this share of the half diagonal, from -1 to 1.
 _STEP: Final = 0.025
 _STEPS: Final = 80
-# Share of the area that a plane which holds nearly everything is compared with.
+# Share of the mass that a plane which holds nearly everything is compared with.
 _OWN_SHARE: Final = 0.1
 # Weights of what speaks for a direction: the largest plane with mass on it, and all level area.
 _GROUND, _LEVEL = 4.0, 2.0
+# Shares of what is not level that lie below its bottom and its top.
+_ENDS: Final = (0.03, 0.97)
 # Cells across the core box in which a plane and what is above it are compared.
 _CELLS: Final = 24
 # Reciprocal of the share of area that is not level from which on level area counts in full.
@@ -90,6 +92,9 @@ def up_from_cameras(cameras: Sequence[Camera], usual: F64) -> F64:
     mean = -np.mean([camera.rotation[1] for camera in cameras], axis=0)
     length = float(np.linalg.norm(mean))
     fallback = mean / length if length >= _LEAST_MEAN else usual
+    values = np.linalg.eigvalsh(rights.T @ rights)
+    if values[0] > _MOST_ROLL * values[1]:
+        return fallback
     weights = np.ones(len(rights))
     for _ in range(_ROUNDS):
         values, vectors = np.linalg.eigh((rights * weights[:, None]).T @ rights / weights.sum())
@@ -100,8 +105,6 @@ def up_from_cameras(cameras: Sequence[Camera], usual: F64) -> F64:
         level = fallback - (fallback @ vectors[:, 2]) * vectors[:, 2]
         size = float(np.linalg.norm(level))
         return level / size if size > math.sqrt(_LEAST_SPREAD) else fallback
-    if values[0] > _MOST_ROLL * values[1]:
-        return fallback
     towards = float(found @ fallback)
     return found if towards >= 0.0 else -found
 
@@ -163,6 +166,8 @@ class _Surface:
         Positions relative to the middle of the core box, in half diagonals of it.
     normals : (n, 3) float64
         Shortest axis of each splat.
+    mass : (n,) float64
+        Share of the scene's splats, weighted by opacity: detail, not area.
     areas : (n,) float64
         Share of the area, weighted by opacity.
     flat : (n,) float64
@@ -171,6 +176,7 @@ class _Surface:
 
     means: F64
     normals: F64
+    mass: F64
     areas: F64
     flat: F64
 
@@ -196,7 +202,9 @@ class _Surface:
         flat = np.square(1.0 - np.exp(thin - middle))
         half = 0.5 * float(np.linalg.norm(core[3:] - core[:3])) or 1.0
         areas = areas / areas.sum()
-        return cls((means - 0.5 * (core[:3] + core[3:])) / half, normals, areas, areas * flat)
+        mass = opacity * scene.counts[inside]
+        means = (means - 0.5 * (core[:3] + core[3:])) / half
+        return cls(means, normals, mass / mass.sum(), areas, areas * flat)
 
     def normals_of_planes(self) -> list[F64]:
         """Return the directions that most area faces, the largest first."""
@@ -237,7 +245,7 @@ class _Surface:
         rows = np.clip(((heights + 1.0) / _STEP).astype(np.int64), 0, _STEPS - 1)
         planes = np.bincount(rows, level, _STEPS)
         planes = planes + np.roll(planes, 1)
-        mass = np.bincount(rows, self.areas, _STEPS)
+        mass = np.bincount(rows, self.mass, _STEPS)
         # Mass below and above each plane, but for its own slab of two steps on each side.
         total = np.concatenate([[0.0], np.cumsum(mass)])
         below = total[np.maximum(np.arange(_STEPS) - 2, 0)]
@@ -247,9 +255,12 @@ class _Surface:
         row = int(grounds.argmax())
         slab = (rows >= row - 1) & (rows <= row) & (level > 0.5 * self.flat)
         ground = float(grounds[row]) * self._footing(up, slab, rows > row + 1)
-        clutter = self.areas - level
-        low, high = np.quantile(heights, (0.01, 0.99))
-        lean = 1.0 - 2.0 * float(clutter @ ((heights - low) / (high - low + 1e-12))) / clutter.sum()
+        clutter = self.mass * (1.0 - level / self.areas)
+        order = np.argsort(heights, kind="stable")
+        ends = np.searchsorted(np.cumsum(clutter[order]), np.array(_ENDS) * clutter.sum())
+        low, high = heights[order[np.minimum(ends, len(order) - 1)]]
+        share = np.clip((heights - low) / (high - low + 1e-12), 0.0, 1.0)
+        lean = 1.0 - 2.0 * float(clutter @ share) / float(clutter.sum())
         # A lone plane, such as a painting, does not say what is up.
         lone = min(1.0, _OTHERS * (1.0 - float(level.sum() / self.flat.sum())))
         found = (_GROUND * ground + _LEVEL * float(level.sum()) * lone) * (1.0 + lean)
@@ -268,5 +279,5 @@ class _Surface:
         cells = np.clip(((flat + 1.0) * (0.5 * _CELLS)).astype(np.int64), 0, _CELLS - 1)
         cell = cells[:, 0] * _CELLS + cells[:, 1]
         covered = np.bincount(cell[slab], minlength=_CELLS * _CELLS) > 0
-        mass = float(self.areas[above].sum())
-        return float(self.areas[above & covered[cell]].sum()) / mass if mass > 0.0 else 0.0
+        mass = float(self.mass[above].sum())
+        return float(self.mass[above & covered[cell]].sum()) / mass if mass > 0.0 else 0.0
