@@ -13,6 +13,7 @@ export class DescribedScene {
   private readonly annotations: Annotations;
   private readonly caption: HTMLButtonElement | undefined;
   private readonly about: HTMLElement;
+  private readonly close = element("button", "close", "×");
   private readonly play: HTMLButtonElement | undefined;
   private player: PathPlayer | undefined;
   private isPlaying = false;
@@ -33,9 +34,9 @@ export class DescribedScene {
       buttons.length === 0
         ? []
         : [element("h3", "", name), element("ul", "", ...buttons.map((button) => element("li", "", button)))];
-    const close = element("button", "close", "×");
+    const { close } = this;
     close.ariaLabel = "Close";
-    close.addEventListener("click", () => [this.toggleAbout(), this.caption?.focus()]);
+    close.addEventListener("click", () => this.toggleAbout());
     this.about.append(
       close,
       element("h2", "", title ?? "About this scene"),
@@ -126,8 +127,12 @@ export class DescribedScene {
   private toggleAbout(): void {
     const opens = this.about.hidden;
     if (opens) this.stage.closePanels();
-    this.about.hidden = !opens;
-    if (this.caption) this.caption.ariaExpanded = String(opens);
+    const { about, caption } = this;
+    const isFocused = about.contains((about.getRootNode() as ShadowRoot).activeElement);
+    about.hidden = !opens;
+    if (caption) caption.ariaExpanded = String(opens);
+    if (opens) this.close.focus();
+    else if (isFocused) caption?.focus();
   }
 
   private togglePlay(): void {

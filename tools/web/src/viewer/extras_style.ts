@@ -26,14 +26,16 @@ kbd { font: inherit; padding: 0 5px; border: 1px solid var(--edge); border-radiu
 .caption { position: absolute; left: 12px; top: 12px; max-width: min(420px, calc(100% - 24px)); padding: 6px 12px; text-align: left; pointer-events: auto; cursor: pointer; }
 .caption > * { display: block; overflow: hidden; text-overflow: ellipsis; white-space: nowrap; }
 .caption span { font-size: 12px; color: var(--soft); }
-.measuring .caption { display: none; }
+:host([controls=none]) .caption, :has(> .name.left:not([hidden])) .caption, .measuring .caption { display: none; }
 .about h2, .about p, .card h2, .card p { overflow-wrap: anywhere; }
 .about .text, .card p { margin: 0 0 8px; white-space: pre-line; }
 .about .rights { margin: 0 0 4px; font-size: 12px; color: var(--soft); }
 .about h3 { margin: 12px 0 2px; font-size: 13px; }
 .about ul { margin: 0; padding: 0; list-style: none; }
 .about .wide { padding: 6px 12px; text-align: left; overflow-wrap: anywhere; }
-.about, .card { flex: 0 1 auto; position: relative; align-self: flex-start; padding-right: 48px; }
+.about, .card { flex: 0 1 auto; position: relative; align-self: flex-start; }
+:is(.about, .card) h2 { padding-right: 36px; }
+:has(.about:not([hidden])) > .overlay > .caption { visibility: hidden; }
 :is(.about, .card) .close { position: absolute; right: 6px; top: 6px; font-size: 20px; line-height: 1; }
 .pin { position: absolute; left: -13px; top: -13px; min-width: 26px; height: 26px; padding: 0 6px; border: 2px solid #fff; border-radius: 13px; background: #16181dd9; color: #fff;
   font-size: 13px; line-height: 1; pointer-events: auto; cursor: pointer; box-shadow: 0 1px 5px #0008; }

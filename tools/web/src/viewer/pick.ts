@@ -2,8 +2,8 @@ import { fromHalf } from "../scene/half_floats.js";
 import { DEFAULT_RANGES, unpackSplats } from "../scene/packed_splats.js";
 import type { Vector } from "./orbit.js";
 
-/** Rows evaluated at most: more take longer than a click may. Of larger scenes an even sample stands for all rows. */
-const MOST_ROWS = 2_000_000;
+/** Rows evaluated at most, which take some 15 ms. Of larger scenes an even sample stands for all rows. */
+const MOST_ROWS = 1_000_000;
 /** Extent of a splat that can matter, standard deviations. */
 const REACH = 3;
 /** Least opacity of splats, in 1/255, that count. */
