@@ -195,11 +195,13 @@ class Killer:
         self._prepared = base / "prepared"
         self._prepared.mkdir()
         self._prepare()
-        folder, scratch = self._folders()
-        start = time.monotonic()
-        code = forked(self._words(folder), folder, scratch, None, self._sessions)
-        self.seconds = time.monotonic() - start
-        assert code == 0, Path(f"{scratch}.txt").read_text()
+        # The second run is timed: kernels that processes of the first compile are on disk by then.
+        for _ in range(2):
+            folder, scratch = self._folders()
+            start = time.monotonic()
+            code = forked(self._words(folder), folder, scratch, None, self._sessions)
+            self.seconds = time.monotonic() - start
+            assert code == 0, Path(f"{scratch}.txt").read_text()
         self.expected = digests(folder, self.command.outputs)
         assert set(self.expected) == set(self.command.outputs)
 
