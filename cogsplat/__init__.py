@@ -38,6 +38,7 @@ from .formats.cogs.description import (
     PathStop,
     Picture,
 )
+from .formats.cogs.description_json import read_description
 from .formats.cogs.folder_writer import Unpacked
 from .formats.cogs.open_file import open_scene, with_open_scene
 from .formats.cogs.packing import pack, unpack
@@ -98,6 +99,7 @@ __all__ = [
     "pack",
     "read",
     "read_cameras",
+    "read_description",
     "render",
     "score",
     "tune",

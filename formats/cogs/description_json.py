@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from cogsplat.codec.errors import CogsplatError, DataError, FormatError
-from cogsplat.formats.storage.atomic import open_for_read, storage_errors
+from cogsplat.formats.storage.atomic import StrPath, open_for_read, storage_errors
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.strict_json import parse_object
 
@@ -32,12 +32,12 @@ def to_json(description: Description) -> dict[str, Value]:
     return description_map(description)
 
 
-def read_description(path: Path, *, limits: Limits | None = None) -> Description:
-    """Read a description from a JSON file.
+def read_description(path: StrPath, *, limits: Limits | None = None) -> Description:
+    """Read a description from a JSON file, which has the keys of SPEC 5.13.
 
     Parameters
     ----------
-    path : Path
+    path : path
         JSON file; paths of pictures in it are relative to its folder.
     limits : Limits, optional
         Memory limits.
@@ -52,8 +52,16 @@ def read_description(path: Path, *, limits: Limits | None = None) -> Description
         ``json-too-long``.
     StorageError
         The file or a picture cannot be read.
+
+    Examples
+    --------
+    >>> import cogsplat
+    >>> from pathlib import Path
+    >>> size = Path("garden.json").write_text('{"title": "Garden", "metres_per_unit": 2}')
+    >>> cogsplat.read_description("garden.json").title
+    'Garden'
     """
-    return from_json(read_object(path, limits=limits), path)
+    return from_json(read_object(Path(path), limits=limits), Path(path))
 
 
 def read_object(path: Path, *, limits: Limits | None = None) -> dict[str, object]:
