@@ -47,6 +47,7 @@ await build({
     viewer_worker: "build/src/viewer/viewer_worker.js",
     spark: "build/src/adapters/spark.js",
     playcanvas: "build/src/adapters/playcanvas.js",
+    babylon: "build/src/adapters/babylon.js",
   },
   external,
   define: { DECODER_TEXT: "undefined" },
@@ -54,10 +55,15 @@ await build({
 // For bundlers: the workers' programs are in the modules too.
 await build({
   ...modules,
-  entryPoints: { cogsplat: "build/src/index.js", element: "build/src/viewer/package_entry.js" },
+  entryPoints: {
+    cogsplat: "build/src/index.js",
+    element: "build/src/viewer/package_entry.js",
+    three: "build/src/adapters/three.js",
+  },
   define: {
     DECODER_TEXT: await programText("build/src/workers/worker.js"),
     VIEWER_TEXT: await programText("build/src/viewer/viewer_worker.js"),
+    SORT_TEXT: await programText("build/src/viewer/sort_worker.js"),
   },
   external,
 });
@@ -74,7 +80,7 @@ await build({
 for (const file of ["viewer.html", "viewer.css"]) copyFileSync(`viewer/${file}`, `${folder}/${file}`);
 const SIZED = [
   ...["cogsplat", "folders", "visit", "worker", "viewer", "viewer_extras", "viewer_worker", "element"],
-  ...["spark", "playcanvas"],
+  ...["three", "spark", "playcanvas", "babylon"],
 ];
 for (const file of SIZED.map((name) => `${name}.js`)) {
   const bytes = readFileSync(`${folder}/${file}`);

@@ -46,8 +46,6 @@ export {
 export { PrefixCompensation } from "./scene/prefix_compensation.js";
 export { type FileOptions, SceneFile } from "./scene/scene_file.js";
 export { concatenate, type Splats } from "./scene/splats.js";
-export type { TexelArray, TexelLayout, Texels, TexelWidth } from "./scene/texel_layouts.js";
-export { makeTexelArrays, texelWidths, writeTexels } from "./scene/texels.js";
 export {
   type ChunkFormat,
   type ChunkService,

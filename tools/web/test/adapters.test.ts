@@ -8,14 +8,13 @@ import {
 } from "../src/adapters/playcanvas.js";
 import { sortBehindCameras } from "../src/adapters/playcanvas_sorting.js";
 import { toPly } from "../src/adapters/ply.js";
-import { drawBySpec as drawSparkBySpec, type SparkExtSplats, streamToSpark } from "../src/adapters/spark.js";
-import { originPosition } from "../src/adapters/texel_stream.js";
+import { originPosition } from "../src/adapters/row_stream.js";
+import { drawBySpec as drawSparkBySpec, type SparkSplats, streamToSpark } from "../src/adapters/spark.js";
 import { loadKernels } from "../src/kernels/load.js";
 import { StreamedScene } from "../src/loader/streamed_scene.js";
+import { DEFAULT_RANGES, unpackSplats } from "../src/scene/packed_splats.js";
 import { SceneFile } from "../src/scene/scene_file.js";
-import { concatenate } from "../src/scene/splats.js";
-import type { TexelArray, TexelLayout } from "../src/scene/texel_layouts.js";
-import { packTexels } from "../src/scene/texels.js";
+import { concatenate, type Splats } from "../src/scene/splats.js";
 import { vectorBytes } from "./vectors.js";
 
 const kernels = await loadKernels();
@@ -62,9 +61,9 @@ test("axes become matrices and rotations", () => {
   assert.throws(() => axesRotation("LDF"), RangeError);
 });
 
-const LAYOUTS: readonly TexelLayout[] = ["spark", "playcanvas"];
+type Renderer = "spark" | "playcanvas";
 
-for (const layout of LAYOUTS) {
+for (const layout of ["spark", "playcanvas"] as const) {
   test(`${layout}: a whole scene is uploaded as its chunks decode`, async () => {
     const bytes = vectorBytes("valid", "chunks");
     const scene = await StreamedScene.open(new Blob([new Uint8Array(bytes)]));
@@ -72,10 +71,7 @@ for (const layout of LAYOUTS) {
     const { arrays, done } = start(layout, scene, { uploadInterval: 0, onUpload: (rows) => uploads.push(rows) });
     await done;
     const file = new SceneFile(bytes, kernels());
-    const whole = packTexels(layout, file.decode());
-    whole.arrays.forEach((array, i) => {
-      assert.deepEqual(arrays[i]!.subarray(0, array.length), array, `texture ${i}`);
-    });
+    assertNear(arrays, file.decode());
     assert.equal(uploads.at(-1), scene.info.splats);
   });
 
@@ -83,7 +79,7 @@ for (const layout of LAYOUTS) {
     const bytes = vectorBytes("valid", "compensation");
     const scene = await StreamedScene.open(new Blob([new Uint8Array(bytes)]));
     const file = new SceneFile(bytes, kernels());
-    const seen: { prefix: number; arrays: TexelArray[] }[] = [];
+    const seen: { prefix: number; arrays: Uint32Array[] }[] = [];
     let rows = 0;
     const { arrays, done } = start(layout, scene, {
       uploadInterval: 0,
@@ -103,12 +99,7 @@ for (const layout of LAYOUTS) {
         file.compensate(splats, chunk, prefix);
         return splats;
       });
-      const expected = packTexels(layout, concatenate(chunks, scene.info.shDegree));
-      // Shifts are added to half floats, so two roundings may differ by a step of the last bit.
-      expected.arrays.forEach((array, i) => {
-        const apart = array.findIndex((value, at) => halvesApart(value, then[i]![at]!) > 2);
-        assert.equal(apart, -1, `texture ${i} of ${prefix} chunks, element ${apart}`);
-      });
+      assertNear(then, concatenate(chunks, scene.info.shDegree));
     }
   });
 
@@ -199,21 +190,36 @@ test("scenes with other origins are placed beside each other", async () => {
   });
 });
 
-/** Return the largest difference of two words in half-float steps; words without half floats differ as integers. */
-function halvesApart(a: number, b: number): number {
-  return Math.max(Math.abs((a & 0xffff) - (b & 0xffff)), Math.abs((a >>> 16) - (b >>> 16)));
+/** Assert that packed rows are the splats, within the steps of their codes; shifts are rounded to steps as well. */
+function assertNear(arrays: readonly Uint32Array[], expected: Splats): void {
+  const { count } = expected;
+  const [words, ...sh] = arrays as [Uint32Array, ...Uint32Array[]];
+  const found = unpackSplats({ count, words: words.subarray(0, 4 * count), sh, ranges: DEFAULT_RANGES });
+  const near = (a: ArrayLike<number>, b: Float32Array, step: number, what: string): void => {
+    const apart = Array.from(b).findIndex((value, i) => !(Math.abs(a[i]! - value) <= step));
+    assert.equal(apart, -1, `${what} ${apart}: ${a[apart]} for ${b[apart]}`);
+  };
+  const unit = (logits: Float32Array): Float32Array => logits.map((logit) => 1 / (1 + Math.exp(-logit)));
+  near(found.means, expected.means, 0.01, "mean");
+  near(
+    found.scales,
+    expected.scales.map((scale) => Math.min(Math.max(scale, -12), 9)),
+    21 / 254,
+    "scale",
+  );
+  near(unit(found.opacities), unit(expected.opacities), 1 / 128, "opacity");
 }
 
 /** Stream into a renderer that keeps what it is given. */
-function start(layout: TexelLayout, scene: StreamedScene, options: PlayCanvasOptions) {
+function start(layout: Renderer, scene: StreamedScene, options: PlayCanvasOptions) {
   let disposed = 0;
   const drawn: number[] = [];
   if (layout === "spark") {
-    class ExtSplats {
+    class PackedSplats {
       numSplats = 0;
-      readonly textures = [{ needsUpdate: false }, { needsUpdate: false }];
+      needsUpdate = false;
       readonly extra: Record<string, unknown>;
-      constructor(readonly options: { extArrays: [Uint32Array, Uint32Array]; extra: Record<string, unknown> }) {
+      constructor(readonly options: { packedArray: Uint32Array; extra: Record<string, unknown> }) {
         this.extra = options.extra;
       }
       dispose(): void {
@@ -224,40 +230,35 @@ function start(layout: TexelLayout, scene: StreamedScene, options: PlayCanvasOpt
       numSplats = 0;
       readonly quaternion = { set: () => undefined };
       readonly position = { set: () => undefined };
-      readonly splats: ExtSplats;
-      constructor({ extSplats }: { extSplats: SparkExtSplats }) {
-        this.splats = extSplats as ExtSplats;
+      readonly splats: PackedSplats;
+      constructor({ packedSplats }: { packedSplats: SparkSplats }) {
+        this.splats = packedSplats as PackedSplats;
       }
       updateVersion(): void {
         assert.equal(this.numSplats, this.splats.numSplats);
-        assert.ok(this.splats.textures.every(({ needsUpdate }) => needsUpdate));
+        assert.ok(this.splats.needsUpdate);
       }
       dispose(): void {
         disposed++;
       }
     }
-    const { mesh, done, dispose } = streamToSpark(scene, { ExtSplats, SplatMesh }, options);
-    const bands = ["sh1", "sh2", "sh3a", "sh3b"].map((name) => mesh.splats.extra[name] as Uint32Array | undefined);
-    const arrays = [...mesh.splats.options.extArrays, ...bands].filter((array) => array !== undefined) as TexelArray[];
+    const { mesh, done, dispose } = streamToSpark(scene, { PackedSplats, SplatMesh }, options);
+    const bands = ["sh1", "sh2", "sh3"].map((name) => mesh.splats.extra[name] as Uint32Array | undefined);
+    const arrays = [mesh.splats.options.packedArray, ...bands].filter((array) => array !== undefined);
     assert.ok(
-      arrays.every((array) => array.length % (4 * 2048) === 0),
+      arrays.every((array, i) => array.length % ((i === 1 ? 2 : 4) * 2048) === 0),
       "whole lines of Spark's textures",
     );
     return { arrays, done, dispose, disposed: () => disposed === 2, drawn, centers: new Float32Array() };
   }
-  const textures = new Map<string, TexelArray>();
+  const textures = new Map<string, Uint32Array>();
   class GSplatContainer {
     readonly centers: Float32Array;
     readonly gsplatData: { shBands?: number } = {};
     readonly aabb = { center: { set: () => undefined }, halfExtents: { set: () => undefined } };
     constructor(_device: string, splats: number, format: GSplatFormat) {
       this.centers = new Float32Array(3 * splats);
-      for (const { name, format: pixels } of format.streams) {
-        textures.set(
-          name,
-          pixels === 16 ? new Uint16Array(4 * splats) : new Uint32Array((pixels === 1 ? 1 : 4) * splats),
-        );
-      }
+      for (const { name, format: words } of format.streams) textures.set(name, new Uint32Array(words * splats));
     }
     getTexture(name: string) {
       return { lock: () => textures.get(name)!, unlock: () => undefined };
@@ -279,7 +280,7 @@ function start(layout: TexelLayout, scene: StreamedScene, options: PlayCanvasOpt
       readonly streams: { name: string; format: number }[],
     ) {}
   }
-  const pc = { GSplatContainer, GSplatFormat, PIXELFORMAT_RGBA16F: 16, PIXELFORMAT_RGBA32U: 4, PIXELFORMAT_R32U: 1 };
+  const pc = { GSplatContainer, GSplatFormat, PIXELFORMAT_RGBA32U: 4, PIXELFORMAT_RG32U: 2 };
   const shown = streamToPlayCanvas<string, GSplatContainer>(scene, pc as never, "device", options);
   const defines = new Map<string, string>();
   shown.resource.configureMaterialDefines(defines);

@@ -11,7 +11,7 @@ import { buffersOf } from "../src/workers/messages.js";
 import { manifest, sha256, vectorBytes } from "./vectors.js";
 
 const kernels = await loadKernels();
-const FORMATS: readonly ChunkFormat[] = ["splats", "packed", "spark", "playcanvas"];
+const FORMATS: readonly ChunkFormat[] = ["splats", "packed"];
 const PLENTY = 2 ** 30;
 
 /** A service that notes its tasks. */

@@ -4,22 +4,23 @@
  * @packageDocumentation
  */
 import type { StreamedScene } from "../loader/streamed_scene.js";
-import { texelWidths } from "../scene/texels.js";
+import { DEFAULT_RANGES, LOG_SCALE_MAX, LOG_SCALE_MIN, packedMeans, SH_WORDS } from "../scene/packed_splats.js";
 import { axesRotation } from "./axes.js";
+import { PackedRows } from "./packed_rows.js";
 import { type PlayCanvasApplication, sortBehindCameras } from "./playcanvas_sorting.js";
-import { editShader, glslFloat } from "./shader_edits.js";
 import {
   type AdapterOptions,
   type AdapterStream,
   followingAbort,
   originPosition,
-  sceneArrays,
-  streamTexels,
+  type RowTarget,
+  streamRows,
   wantedDegree,
-} from "./texel_stream.js";
+} from "./row_stream.js";
+import { editShader, glslFloat } from "./shader_edits.js";
 
 export type { PlayCanvasApplication } from "./playcanvas_sorting.js";
-export type { AdapterOptions, AdapterStream } from "./texel_stream.js";
+export type { AdapterOptions, AdapterStream } from "./row_stream.js";
 
 /** Options of a stream into PlayCanvas. */
 export interface PlayCanvasOptions extends AdapterOptions {
@@ -66,9 +67,8 @@ export interface PlayCanvasModule<D, C extends PlayCanvasContainer> {
     options: { readGLSL: string; readWGSL: string },
   ) => unknown;
   readonly GSplatContainer: new (device: D, maxSplats: number, format: never) => C;
-  readonly PIXELFORMAT_RGBA16F: number;
+  readonly PIXELFORMAT_RG32U: number;
   readonly PIXELFORMAT_RGBA32U: number;
-  readonly PIXELFORMAT_R32U: number;
 }
 
 /** A scene in PlayCanvas. */
@@ -162,53 +162,106 @@ export function drawBySpec(
 /** Number of distinct splat counts for uploads; at four uploads per second they last four minutes. */
 const SPARE_ROWS = 1024;
 
-/** Splat access of the engine's shader; its code for uncompressed splats reads the bands. */
+/** Ranges of the codes, as literals of either shader language. */
+const COLOUR_RANGE = `${glslFloat(DEFAULT_RANGES.rgbMax - DEFAULT_RANGES.rgbMin)} + ${glslFloat(DEFAULT_RANGES.rgbMin)}`;
+const SCALE_STEP = (LOG_SCALE_MAX - LOG_SCALE_MIN) / 254;
+const SCALE_RANGE = `${SCALE_STEP} + ${LOG_SCALE_MIN - SCALE_STEP}`;
+const SH_RANGE = glslFloat(DEFAULT_RANGES.shRange);
+
+/** Splat access of the engine's shader, for the words of `PackedSplats`. */
 const READ_GLSL = `
-uint cogsRotation;
-vec4 cogsScale;
+uvec4 cogsWords;
 vec3 getCenter() {
-  uvec4 transform = loadTransformA();
-  cogsRotation = transform.w;
-  cogsScale = loadTransformB();
-  return uintBitsToFloat(transform.xyz);
+  cogsWords = loadCogsSplats();
+  return vec3(unpackHalf2x16(cogsWords.y), unpackHalf2x16(cogsWords.z & 0xffffu).x);
 }
-vec4 getColor() { return loadDcColor(); }
-vec3 getScale() { return cogsScale.xyz; }
+vec3 cogsBytes(uint word) { return vec3((uvec3(word) >> uvec3(0u, 8u, 16u)) & 255u); }
+vec4 getColor() { return vec4(cogsBytes(cogsWords.x) / 255.0 * ${COLOUR_RANGE}, float(cogsWords.x >> 24u) / 255.0); }
+vec3 getScale() { return exp(cogsBytes(cogsWords.w) * ${SCALE_RANGE}); }
 vec4 getRotation() {
-  vec3 s = (vec3((uvec3(cogsRotation) >> uvec3(0u, 10u, 20u)) & 1023u) / 511.5 - 1.0) * 0.70710678;
-  float rest = sqrt(max(0.0, 1.0 - dot(s, s)));
-  uint largest = cogsRotation >> 30u;
-  if (largest == 0u) return vec4(rest, s);
-  if (largest == 1u) return vec4(s.x, rest, s.yz);
-  return largest == 2u ? vec4(s.xy, rest, s.z) : vec4(s, rest);
+  vec2 f = vec2((uvec2(cogsWords.z) >> uvec2(16u, 24u)) & 255u) / 127.5 - 1.0;
+  vec3 axis = vec3(f, 1.0 - abs(f.x) - abs(f.y));
+  float fold = max(-axis.z, 0.0);
+  axis.x += axis.x >= 0.0 ? -fold : fold;
+  axis.y += axis.y >= 0.0 ? -fold : fold;
+  float turn = float(cogsWords.w >> 24u) * (3.14159265 / 510.0);
+  return vec4(cos(turn), normalize(axis) * sin(turn));
 }
-#include "gsplatUncompressedSHVS"
+#if SH_BANDS > 0
+float cogsCode(uvec4 words, int at, int bits) {
+  int word = at >> 5;
+  int shift = at & 31;
+  uint value = words[word] >> shift;
+  if (shift + bits > 32) value |= words[word + 1] << (32 - shift);
+  return float(int(value << (32 - bits)) >> (32 - bits));
+}
+vec3 cogsCoefficient(uvec4 words, int k, int bits) {
+  return vec3(cogsCode(words, 3 * k * bits, bits), cogsCode(words, (3 * k + 1) * bits, bits), cogsCode(words, (3 * k + 2) * bits, bits));
+}
+void readSHData(out vec3 sh[SH_COEFFS], out float scale) {
+  uvec4 words = loadCogsSh1();
+  for (int k = 0; k < 3; k++) sh[k] = cogsCoefficient(words, k, 7) / 63.0;
+  #if SH_BANDS > 1
+    words = loadCogsSh2();
+    for (int k = 0; k < 5; k++) sh[3 + k] = cogsCoefficient(words, k, 8) / 127.0;
+  #endif
+  #if SH_BANDS > 2
+    words = loadCogsSh3();
+    for (int k = 0; k < 7; k++) sh[8 + k] = cogsCoefficient(words, k, 6) / 31.0;
+  #endif
+  scale = ${SH_RANGE};
+}
+#endif
 `;
 const READ_WGSL = `
-var<private> cogsRotation: u32;
-var<private> cogsScale: vec4f;
+var<private> cogsWords: vec4<u32>;
 fn getCenter() -> vec3f {
-  let transform: vec4<u32> = loadTransformA();
-  cogsRotation = transform.w;
-  cogsScale = loadTransformB();
-  return bitcast<vec3f>(transform.xyz);
+  cogsWords = loadCogsSplats();
+  return vec3f(unpack2x16float(cogsWords.y), unpack2x16float(cogsWords.z & 0xffffu).x);
 }
-fn getColor() -> vec4f { return loadDcColor(); }
-fn getScale() -> vec3f { return cogsScale.xyz; }
+fn cogsBytes(word: u32) -> vec3f { return vec3f((vec3<u32>(word) >> vec3<u32>(0u, 8u, 16u)) & vec3<u32>(255u)); }
+fn getColor() -> vec4f { return vec4f(cogsBytes(cogsWords.x) / 255.0 * ${COLOUR_RANGE}, f32(cogsWords.x >> 24u) / 255.0); }
+fn getScale() -> vec3f { return exp(cogsBytes(cogsWords.w) * ${SCALE_RANGE}); }
 fn getRotation() -> vec4f {
-  let s = (vec3f((vec3u(cogsRotation) >> vec3u(0u, 10u, 20u)) & vec3u(1023u)) / 511.5 - 1.0) * 0.70710678;
-  let rest = sqrt(max(0.0, 1.0 - dot(s, s)));
-  let largest = cogsRotation >> 30u;
-  if (largest == 0u) { return vec4f(rest, s); }
-  if (largest == 1u) { return vec4f(s.x, rest, s.yz); }
-  if (largest == 2u) { return vec4f(s.xy, rest, s.z); }
-  return vec4f(s, rest);
+  let f = vec2f((vec2<u32>(cogsWords.z) >> vec2<u32>(16u, 24u)) & vec2<u32>(255u)) / 127.5 - 1.0;
+  let up = 1.0 - abs(f.x) - abs(f.y);
+  let fold = max(-up, 0.0);
+  let axis = vec3f(f.x + select(fold, -fold, f.x >= 0.0), f.y + select(fold, -fold, f.y >= 0.0), up);
+  let turn = f32(cogsWords.w >> 24u) * (3.14159265 / 510.0);
+  return vec4f(cos(turn), normalize(axis) * sin(turn));
 }
-#include "gsplatUncompressedSHVS"
+#if SH_BANDS > 0
+fn cogsCode(words: vec4<u32>, at: u32, bits: u32) -> f32 {
+  let word = at >> 5u;
+  let shift = at & 31u;
+  var value = words[word] >> shift;
+  if (shift + bits > 32u) { value = value | (words[word + 1u] << (32u - shift)); }
+  return f32(bitcast<i32>(value << (32u - bits)) >> (32u - bits));
+}
+fn cogsCoefficient(words: vec4<u32>, k: u32, bits: u32) -> vec3f {
+  return vec3f(cogsCode(words, 3u * k * bits, bits), cogsCode(words, (3u * k + 1u) * bits, bits), cogsCode(words, (3u * k + 2u) * bits, bits));
+}
+fn readSHData(sh: ptr<function, array<half3, SH_COEFFS>>, scale: ptr<function, f32>) {
+  let first = loadCogsSh1();
+  for (var k = 0u; k < 3u; k++) { sh[k] = half3(cogsCoefficient(first, k, 7u) / 63.0); }
+  #if SH_BANDS > 1
+    let second = loadCogsSh2();
+    for (var k = 0u; k < 5u; k++) { sh[3u + k] = half3(cogsCoefficient(second, k, 8u) / 127.0); }
+  #endif
+  #if SH_BANDS > 2
+    let third = loadCogsSh3();
+    for (var k = 0u; k < 7u; k++) { sh[8u + k] = half3(cogsCoefficient(third, k, 6u) / 31.0); }
+  #endif
+  *scale = ${SH_RANGE};
+}
+#endif
 `;
 
 /**
  * Stream a scene, with all SH bands, into a resource of PlayCanvas.
+ *
+ * Splats take 16 bytes each in the textures of the resource, and 40 for the bands of degree 3; the engine copies what it
+ * draws into textures of its own.
  *
  * @param pc - The module `playcanvas`, 2.23 or a later 2.
  * @param device - Graphics device of the application.
@@ -234,22 +287,27 @@ export function streamToPlayCanvas<D, C extends PlayCanvasContainer>(
   device: D,
   options: PlayCanvasOptions = {},
 ): PlayCanvasScene<C> {
+  const { info } = scene;
   const degree = wantedDegree(scene, options);
-  const widths = texelWidths("playcanvas", degree);
-  const arrays = sceneArrays(scene, "playcanvas", degree);
-  const streams = widths.map(({ name, width, bytes }) => ({
+  const rows = new PackedRows(info.splats, degree);
+  // The engine chooses the width of its textures.
+  const textures = [rows.words.subarray(0, 4 * info.splats)].concat(
+    rows.bands.map((band, i) => band.subarray(0, SH_WORDS[i]! * info.splats)),
+  );
+  const names = ["cogsSplats", "cogsSh1", "cogsSh2", "cogsSh3"].slice(0, textures.length);
+  const streams = names.map((name, i) => ({
     name,
-    format: bytes === 2 ? pc.PIXELFORMAT_RGBA16F : width === 1 ? pc.PIXELFORMAT_R32U : pc.PIXELFORMAT_RGBA32U,
+    format: i === 1 ? pc.PIXELFORMAT_RG32U : pc.PIXELFORMAT_RGBA32U,
   }));
   const format = new pc.GSplatFormat(device, streams, { readGLSL: READ_GLSL, readWGSL: READ_WGSL });
   const leastRows = options.leastRows ?? 0;
-  const most = Math.max(scene.info.splats, leastRows) + SPARE_ROWS - 1;
+  const most = Math.max(info.splats, leastRows) + SPARE_ROWS - 1;
   const resource = new pc.GSplatContainer(device, most, format as never);
   // A container draws splats without bands unless its material defines them, and updates view-dependent colour only
   // where its data declares bands.
   resource.configureMaterialDefines = (defines) => defines.set("SH_BANDS", String(degree));
   resource.gsplatData.shBands = degree;
-  const { box } = scene.info;
+  const { box } = info;
   const [center, half] = [
     [0, 1, 2].map((i) => (box[i]! + box[i + 3]!) / 2),
     [0, 1, 2].map((i) => (box[i + 3]! - box[i]!) / 2),
@@ -265,19 +323,13 @@ export function streamToPlayCanvas<D, C extends PlayCanvasContainer>(
   const redraw = (rows: number, centersUpdated: boolean): void =>
     resource.update(rows + (uploads++ % SPARE_ROWS), centersUpdated);
   let drawn = 0;
-  const transformA = arrays[1]!;
-  const means = new Float32Array(transformA.buffer, transformA.byteOffset, transformA.length);
-  const upload = (rows: number): void => {
-    widths.forEach(({ name }, i) => {
+  const upload = (count: number): void => {
+    names.forEach((name, i) => {
       const texture = resource.getTexture(name)!;
-      texture.lock().set(arrays[i]!);
+      texture.lock().set(textures[i]!);
       texture.unlock();
     });
-    const { centers } = resource;
-    for (let row = 0; row < rows; row++) {
-      for (let axis = 0; axis < 3; axis++) centers[3 * row + axis] = means[4 * row + axis]!;
-    }
-    drawn = Math.max(rows, leastRows);
+    drawn = Math.max(count, leastRows);
     redraw(drawn, true);
   };
   const { application } = options;
@@ -287,10 +339,18 @@ export function streamToPlayCanvas<D, C extends PlayCanvasContainer>(
       if (drawn > 0) redraw(drawn, false);
     });
   const abort = followingAbort(options.signal);
-  const done = streamTexels(scene, "playcanvas", { arrays, upload }, options, abort.signal);
+  const target: RowTarget = {
+    format: "packed",
+    write(update, shifts): void {
+      rows.write(update, shifts);
+      resource.centers.set(packedMeans(update.packed!), 3 * update.firstRow);
+    },
+    upload,
+  };
+  const done = streamRows(scene, target, options, abort.signal);
   return {
     resource,
-    rotation: axesRotation(scene.info.axes),
+    rotation: axesRotation(info.axes),
     position: originPosition(scene, options),
     done,
     dispose(): void {

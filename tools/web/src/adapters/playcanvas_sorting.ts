@@ -1,7 +1,9 @@
 /** Part of a PlayCanvas application that `sortBehindCameras` uses. */
 export interface PlayCanvasApplication {
   readonly scene: PlayCanvasEvents;
-  readonly systems: { readonly camera?: { readonly cameras: readonly { readonly entity: PlayCanvasNode }[] } };
+  readonly systems: {
+    readonly camera?: { readonly cameras: readonly { readonly entity: PlayCanvasNode }[] } | undefined;
+  };
   on(name: "frameend", told: () => void): PlayCanvasHandle;
 }
 

@@ -4,24 +4,26 @@
  * @packageDocumentation
  */
 import type { StreamedScene } from "../loader/streamed_scene.js";
+import { DEFAULT_RANGES, LOG_SCALE_MAX, LOG_SCALE_MIN } from "../scene/packed_splats.js";
 import { axesRotation } from "./axes.js";
-import { editShader } from "./shader_edits.js";
+import { PackedRows } from "./packed_rows.js";
 import {
   type AdapterOptions,
   type AdapterStream,
   followingAbort,
   originPosition,
-  sceneArrays,
-  streamTexels,
+  type RowTarget,
+  streamRows,
   wantedDegree,
-} from "./texel_stream.js";
+} from "./row_stream.js";
+import { editShader } from "./shader_edits.js";
 
-export type { AdapterOptions, AdapterStream } from "./texel_stream.js";
+export type { AdapterOptions, AdapterStream } from "./row_stream.js";
 
-/** Part of Spark's `ExtSplats` that the adapter uses. */
-export interface SparkExtSplats {
+/** Part of Spark's `PackedSplats` that the adapter uses. */
+export interface SparkSplats {
   numSplats: number;
-  readonly textures: readonly { needsUpdate: boolean }[];
+  needsUpdate: boolean;
   readonly extra: Record<string, unknown>;
   dispose(): void;
 }
@@ -36,13 +38,9 @@ export interface SparkMesh {
 }
 
 /** Classes of `@sparkjsdev/spark` that the adapter instantiates. */
-export interface SparkModule<M extends SparkMesh> {
-  readonly ExtSplats: new (options: {
-    extArrays: [Uint32Array, Uint32Array];
-    numSplats: number;
-    extra: Record<string, unknown>;
-  }) => SparkExtSplats;
-  readonly SplatMesh: new (options: { extSplats: SparkExtSplats }) => M;
+export interface SparkModule {
+  readonly PackedSplats: new (options: never) => SparkSplats;
+  readonly SplatMesh: new (options: never) => SparkMesh;
 }
 
 /** A scene in Spark. */
@@ -105,9 +103,7 @@ export function drawBySpec(renderer: SparkSettings, { info }: Pick<StreamedScene
   return true;
 }
 
-/** Width of Spark's textures, splats; they consist of whole lines. */
-const TEXTURE_WIDTH = 2048;
-const BANDS = ["sh1", "sh2", "sh3a", "sh3b"] as const;
+const BANDS = ["sh1", "sh2", "sh3"] as const;
 
 /**
  * Stream a scene into a mesh of Spark (three.js).
@@ -116,10 +112,10 @@ const BANDS = ["sh1", "sh2", "sh3a", "sh3b"] as const;
  * replace their rows. Missing rows are transparent, and the others compensate for them (SPEC 8.5) unless `compensate`
  * is false.
  *
- * The upload, in Spark's `ExtSplats`, keeps SPEC 8.6. Spark packs all splats of a picture again before drawing, more
- * coarsely unless its renderer is made with `accumExtSplats`.
+ * The splats are Spark's `PackedSplats`, 16 bytes each and 40 for the bands of degree 3. Spark packs all splats of a
+ * picture again before drawing, more coarsely unless its renderer is made with `accumExtSplats`.
  *
- * @param spark - The module `@sparkjsdev/spark`, 2.1 or later.
+ * @param spark - The module `@sparkjsdev/spark`, 2.2 or later.
  *
  * @example
  * ```ts
@@ -133,33 +129,39 @@ const BANDS = ["sh1", "sh2", "sh3a", "sh3b"] as const;
  * await done;
  * ```
  */
-export function streamToSpark<M extends SparkMesh>(
+export function streamToSpark<K extends SparkModule>(
   scene: StreamedScene,
-  spark: SparkModule<M>,
+  spark: K,
   options: AdapterOptions = {},
-): SparkScene<M> {
-  const degree = wantedDegree(scene, options);
-  const lines = Math.max(1, Math.ceil(scene.info.splats / TEXTURE_WIDTH));
-  const arrays = sceneArrays(scene, "spark", degree).map((array) => {
-    // Whole lines, because Spark drops partial ones.
-    const whole = new Uint32Array(4 * TEXTURE_WIDTH * lines);
-    return array.length === whole.length ? (array as Uint32Array<ArrayBuffer>) : whole;
-  });
-  const [centers, shapes, ...bands] = arrays as [Uint32Array, Uint32Array, ...Uint32Array[]];
-  const extra = Object.fromEntries(bands.map((band, i) => [BANDS[i]!, band]));
-  const splats = new spark.ExtSplats({ extArrays: [centers, shapes], numSplats: 0, extra });
-  const mesh = new spark.SplatMesh({ extSplats: splats });
+): SparkScene<InstanceType<K["SplatMesh"]>> {
+  // Whole lines, because Spark drops partial ones.
+  const rows = new PackedRows(scene.info.splats, wantedDegree(scene, options));
+  const { rgbMin, rgbMax, shRange } = DEFAULT_RANGES;
+  const splats = new spark.PackedSplats({
+    packedArray: rows.words,
+    numSplats: 0,
+    extra: Object.fromEntries(rows.bands.map((band, i) => [BANDS[i]!, band])),
+    splatEncoding: {
+      ...{ rgbMin, rgbMax, lnScaleMin: LOG_SCALE_MIN, lnScaleMax: LOG_SCALE_MAX },
+      ...{ sh1Max: shRange, sh2Max: shRange, sh3Max: shRange },
+    },
+  } as never);
+  const mesh = new spark.SplatMesh({ packedSplats: splats } as never) as InstanceType<K["SplatMesh"]>;
   mesh.quaternion.set(...axesRotation(scene.info.axes));
   mesh.position.set(...originPosition(scene, options));
-  const upload = (rows: number): void => {
-    splats.numSplats = rows;
-    mesh.numSplats = rows;
-    for (const texture of splats.textures) texture.needsUpdate = true;
-    for (const name of BANDS) refreshTexture(splats.extra[TEXTURES[name]]);
-    mesh.updateVersion();
+  const target: RowTarget = {
+    format: "packed",
+    write: (update, shifts) => rows.write(update, shifts),
+    upload(count: number): void {
+      splats.numSplats = count;
+      mesh.numSplats = count;
+      splats.needsUpdate = true;
+      for (const name of BANDS) refreshTexture(splats.extra[`${name}Texture`]);
+      mesh.updateVersion();
+    },
   };
   const abort = followingAbort(options.signal);
-  const done = streamTexels(scene, "spark", { arrays, upload }, options, abort.signal);
+  const done = streamRows(scene, target, options, abort.signal);
   return {
     mesh,
     done,
@@ -170,9 +172,6 @@ export function streamToSpark<M extends SparkMesh>(
     },
   };
 }
-
-/** Names of the band textures in Spark. */
-const TEXTURES = { sh1: "sh1Texture", sh2: "sh2Texture", sh3a: "sh3TextureA", sh3b: "sh3TextureB" } as const;
 
 /** Mark a band texture for upload; it exists once Spark has drawn. */
 function refreshTexture(texture: unknown): void {

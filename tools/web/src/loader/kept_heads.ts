@@ -1,4 +1,3 @@
-import { headTextures } from "../scene/texels.js";
 import type { BandArray, DecodedChunk } from "../workers/decode_task.js";
 
 /**
@@ -40,15 +39,14 @@ export class KeptHeads {
 }
 
 /** Combine a kept head and its decoded bands. */
-export function withBands({ splats, packed, texels }: DecodedChunk, bands: readonly BandArray[]): DecodedChunk {
+export function withBands({ splats, packed }: DecodedChunk, bands: readonly BandArray[]): DecodedChunk {
   return {
     ...(splats && { splats: { ...splats, shN: bands[0] as Float32Array } }),
     ...(packed && { packed: { ...packed, sh: bands as readonly Uint32Array[] } }),
-    ...(texels && { texels: { ...texels, arrays: [...texels.arrays, ...(bands as typeof texels.arrays)] } }),
   };
 }
 
-function copyHead({ splats, packed, texels }: DecodedChunk): DecodedChunk {
+function copyHead({ splats, packed }: DecodedChunk): DecodedChunk {
   return {
     ...(splats && {
       splats: {
@@ -62,17 +60,13 @@ function copyHead({ splats, packed, texels }: DecodedChunk): DecodedChunk {
       },
     }),
     ...(packed && { packed: { ...packed, words: packed.words.slice(), sh: [] } }),
-    ...(texels && {
-      texels: { ...texels, arrays: texels.arrays.slice(0, headTextures(texels.layout)).map((array) => array.slice()) },
-    }),
   };
 }
 
-function headBytes({ splats, packed, texels }: DecodedChunk): number {
+function headBytes({ splats, packed }: DecodedChunk): number {
   const arrays = [
     ...(splats ? [splats.means, splats.scales, splats.quats, splats.opacities, splats.sh0] : []),
     ...(packed ? [packed.words] : []),
-    ...(texels ? texels.arrays.slice(0, headTextures(texels.layout)) : []),
   ];
   return arrays.reduce((sum, array) => sum + array.byteLength, 0);
 }

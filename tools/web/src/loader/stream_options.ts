@@ -1,8 +1,6 @@
 import type { CogsplatError, SourceError } from "../errors.js";
 import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
 import type { Splats } from "../scene/splats.js";
-import type { Texels } from "../scene/texel_layouts.js";
-import { texelWidths } from "../scene/texels.js";
 import type { ChunkFormat } from "../workers/decode_task.js";
 
 /** A chunk's entry in the index, from which priorities are computed. */
@@ -81,13 +79,10 @@ export interface ChunkUpdate {
   readonly splats?: Splats;
   /** Present in the format `packed`. */
   readonly packed?: PackedSplats;
-  /** Present in the formats of a renderer's textures. */
-  readonly texels?: Texels;
 }
 
 /** Return the bytes of a decoded splat in memory. */
 export function bytesPerSplat(format: ChunkFormat, degree: number): number {
   if (format === "packed") return 16 + [0, 8, 24, 40][degree]!;
-  if (format !== "splats") return texelWidths(format, degree).reduce((sum, { width, bytes }) => sum + width * bytes, 0);
   return 56 + 12 * ((degree + 1) ** 2 - 1);
 }

@@ -53,6 +53,10 @@ export interface PackRanges {
 /** Ranges that hold nearly all values of trained scenes, with steps within the tolerances of SPEC 8.6. */
 export const DEFAULT_RANGES: PackRanges = { rgbMin: -0.5, rgbMax: 1.5, shRange: 1 };
 
+/** Log scales of the codes 1 and 255. */
+export const LOG_SCALE_MIN = -12;
+export const LOG_SCALE_MAX = 9;
+
 const SH_C0 = 0.28209479177387814;
 /** Bits per value and values per splat of each packed band. */
 const SH_BITS = [

@@ -18,7 +18,11 @@ export class DepthSorter {
    * @param workers - Makes the worker; undefined sorts on the caller's thread.
    * @param failed - Called if the worker cannot be started.
    */
-  constructor(rows: number, workers: ViewerWorkers | undefined, failed: (message: string) => void) {
+  constructor(
+    rows: number,
+    workers: Pick<ViewerWorkers, "address" | "viewer"> | undefined,
+    failed: (message: string) => void,
+  ) {
     if (workers === undefined) {
       this.local = new RowSorter(rows);
       return;

@@ -5,7 +5,7 @@
  *
  * @packageDocumentation
  */
-import { decoderText } from "../workers/worker_ways.js";
+import { decoderText, fileAddress } from "../workers/worker_ways.js";
 import { CogsplatViewer, defineViewer } from "./element.js";
 import { workersOfTexts } from "./viewer_workers.js";
 
@@ -21,7 +21,9 @@ declare const VIEWER_TEXT: string;
 CogsplatViewer.workers = {
   ...workersOfTexts(decoderText(DECODER_TEXT), VIEWER_TEXT),
   otherwise: {
-    address: "worker.js beside the page's script",
+    get address() {
+      return fileAddress();
+    },
     start: () => new Worker(new URL("./worker.js", import.meta.url), { type: "module" }),
     viewer: () => new Worker(new URL("./viewer_worker.js", import.meta.url), { type: "module" }),
   },

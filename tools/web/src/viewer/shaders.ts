@@ -31,6 +31,8 @@ uniform vec3 cameraPosition; // in the space of the means
 uniform vec2 focal;          // px
 uniform vec2 principal;      // px from the middle
 uniform vec2 viewport;       // px
+uniform vec2 middle;         // of the picture, in halves of it
+uniform vec2 depth;          // the depth of a z is x + y / z; 0 in pictures of splats alone
 uniform float kernel;        // px^2, added to projected covariances
 uniform bool antialiased;
 uniform vec2 rgbRange;
@@ -150,7 +152,7 @@ void main() {
   offset = corner;
   vec3 dc = vec3(uvec3(w.x, w.x >> 8, w.x >> 16) & 255u) / 255.0 * (rgbRange.y - rgbRange.x) + rgbRange.x;
   colour = vec4(max(dc + higherBands(index, normalize(mean - cameraPosition)), 0.0), opacity);
-  gl_Position = vec4((centre + px) * vec2(2.0, -2.0) / viewport, 0.0, 1.0);
+  gl_Position = vec4((centre + px) * vec2(2.0, -2.0) / viewport + middle, depth.x + depth.y / p.z, 1.0);
 }
 `;
 

@@ -2,11 +2,9 @@ import type { KernelsMaker } from "../kernels/load.js";
 import { ChunkDecoder, type ChunkPayloads, type DecoderIndex, type TailPayload } from "../scene/chunk_decoder.js";
 import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
 import type { Splats } from "../scene/splats.js";
-import type { TexelArray, TexelLayout, Texels } from "../scene/texel_layouts.js";
-import { packBandTexels, packTexels } from "../scene/texels.js";
 
-/** Format of decoded chunks: exact arrays, 16 bytes and packed bands, or the textures of a renderer. */
-export type ChunkFormat = "splats" | "packed" | TexelLayout;
+/** Format of decoded chunks: exact arrays, or 16 bytes and packed bands. */
+export type ChunkFormat = "splats" | "packed";
 
 /** One chunk to decode, in a form that can be sent to a worker. */
 export interface DecodeTask {
@@ -20,15 +18,14 @@ export interface DecodeTask {
   readonly ranges: PackRanges;
 }
 
-/** Coefficients above DC: all of `splats`, or one band of `packed` or of a renderer's textures. */
-export type BandArray = Float32Array | Uint32Array | TexelArray;
+/** Coefficients above DC: all of `splats`, or one band of `packed`. */
+export type BandArray = Float32Array | Uint32Array;
 
-/** A decoded chunk: one of the four fields, by the format of the task. */
+/** A decoded chunk: one of the three fields, by the format of the task. */
 export interface DecodedChunk {
   readonly splats?: Splats;
   readonly packed?: PackedSplats;
-  readonly texels?: Texels;
-  /** Result of a task without a head: `shN`, the packed bands, or the textures with coefficients above DC. */
+  /** Result of a task without a head: `shN`, or the packed bands. */
   readonly bands?: readonly BandArray[];
 }
 
@@ -61,12 +58,10 @@ export class InlineService implements ChunkService {
     if (payloads.head === undefined) {
       if (format === "packed")
         return { bands: this.decoder.decodePackedBands(payloads, rows, needs.tail, degree, ranges) };
-      const shN = this.decoder.decodeShN(payloads, rows, needs.tail, degree);
-      return { bands: format === "splats" ? [shN] : packBandTexels(format, { count: rows, shDegree: degree, shN }) };
+      return { bands: [this.decoder.decodeShN(payloads, rows, needs.tail, degree)] };
     }
     if (format === "packed") return { packed: this.decoder.decodePacked(payloads, rows, needs, degree, ranges) };
-    const splats = this.decoder.decode(payloads, rows, needs, degree);
-    return format === "splats" ? { splats } : { texels: packTexels(format, splats) };
+    return { splats: this.decoder.decode(payloads, rows, needs, degree) };
   }
 
   close(): void {

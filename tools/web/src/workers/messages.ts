@@ -20,11 +20,10 @@ export type Response =
     };
 
 /** Return the buffers of a decoded chunk, to be transferred instead of copied. */
-export function buffersOf({ splats, packed, texels, bands }: DecodedChunk): ArrayBuffer[] {
+export function buffersOf({ splats, packed, bands }: DecodedChunk): ArrayBuffer[] {
   const arrays = [
     ...(splats ? [splats.means, splats.scales, splats.quats, splats.opacities, splats.sh0, splats.shN] : []),
     ...(packed ? [packed.words, ...packed.sh, ...(packed.opacities ?? []).filter((array) => array !== undefined)] : []),
-    ...(texels ? texels.arrays : []),
     ...(bands ?? []),
   ];
   return arrays.map((array) => array.buffer as ArrayBuffer);

@@ -16,7 +16,7 @@ export function decoderWays(): WorkerWay[] {
   if (typeof DECODER_TEXT === "string")
     ways.push({ address: TEXT_ADDRESS, start: startsText(decoderText(DECODER_TEXT)) });
   ways.push({
-    address: `worker.js beside ${scriptAddress()}`,
+    address: fileAddress(),
     start: () => new Worker(new URL("./worker.js", import.meta.url), { type: "module" }),
   });
   return ways;
@@ -27,7 +27,7 @@ export function decoderText(program: string): string {
   return `self.cogsplatKernels="${WASM_DIGITS}";${program}`;
 }
 
-/** Return the address of this module; bundlers may have replaced it by that of a file. */
-function scriptAddress(): string {
-  return import.meta.url.startsWith("http") ? import.meta.url : location.href;
+/** Return where `worker.js` is expected, for messages; bundlers may have replaced this module's address by a file's. */
+export function fileAddress(): string {
+  return `worker.js beside ${import.meta.url.startsWith("http") ? import.meta.url : location.href}`;
 }

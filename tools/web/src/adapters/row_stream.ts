@@ -1,7 +1,7 @@
-import type { StreamOptions } from "../loader/stream_options.js";
+import type { Shifts } from "../container/compensation.js";
+import type { ChunkUpdate, StreamOptions } from "../loader/stream_options.js";
 import type { StreamedScene } from "../loader/streamed_scene.js";
-import type { TexelArray, TexelLayout, Texels } from "../scene/texel_layouts.js";
-import { makeTexelArrays, writeTexels } from "../scene/texels.js";
+import type { ChunkFormat } from "../workers/decode_task.js";
 import { axesMatrix } from "./axes.js";
 
 /** Options of a stream into a renderer. */
@@ -17,11 +17,13 @@ export interface AdapterOptions extends Omit<StreamOptions, "format" | "ranges">
   readonly worldOrigin?: readonly number[];
 }
 
-/** Arrays of a whole scene, and their upload. */
-export interface TexelTarget {
-  /** Arrays in the order of `texelWidths`, for all splats of the scene. */
-  readonly arrays: readonly TexelArray[];
-  /** Upload the arrays, and draw the first `rows` rows. */
+/** Rows of a whole scene in a renderer. */
+export interface RowTarget {
+  /** Format of the chunks that `write` takes. */
+  readonly format: ChunkFormat;
+  /** Write the rows of a chunk, with their shifts of compensation (SPEC 8.5), if any. */
+  write(update: ChunkUpdate, shifts: Shifts | undefined): void;
+  /** Upload the rows written, and draw the first `rows` rows. */
   upload(rows: number): void;
 }
 
@@ -43,15 +45,14 @@ export function wantedDegree(scene: StreamedScene, options: AdapterOptions): num
 }
 
 /**
- * Fill and upload a renderer's arrays as chunks arrive.
+ * Fill and upload a renderer's rows as chunks arrive.
  *
  * Rows present compensate for missing ones (SPEC 8.5), less with every chunk; refinements and coefficients replace
  * rows. No task is longer than `LONGEST_TASK`.
  */
-export async function streamTexels(
+export async function streamRows(
   scene: StreamedScene,
-  layout: TexelLayout,
-  target: TexelTarget,
+  target: RowTarget,
   options: AdapterOptions,
   signal: AbortSignal,
 ): Promise<void> {
@@ -59,9 +60,15 @@ export async function streamTexels(
   const rows = new DrawnRows(scene, target, compensate);
   const pace = new Pace();
   let last = -Infinity;
-  const stream = scene.stream({ ...options, degree: wantedDegree(scene, options), compensate, format: layout, signal });
+  const stream = scene.stream({
+    ...options,
+    degree: wantedDegree(scene, options),
+    compensate,
+    format: target.format,
+    signal,
+  });
   for await (const update of stream) {
-    rows.put(update.chunk, { texels: update.texels!, firstRow: update.firstRow }, update.prefix);
+    rows.put(update);
     await pace.yieldIfDue();
     if (performance.now() - last < (options.uploadInterval ?? UPLOAD_INTERVAL)) continue;
     await rows.show(pace);
@@ -72,38 +79,28 @@ export async function streamTexels(
   options.onUpload?.(rows.shown);
 }
 
-/** Make arrays of a scene for an SH degree. */
-export function sceneArrays(scene: StreamedScene, layout: TexelLayout, degree: number): TexelArray[] {
-  return makeTexelArrays(layout, degree, scene.info.splats);
-}
-
-interface ChunkRows {
-  readonly texels: Texels;
-  readonly firstRow: number;
-}
-
 /** Rows received so far, without compensation while chunks are missing, and the number uploaded. */
 class DrawnRows {
   shown = 0;
   private rows = 0;
   private prefix = 0;
   /** Chunks whose rows change as more of the scene arrives. */
-  private readonly chunks = new Map<number, ChunkRows>();
+  private readonly chunks = new Map<number, ChunkUpdate>();
   /** Chunks received since the last upload. */
   private readonly fresh = new Set<number>();
   private shownPrefix = -1;
 
   constructor(
     private readonly scene: StreamedScene,
-    private readonly target: TexelTarget,
+    private readonly target: RowTarget,
     private readonly compensate: boolean,
   ) {}
 
-  put(chunk: number, rows: ChunkRows, prefix: number): void {
-    this.chunks.set(chunk, rows);
-    this.fresh.add(chunk);
-    this.rows = Math.max(this.rows, rows.firstRow + rows.texels.count);
-    this.prefix = prefix;
+  put(update: ChunkUpdate): void {
+    this.chunks.set(update.chunk, update);
+    this.fresh.add(update.chunk);
+    this.rows = Math.max(this.rows, update.firstRow + update.count);
+    this.prefix = update.prefix;
   }
 
   /** Write and upload the changed rows, if any. */
@@ -113,9 +110,8 @@ class DrawnRows {
     const changed = this.compensate && prefix !== this.shownPrefix ? [...this.chunks.keys()] : [...this.fresh];
     if (changed.length === 0) return;
     for (const chunk of changed) {
-      const { texels, firstRow } = this.chunks.get(chunk)!;
       const shifts = this.compensate && chunk < prefix ? this.scene.compensation.shifts(prefix, chunk) : undefined;
-      writeTexels(texels, shifts, this.target.arrays, firstRow);
+      this.target.write(this.chunks.get(chunk)!, shifts);
       await pace.yieldIfDue();
     }
     this.fresh.clear();
