@@ -1,4 +1,4 @@
-"""The example pages of Spark and PlayCanvas in a real browser, against our own renders."""
+"""The pages of three.js, Spark and PlayCanvas in a real browser, against our own renders."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def assert_our_pictures(page: Page, small: SmallScene, *views: Camera) -> None:
         assert psnr(shown(page), expected) >= BY_SPEC_DB
 
 
-@pytest.mark.parametrize("renderer", RENDERERS)
+@pytest.mark.parametrize("renderer", [*RENDERERS, "three"])
 def test_a_renderer_that_follows_the_specification_draws_our_pictures(
     page: Page, site: str, small: SmallScene, renderer: str
 ) -> None:
@@ -217,13 +217,44 @@ def test_playcanvas_sorts_for_a_view_that_comes_while_it_sorts(
     assert_our_pictures(page, small, camera(30), camera(8))
 
 
-@pytest.mark.parametrize("renderer", RENDERERS)
+@pytest.mark.parametrize("renderer", [*RENDERERS, "three"])
 def test_what_is_given_back_is_not_drawn(page: Page, site: str, renderer: str) -> None:
     open_page(page, site, renderer)
     look_from(page, camera(8))
     assert shown(page).max() > 0.5
-    if renderer == "spark":
+    if renderer != "playcanvas":
         page.evaluate("() => { example.world.remove(example.mesh); }")
     page.evaluate("() => example.dispose()")
     wait_frames(page)
     assert shown(page).max() == 0
+
+
+# Bytes of a splat of degree 3 in each texture that an adapter fills.
+TEXTURE_BYTES = {"three": (16, 8, 16, 16, 4), "spark": (16, 8, 16, 16)}
+_COUNT_TEXTURES = """
+  globalThis.textureBytes = [];
+  const { prototype } = WebGL2RenderingContext;
+  const sizes = { RGBA32UI: 16, RG32UI: 8, R32UI: 4 };
+  for (const name of ["texStorage2D", "texStorage3D"]) {
+    const original = prototype[name];
+    prototype[name] = function (target, levels, format, width, height, depth = 1) {
+      for (const [key, bytes] of Object.entries(sizes)) {
+        if (prototype[key] === format && width === 2048) textureBytes.push(bytes);
+      }
+      return original.apply(this, arguments);
+    };
+  }
+"""
+
+
+@pytest.mark.parametrize("renderer", TEXTURE_BYTES)
+def test_splats_stay_quantised_in_graphics_memory(page: Page, site: str, renderer: str) -> None:
+    page.add_init_script(_COUNT_TEXTURES)
+    open_page(page, site, renderer)
+    wait_frames(page)
+    found = page.evaluate("() => textureBytes")
+    for bytes_of_splat in TEXTURE_BYTES[renderer]:
+        assert bytes_of_splat in found, found
+        found.remove(bytes_of_splat)
+    if renderer == "three":
+        assert found == []

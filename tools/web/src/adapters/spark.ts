@@ -137,16 +137,18 @@ export function streamToSpark<K extends SparkModule>(
   // Whole lines, because Spark drops partial ones.
   const rows = new PackedRows(scene.info.splats, wantedDegree(scene, options));
   const { rgbMin, rgbMax, shRange } = DEFAULT_RANGES;
+  const splatEncoding = {
+    ...{ rgbMin, rgbMax, lnScaleMin: LOG_SCALE_MIN, lnScaleMax: LOG_SCALE_MAX },
+    ...{ sh1Max: shRange, sh2Max: shRange, sh3Max: shRange },
+  };
   const splats = new spark.PackedSplats({
     packedArray: rows.words,
     numSplats: 0,
     extra: Object.fromEntries(rows.bands.map((band, i) => [BANDS[i]!, band])),
-    splatEncoding: {
-      ...{ rgbMin, rgbMax, lnScaleMin: LOG_SCALE_MIN, lnScaleMax: LOG_SCALE_MAX },
-      ...{ sh1Max: shRange, sh2Max: shRange, sh3Max: shRange },
-    },
+    splatEncoding,
   } as never);
-  const mesh = new spark.SplatMesh({ packedSplats: splats } as never) as InstanceType<K["SplatMesh"]>;
+  // The mesh would replace the encoding of its splats by a default.
+  const mesh = new spark.SplatMesh({ packedSplats: splats, splatEncoding } as never) as InstanceType<K["SplatMesh"]>;
   mesh.quaternion.set(...axesRotation(scene.info.axes));
   mesh.position.set(...originPosition(scene, options));
   const target: RowTarget = {

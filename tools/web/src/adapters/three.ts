@@ -127,7 +127,7 @@ const SAME_DIRECTION = 1 - 4e-7;
  * Stream a scene into a mesh of three.js, drawn by the rules of SPEC 8.7.
  *
  * The mesh can be added to a scene at once, moved, turned and scaled. Opaque objects hide splats behind them. Cameras
- * are perspective ones, also of a headset. Splats appear as chunks arrive; refinements and SH coefficients replace
+ * are perspective ones. Splats appear as chunks arrive; refinements and SH coefficients replace
  * their rows. Missing rows are transparent, and the others compensate for them (SPEC 8.5) unless `compensate` is false.
  * A worker sorts the rows by depth; where a policy refuses it, slices on this thread do.
  *
