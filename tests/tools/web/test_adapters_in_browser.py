@@ -229,6 +229,28 @@ def test_what_is_given_back_is_not_drawn(page: Page, site: str, renderer: str) -
     assert shown(page).max() == 0
 
 
+_NO_WORKERS = """
+  globalThis.Worker = class {
+    constructor() { setTimeout(() => this.onerror({}), 0); }
+    postMessage() {}
+    terminate() {}
+  };
+"""
+
+
+def test_three_draws_our_pictures_where_no_worker_runs_and_says_so(
+    page: Page, site: str, small: SmallScene
+) -> None:
+    said: list[str] = []
+    page.on("console", lambda message: said.append(message.text))
+    page.add_init_script(_NO_WORKERS)
+    open_page(page, site, "three")
+    assert_our_pictures(page, small, camera(8))
+    for work in ("sorts splats without a worker", "decodes without workers"):
+        assert any(work in text for text in said), said
+    assert not any("undefined" in text for text in said)
+
+
 # Bytes of a splat of degree 3 in each texture that an adapter fills.
 TEXTURE_BYTES = {"three": (16, 8, 16, 16, 4), "spark": (16, 8, 16, 16)}
 _COUNT_TEXTURES = """

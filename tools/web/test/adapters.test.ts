@@ -1,6 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { axesMatrix, axesRotation } from "../src/adapters/axes.js";
+import { streamToBabylon } from "../src/adapters/babylon.js";
 import {
   drawBySpec as drawPlayCanvasBySpec,
   type PlayCanvasOptions,
@@ -188,6 +189,62 @@ test("scenes with other origins are placed beside each other", async () => {
     const expected = [1, 2, 4].reduce((sum, v, i) => sum + matrix[3 * row + i]! * v, 0);
     assert.ok(Math.abs(moved[row]! - expected) < 1e-6 * (1 + Math.abs(x) + Math.abs(y) + Math.abs(z)));
   });
+});
+
+test("babylon: rows are in the engine's layout, in a world of either handedness", async () => {
+  const bytes = vectorBytes("valid", "sh2");
+  const expected = new SceneFile(bytes, kernels()).decode();
+  for (const useRightHandedSystem of [false, true]) {
+    const scene = await StreamedScene.open(new Blob([new Uint8Array(bytes)]));
+    const updates: { data: ArrayBuffer; sh: Uint8Array[]; degree: number }[] = [];
+    class GaussianSplattingMesh {
+      rotationQuaternion: unknown;
+      readonly scaling = { x: 1, y: 1, z: 1, set: () => undefined };
+      readonly position = { y: 0, set: () => undefined };
+      async updateDataAsync(data: ArrayBuffer, sh: Uint8Array[] = [], _parts?: Uint8Array, degree = 0): Promise<void> {
+        updates.push({ data, sh, degree });
+      }
+      dispose(): void {}
+    }
+    class Quaternion {
+      readonly values: number[];
+      constructor(...values: number[]) {
+        this.values = values;
+      }
+    }
+    const world = { useRightHandedSystem, getEngine: () => ({ getCaps: () => ({ maxTextureSize: 64 }) }) };
+    const { mesh, done } = streamToBabylon(scene, { GaussianSplattingMesh, Quaternion }, world);
+    await done;
+    const { data, sh, degree } = updates.at(-1)!;
+    assert.equal(data.byteLength, 32 * expected.count);
+    assert.equal(degree, 2);
+    assert.deepEqual(
+      sh.map(({ length }) => length),
+      Array(2).fill(16 * 64 * (Math.ceil(expected.count / 64) + 1)),
+    );
+    const [floats, codes] = [new Float32Array(data), new Uint8Array(data)];
+    for (let row = 0; row < expected.count; row++) {
+      for (let axis = 0; axis < 3; axis++) {
+        assert.equal(floats[8 * row + axis], expected.means[3 * row + axis]);
+        assert.equal(floats[8 * row + 3 + axis], Math.fround(Math.exp(expected.scales[3 * row + axis]!)));
+      }
+      assert.ok(Math.abs(codes[32 * row + 27]! / 255 - 1 / (1 + Math.exp(-expected.opacities[row]!))) <= 0.51 / 255);
+      for (let k = 0; k < 4; k++)
+        assert.ok(Math.abs(codes[32 * row + 28 + k]! / 127.5 - 1 - expected.quats[4 * row + k]!) <= 0.51 / 127.5);
+      for (let k = 0; k < 24; k++) {
+        const value = Math.min(Math.max(expected.shN[24 * row + k]!, -1), 1);
+        assert.ok(Math.abs(sh[k >> 4]![16 * row + (k & 15)]! / 127.5 - 1 - value) <= 0.51 / 127.5);
+      }
+    }
+    // Points go where the matrix of the axes takes them.
+    const matrix = axesMatrix(scene.info.axes, useRightHandedSystem ? "RUB" : "RUF");
+    const point = [1, 2, 3];
+    const turned = rotate((mesh.rotationQuaternion as Quaternion).values, [1, 2 * mesh.scaling.y, 3]);
+    [0, 1, 2].forEach((row) => {
+      const where = point.reduce((sum, value, i) => sum + matrix[3 * row + i]! * value, 0);
+      assert.ok(Math.abs(turned[row]! - where) < 1e-9);
+    });
+  }
 });
 
 /** Assert that packed rows are the splats, within the steps of their codes; shifts are rounded to steps as well. */
