@@ -18,7 +18,7 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import one_blas_thread
 
 from .first_look import FirstLook
-from .framed_views import around, inside, places_inside
+from .framed_views import BELOW, around, fitting_axes, inside, places_inside
 from .occlusion import Occluders
 from .pose import down_direction, front_direction, level_axes
 from .subsample import Subsample, subsample
@@ -71,9 +71,13 @@ _FRONT: Final = 0.05
 _LIGHT: Final = 0.1
 _CONTRAST: Final = 0.4
 # Contents are what only views from inside show, further than a cell from what others show: the
-# inner side of a wall is none. A scene is shown from inside where contents are more than this share
-# of what only views from outside show.
-_LEAST_CONTENTS: Final = 0.12
+# inner side of a wall is none. A scene is shown from inside where, in the median place, contents
+# are more than this share of what is shown: 0.13 in a house, 0.05 in a hollow bus.
+_LEAST_CONTENTS: Final = 0.06
+# Least width of a scene with rooms, as a share of its length.
+_LEAST_WIDTH: Final = 0.2
+# Clearness of what is not seen, so that no sum is 0.
+_UNSEEN: Final = 1e-9
 # Length of a cell, as a share of the scene's diagonal, and cells along the diagonal.
 _CELL: Final = 0.02
 _CELLS_ACROSS: Final = 51
@@ -215,15 +219,20 @@ def _best_view(scene: Subsample, core: F64, up: F64, front: F64) -> Camera | Non
         return None
     weights = scene.counts * _opacities(scene)
     outside = _views_around(scene, points, up, front)
-    inside, from_inside = _views_inside(scene, points, weights, up)
+    inside, panoramas = _views_inside(scene, points, weights, up)
     from_outside = np.zeros(len(scene))
     for view in outside:
         view.picture.add_to(from_outside)
-    contents = weights * np.maximum(from_inside - from_outside, 0.0)
-    contents[_near_shown(scene, from_outside, points)] = 0.0
-    exposed = weights * np.maximum(from_outside - from_inside, 0.0)
+    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    for camera in around(points, centre, up, front, 2.0 * NEAR, BELOW):
+        _Picture.of(scene, camera).add_to(from_outside)
+    walls = _near_shown(scene, from_outside, points)
+    contents = [
+        float((weights * ~walls) @ np.maximum(seen - from_outside, 0.0) / (weights @ seen))
+        for seen in panoramas
+    ]
     views = outside
-    if contents.sum() > _LEAST_CONTENTS * exposed.sum():
+    if contents and float(np.median(contents)) > _LEAST_CONTENTS:
         views = inside + [view for view in outside if view.is_within]
     if not views:
         return None
@@ -315,8 +324,13 @@ def _surround(points: F64, place: F64, up: F64) -> bool:
     return int((counts >= _LEAST_ON_SIDE).sum()) >= _SURROUNDED
 
 
-def _views_inside(scene: Subsample, points: F64, weights: F64, up: F64) -> tuple[list[_Tried], F64]:
-    """Return the best view from each of some free places inside a scene, and how clear all is."""
+def _views_inside(
+    scene: Subsample, points: F64, weights: F64, up: F64
+) -> tuple[list[_Tried], list[F64]]:
+    """Return the best view from each of some places in rooms, and how clear each shows all."""
+    extents = np.sort(np.ptp(points @ fitting_axes(points, up).T, axis=0))
+    if extents[1] < _LEAST_WIDTH * extents[2]:
+        return [], []
     places = places_inside(points, up)
     size = float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
     occluders = Occluders(scene.splats)
@@ -327,13 +341,14 @@ def _views_inside(scene: Subsample, points: F64, weights: F64, up: F64) -> tuple
     enclosed = far >= _ENCLOSED
     free = free[enclosed] if 2 * int(enclosed.sum()) >= len(enclosed) else free[:0]
     found: list[_Tried] = []
-    shown_clear = np.zeros(len(scene))
+    panoramas: list[F64] = []
     for place in _spread(free, _TRIED_PLACES):
         looks = np.zeros(_HEADINGS)
+        panoramas.append(np.full(len(scene), _UNSEEN))
         for quarter in range(4):
             camera = inside(place, 0.5 * math.pi * quarter, up)
             picture = _Picture.of(scene, camera, wide=True)
-            picture.add_to(shown_clear)
+            picture.add_to(panoramas[-1])
             offsets = scene.splats.means[picture.index].astype(np.float64) - place
             side, other = level_axes(up)
             angles = np.arctan2(offsets @ other, offsets @ side)
@@ -343,7 +358,7 @@ def _views_inside(scene: Subsample, points: F64, weights: F64, up: F64) -> tuple
                 looks[heading] += float(np.sum(shown, where=np.abs(turned) < _HALF_VIEW))
         camera = inside(place, 2.0 * math.pi * int(looks.argmax()) / _HEADINGS, up)
         found.append(_Tried(camera, _Picture.of(scene, camera), 1.0))
-    return found, shown_clear
+    return found, panoramas
 
 
 def _spread(places: F64, count: int) -> F64:

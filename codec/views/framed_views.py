@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -20,12 +21,16 @@ _FOV_DEG: Final = 50.0
 # Width by height of a framed picture, from upright to wide, and its number of pixels.
 _NARROWEST, _WIDEST = 0.75, 16.0 / 9.0
 _PIXELS: Final = 1280 * 960
+# Least depth, in extents of the object along the view: its ends differ in size by at most 3.
+_NEAREST: Final = 0.5
 # Least field of view of a small object, as a share of the usual one.
 _LEAST_ZOOM: Final = 1e-3
 # Free margin at each side, as a share of the picture.
 _MARGIN: Final = 0.06
-# Elevations of the cameras around a scene, degrees, and the number of cameras at each.
-_RINGS: Final = ((15.0, 12), (40.0, 6))
+RINGS: Final = ((15.0, 12), (40.0, 6))
+"""Elevations of the cameras around a scene, degrees, and the number of cameras at each."""
+BELOW: Final = ((-40.0, 4),)
+"""The same, of cameras that look up at what stands on no ground."""
 
 # Field of view of the picture inside a scene, degrees across, and its size.
 _INSIDE_FOV_DEG: Final = 75.0
@@ -73,9 +78,10 @@ def framed(points: F64, centre: F64, towards: F64, up: F64, near_plane: float) -
     lowest = (-seen[:, :2] / inner - seen[:, 2:]).max(axis=0)
     aside = 0.5 * inner * (highest - lowest)
     back = float((0.5 * (highest + lowest)).max())
-    if back < near_plane - float(seen[:, 2].min()):
-        # A small object: the camera stands off and zooms in.
-        back = near_plane - float(seen[:, 2].min())
+    nearest = max(near_plane, _NEAREST * float(spans[2])) - float(seen[:, 2].min())
+    if back < nearest:
+        # Of a small object, or one that is seen lengthwise: the camera stands off and zooms in.
+        back = nearest
         reach = np.abs(seen[:, :2] - aside) / (inner * (seen[:, 2:] + back))
         slopes = slopes * max(float(reach.max()), _LEAST_ZOOM)
     height = math.sqrt(_PIXELS / aspect)
@@ -88,7 +94,14 @@ def framed(points: F64, centre: F64, towards: F64, up: F64, near_plane: float) -
     )  # fmt: skip
 
 
-def around(points: F64, centre: F64, up: F64, front: F64, near_plane: float) -> list[Camera]:
+def around(
+    points: F64,
+    centre: F64,
+    up: F64,
+    front: F64,
+    near_plane: float,
+    rings: Sequence[tuple[float, int]] = RINGS,
+) -> list[Camera]:
     """Return level cameras all around points that each hold all of them.
 
     Parameters
@@ -97,6 +110,8 @@ def around(points: F64, centre: F64, up: F64, front: F64, near_plane: float) -> 
         As in `framed`.
     front : (3,) float64
         Direction in which the first camera looks, if it is not vertical.
+    rings : sequence of (float, int)
+        Elevations, degrees, and the number of cameras at each.
     """
     side, other = level_axes(up)
     flat = front - (front @ up) * up
@@ -105,7 +120,7 @@ def around(points: F64, centre: F64, up: F64, front: F64, near_plane: float) -> 
         side = flat / size
         other = np.cross(up, side)
     found = []
-    for degrees, count in _RINGS:
+    for degrees, count in rings:
         elevation = math.radians(degrees)
         for number in range(count):
             angle = 2.0 * math.pi * number / count
@@ -117,7 +132,7 @@ def around(points: F64, centre: F64, up: F64, front: F64, near_plane: float) -> 
 
 def places_inside(points: F64, up: F64) -> F64:
     """Return places within the extent of points: a level grid, (n, 3) float64."""
-    axes = _fitting_axes(points, up)
+    axes = fitting_axes(points, up)
     low, high = (points @ axes.T).min(axis=0), (points @ axes.T).max(axis=0)
     steps = (np.arange(_GRID) + 0.5) / _GRID
     shares = np.array([(x, y, _HEIGHT) for x in steps for y in steps])
@@ -125,7 +140,7 @@ def places_inside(points: F64, up: F64) -> F64:
     return places
 
 
-def _fitting_axes(points: F64, up: F64) -> F64:
+def fitting_axes(points: F64, up: F64) -> F64:
     """Return two level axes and `up`, (3, 3), along which points fill the smallest rectangle."""
     side, other = level_axes(up)
     best, smallest = np.stack([side, other, up]), math.inf

@@ -68,6 +68,7 @@ const PageElement = globalThis.HTMLElement ?? (class {} as typeof HTMLElement);
  * | `gestures` | `all`: the wheel and one finger move the camera; `page`: they scroll the page; by default `all` where the element fills the window |
  * | `lazy` | nothing is fetched until the element is on the screen; `click`: until its button is pressed, but for the poster |
  * | `poster` | URL of a picture shown until the first picture of the scene; with `lazy="click"` by default that of the file |
+ * | `orbit` | `free`: turning may go anywhere; by default it stays off the poles, above the ground, and at most 10° below the first view |
  * | `auto-rotate` | turns until a touch, in degrees per second; 12 by default, none where the system asks for reduced motion |
  *
  * It dispatches `cogsplat-change` when `statistics` change, and `cogsplat-view` when the camera has come to rest in
@@ -95,6 +96,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     "gestures",
     "poster",
     "auto-rotate",
+    "orbit",
   ];
   /** Workers of all viewers; by default the programs next to this one. */
   static workers: ViewerWorkers | undefined = workersBeside(import.meta.url);
@@ -307,6 +309,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
       if (value !== null) image.src = absoluteAddress(value, document.baseURI);
     } else if (name === "view" || name === "up" || name === "target") this.setStart(name, value);
     else if (name === "gestures") this.chooseGestures();
+    else if (name === "orbit") scene.orbitsFreely = value === "free";
     else if (name === "auto-rotate") {
       const degrees = value === null || value.trim() === "" ? ROTATION : Number(value);
       const isCalm = matchMedia("(prefers-reduced-motion: reduce)").matches;

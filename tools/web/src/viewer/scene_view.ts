@@ -138,6 +138,7 @@ export class SceneView {
   private resting: ReturnType<typeof setTimeout> | undefined;
   private motion: Motion | undefined;
   private visible = true;
+  private isFree = false;
   private readonly waiting: (() => void)[] = [];
   private picture: PictureOptions = { background: [0, 0, 0, 1], degree: 3, fill: 0, divide: 0.5 };
   private fills = true;
@@ -231,6 +232,12 @@ export class SceneView {
   set level(level: number | undefined) {
     this.chosenLevel = level;
     this.redraw();
+  }
+
+  /** Whether turning may go anywhere: over the poles and below the ground too. */
+  set orbitsFreely(isFree: boolean) {
+    this.isFree = isFree;
+    if (this.camera !== undefined) this.camera.isFree = isFree;
   }
 
   /** Pose of the camera; before a scene is open the one that was set, which applies to later scenes too. */
@@ -366,6 +373,7 @@ export class SceneView {
     this.endMotion(true);
     this.camera = this.homeCamera?.();
     if (this.camera !== undefined) {
+      this.camera.isFree = this.isFree;
       this.home?.(this.camera);
       const { view, target } = this.start;
       if (view !== undefined) this.camera.setPose(poseOf(view, this.camera.up));
