@@ -138,7 +138,7 @@ def encode(
         splats = _splats(scene, workspace)
         if isinstance(progress, OverallProgress):
             progress.plan(stage_costs(len(splats), request))
-        look, request = find_look_of(splats, request)
+        look, request = find_look_of(splats, _with_stored_look(scene, request))
         described = _description_of(scene) if description is None else description
         metadata = FileMetadata(look, request.stored_cameras, described)
         encoded = pipeline.encode(
@@ -440,6 +440,17 @@ def _splats(scene: Splats | _Path, workspace: Workspace | None = None) -> Splats
         with open_scene(scene) as file:
             return file.decode()
     return read_scene(scene, zeros=(workspace or IN_MEMORY).zeros)
+
+
+def _with_stored_look(scene: Splats | _Path, request: EncodeRequest) -> EncodeRequest:
+    """Return a request with up direction and first view of a COGS file, unless it has its own."""
+    if isinstance(scene, Splats) or not is_cogs(scene):
+        return request
+    own = (request.cameras, request.up, request.view, request.config.ordering.first_view)
+    if any(given is not None for given in own):
+        return request
+    with open_scene(scene) as file:
+        return replace(request, up=file.root.up, view=file.root.first_view)
 
 
 def _description_of(scene: Splats | _Path) -> Description | None:

@@ -13,7 +13,6 @@ import click
 import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.splats import Splats
-from cogsplat.formats.cogs.description import Description
 from cogsplat.formats.cogs.folder_map import MANIFEST_NAME, MANIFEST_SUFFIX
 from cogsplat.formats.cogs.folder_writer import (
     Unpacked,
@@ -45,7 +44,7 @@ from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
-from cogsplat.tools.workflow.descriptions import description_of
+from cogsplat.tools.workflow.descriptions import SceneNotes, notes_of
 from cogsplat.tools.workflow.inputs import LoadedScene, read_any, scoring_cameras
 from cogsplat.tools.workflow.output_files import check_outputs
 from cogsplat.tools.workflow.scene_edits import SceneEdits, edit_options
@@ -163,7 +162,7 @@ def convert(
                 to_folder=to_folder,
                 cameras=None if views is None else [edits.camera(view) for view in views],
                 writing=writing,
-                description=description_of(source, edits),
+                notes=notes_of(source, edits),
                 threads=threads,
                 force=force,
                 stages=stages,
@@ -229,7 +228,7 @@ def _write(
     to_folder: bool,
     cameras: Sequence[Camera] | None,
     writing: SceneWriting,
-    description: Description | None,
+    notes: SceneNotes,
     threads: int,
     force: bool,
     stages: Stages,
@@ -245,7 +244,7 @@ def _write(
             threads=threads,
             stages=stages,
             writing=writing,
-            description=description,
+            notes=notes,
         )
         return _Conversion(
             written, given.file_bytes, given.file_splats, len(splats), splats.sh_degree
@@ -261,7 +260,7 @@ def _write(
             threads=threads,
             stages=stages,
             writing=writing,
-            description=description,
+            notes=notes,
         )
         with storage_errors(path), cogsplat.open(path) as file:
             unpacked = unpack_cogs(file, out.parent, name=out.name, force=force, progress=stages)

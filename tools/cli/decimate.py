@@ -30,7 +30,7 @@ from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
-from cogsplat.tools.workflow.descriptions import description_of
+from cogsplat.tools.workflow.descriptions import notes_of
 from cogsplat.tools.workflow.inputs import (
     drop_invalid_splats,
     plan_cameras,
@@ -163,7 +163,7 @@ def decimate(
             threads=threads,
             stages=stages,
             writing=writing,
-            description=description_of(path),
+            notes=notes_of(path),
         )
     if as_json:
         print_json(

@@ -65,7 +65,7 @@ from cogsplat.tools.terminal.standard_streams import INPUT, PATH, WRITTEN_PATH, 
 from cogsplat.tools.terminal.values import FiniteNumber, byte_count, number_of_bytes
 from cogsplat.tools.workflow.byte_table import print_byte_table
 from cogsplat.tools.workflow.compile_ahead import CompileAhead
-from cogsplat.tools.workflow.descriptions import description_of
+from cogsplat.tools.workflow.descriptions import SceneNotes, notes_of
 from cogsplat.tools.workflow.file_evaluation import FileEvaluation, settings_of
 from cogsplat.tools.workflow.inputs import (
     LoadedScene,
@@ -322,7 +322,9 @@ def _encode(options: EncodeOptions) -> None:
                 views = [options.edits.camera(view) for view in views]
             evaluation = _evaluation(options, splats)
         ahead.finish(stages)
+        notes = notes_of(options.scene, options.edits)
         request = options.complete(request, views, given.file_bytes, workspace)
+        request = notes.complete(request)
         later = [] if evaluation is None else evaluation.stage_costs()
         stages.plan([*stage_costs(len(splats), request), *later])
         if options.scheduler is not None:
@@ -333,7 +335,7 @@ def _encode(options: EncodeOptions) -> None:
             splats,
             options.out,
             request=request,
-            description=_description(options),
+            description=_description(options, notes),
             force=options.force,
             progress=stages,
         )
@@ -345,9 +347,9 @@ def _encode(options: EncodeOptions) -> None:
         )
 
 
-def _description(options: EncodeOptions) -> Description | None:
+def _description(options: EncodeOptions, notes: SceneNotes) -> Description | None:
     """Return the description of the scene, with the keys of the file of ``--describe`` set."""
-    found = description_of(options.scene, options.edits)
+    found = notes.description
     if options.describe is None:
         return found
     given = read_description(options.describe, limits=current_limits())

@@ -32,7 +32,7 @@ from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import Box, FiniteNumber, box
-from cogsplat.tools.workflow.descriptions import description_of
+from cogsplat.tools.workflow.descriptions import notes_of
 from cogsplat.tools.workflow.inputs import (
     drop_invalid_splats,
     plan_cameras,
@@ -145,7 +145,7 @@ def filter_scene(
             threads=threads,
             stages=stages,
             writing=writing,
-            description=description_of(path),
+            notes=notes_of(path),
         )
     invalid = len(given) - len(usable)
     if as_json:

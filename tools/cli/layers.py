@@ -41,7 +41,7 @@ from cogsplat.tools.terminal.output_names import COGS, check_name, format_option
 from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
-from cogsplat.tools.workflow.descriptions import description_of
+from cogsplat.tools.workflow.descriptions import notes_of
 from cogsplat.tools.workflow.inputs import (
     drop_invalid_splats,
     load_cameras,
@@ -234,7 +234,7 @@ def _layers(options: LayersOptions) -> None:
         with stages.stage("write"):
             shown = encoded.prefix_splats(len(encoded.chunks))
             look = find_first_look(shown, None if path is None else views, threads=threads)
-            description = None if options.points else description_of(options.scene)
+            description = None if options.points else notes_of(options.scene).description
             metadata = FileMetadata(look, description=description)
             size = metadata.save(encoded, options.out, force=options.force)
         found = _measure(options.out, judged, full, threads, stages)

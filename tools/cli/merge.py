@@ -15,7 +15,6 @@ from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.geometry import merging
 from cogsplat.codec.order import objects
 from cogsplat.codec.splats import Splats
-from cogsplat.formats.cogs.description import Description
 from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import (
     force_option,
@@ -35,7 +34,7 @@ from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
 from cogsplat.tools.terminal.values import Vector, vector
-from cogsplat.tools.workflow.descriptions import description_of
+from cogsplat.tools.workflow.descriptions import SceneNotes, notes_of
 from cogsplat.tools.workflow.inputs import read_any
 from cogsplat.tools.workflow.output_files import check_outputs
 from cogsplat.tools.workflow.scene_edits import SceneEdits, scale_factor
@@ -157,7 +156,7 @@ def merge(
             stages=stages,
             writing=writing,
             by_object=True,
-            description=_description(sources, edits[0]),
+            notes=_notes(sources, edits[0]),
         )
     if as_json:
         print_json(
@@ -182,10 +181,10 @@ def merge(
         )
 
 
-def _description(sources: Sequence[Path], edits: SceneEdits) -> Description | None:
-    """Return the description of the first scene; warn of others that are left out."""
-    first = description_of(sources[0], edits)
-    left_out = [path for path in sources[1:] if description_of(path) is not None]
+def _notes(sources: Sequence[Path], edits: SceneEdits) -> SceneNotes:
+    """Return the notes of the first scene; warn of descriptions of others, which are left out."""
+    first = notes_of(sources[0], edits)
+    left_out = [path for path in sources[1:] if notes_of(path).description is not None]
     if left_out:
         warnings.warn(
             f"{', '.join(map(str, left_out))}: the description is left out; that of "

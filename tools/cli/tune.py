@@ -48,7 +48,7 @@ from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, WRITTEN_PATH, OutputPath
 from cogsplat.tools.terminal.values import Colour, FiniteNumber, byte_count
-from cogsplat.tools.workflow.descriptions import description_of
+from cogsplat.tools.workflow.descriptions import notes_of
 from cogsplat.tools.workflow.inputs import (
     LoadedScene,
     drop_invalid_splats,
@@ -310,7 +310,7 @@ def _tune(options: TuneOptions) -> None:
             save_state = partial(write_checkpoint, options.checkpoint, run)
         threads = request.config.train.threads
         look = find_first_look(splats, cameras, threads=threads)
-        metadata = FileMetadata(look, description=description_of(options.scene))
+        metadata = FileMetadata(look, description=notes_of(options.scene).description)
         made = tuning.tune(
             splats,
             request,

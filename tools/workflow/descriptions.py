@@ -1,10 +1,16 @@
-"""Descriptions that scenes bring, for commands that write them again."""
+"""What files store about their scenes, for commands that write the scenes again."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 import cogsplat
+from cogsplat.codec.cameras import Camera
 from cogsplat.formats.cogs.description import Description
 from cogsplat.formats.cogs.moved_description import move_description
 from cogsplat.formats.scenes.gltf.file import read_copyright
@@ -14,9 +20,38 @@ from cogsplat.tools.terminal.partial import partial_accepted
 
 from .scene_edits import SceneEdits
 
+if TYPE_CHECKING:
+    from cogsplat.codec.encode.request import EncodeRequest
 
-def description_of(scene: Path, edits: SceneEdits | None = None) -> Description | None:
-    """Return the description of a scene with the files of its pictures; None for none.
+
+@dataclass(frozen=True, eq=False)
+class SceneNotes:
+    """Description, up direction and first view that a scene's file stores.
+
+    Parameters
+    ----------
+    description : Description or None
+        Description with the files of its pictures.
+    up : (3,) float64 or None
+        Unit vector against gravity in the frame of the means.
+    view : Camera or None
+        View where viewers start.
+    """
+
+    description: Description | None = None
+    up: NDArray[np.float64] | None = None
+    view: Camera | None = None
+
+    def complete(self, request: EncodeRequest) -> EncodeRequest:
+        """Return a request with the stored up direction and view, unless it has cameras or own."""
+        own = (request.cameras, request.up, request.view, request.config.ordering.first_view)
+        if any(given is not None for given in own):
+            return request
+        return replace(request, up=self.up, view=self.view)
+
+
+def notes_of(scene: Path, edits: SceneEdits | None = None) -> SceneNotes:
+    """Return what a scene's file stores about the scene, moved as the edits move the scene.
 
     Parameters
     ----------
@@ -31,19 +66,27 @@ def description_of(scene: Path, edits: SceneEdits | None = None) -> Description 
         The description cannot be read, or breaks SPEC.
     """
     if not is_cogs(scene):
-        return _of_other_format(scene)
+        return SceneNotes(_of_other_format(scene))
     with cogsplat.open(scene, partial=partial_accepted(), limits=current_limits()) as file:
         row = file.description_row
-        if row is None or not file.is_present(row):
-            return None
-        description = file.description(pictures=not file.missing_bytes)
-        axes = file.root.info.axes
-    if description is not None and file.missing_bytes:
-        # The pictures of a file that is cut short stand at its end.
-        description = description.without_pictures()
-    if description is None or edits is None or not edits.moves:
-        return description
-    return move_description(description, axes, edits.scale, edits.rotation, edits.translate)
+        description = None
+        if row is not None and file.is_present(row):
+            description = file.description(pictures=not file.missing_bytes)
+            # The pictures of a file that is cut short stand at its end.
+            if description is not None and file.missing_bytes:
+                description = description.without_pictures()
+        axes, up, view = file.root.info.axes, file.root.up, file.root.first_view
+    if edits is None or not edits.moves:
+        return SceneNotes(description, up, view)
+    if description is not None:
+        description = move_description(
+            description, axes, edits.scale, edits.rotation, edits.translate
+        )
+    return SceneNotes(
+        description,
+        None if up is None else edits.rotation @ up,
+        None if view is None else edits.camera(view),
+    )
 
 
 def _of_other_format(scene: Path) -> Description | None:

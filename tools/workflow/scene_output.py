@@ -14,7 +14,6 @@ import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.splats import Splats
-from cogsplat.formats.cogs.description import Description
 from cogsplat.formats.scenes.registry import WRITABLE
 from cogsplat.formats.storage.atomic import storage_errors
 from cogsplat.tools.terminal.output import display_name, size_text
@@ -22,6 +21,8 @@ from cogsplat.tools.terminal.output_names import scene_format, written_bytes
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting
 from cogsplat.tools.terminal.standard_streams import is_standard_output
+
+from .descriptions import SceneNotes
 
 COGS_NAME: Final = "cogs"
 """Value of ``--format`` for COGS."""
@@ -102,7 +103,7 @@ def write_any(
     stages: Stages,
     writing: SceneWriting | None = None,
     by_object: bool = False,
-    description: Description | None = None,
+    notes: SceneNotes | None = None,
 ) -> WrittenScene:
     """Write a scene in a format.
 
@@ -123,8 +124,9 @@ def write_any(
         Options of single formats, and whether extra attributes are written.
     by_object : bool
         Whether each chunk of a COGS file holds splats of one object only.
-    description : Description, optional
-        Description of a COGS file; other formats have no place for one, which a warning says.
+    notes : SceneNotes, optional
+        Description, up direction and first view of a COGS file; a warning says where another
+        format has no place for the description.
 
     Raises
     ------
@@ -132,6 +134,7 @@ def write_any(
         The scene cannot be encoded or written.
     """
     writing = writing or SceneWriting()
+    notes = notes or SceneNotes()
     if not writing.extras:
         splats = splats.without_extras()
     if name == COGS_NAME:
@@ -141,13 +144,13 @@ def write_any(
         from cogsplat.codec.order.orders import OrderConfig
 
         config = EncodeConfig(ordering=OrderConfig(by_object=by_object), threads=threads)
-        request = EncodeRequest(cameras=cameras, config=config)
+        request = notes.complete(EncodeRequest(cameras=cameras, config=config))
         stages.plan(stage_costs(len(splats), request))
         cogsplat.encode(
             splats,
             out,
             request=request,
-            description=description,
+            description=notes.description,
             force=force,
             progress=stages,
         )
@@ -156,7 +159,7 @@ def write_any(
             stored = int(file.root.splats)
         with storage_errors(out):
             return WrittenScene(name, out.stat().st_size, stored)
-    if description is not None:
+    if notes.description is not None:
         warnings.warn(
             f"{out}: the description is left out, which {name} has no place for; `cogsplat "
             "describe SCENE settings.json` writes what the SuperSplat viewer shows of it",

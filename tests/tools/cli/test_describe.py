@@ -101,6 +101,12 @@ def test_other_commands_keep_it(
         out = next(a for a in arguments[2:] if str(a).endswith(".cogs"))
         told = run("describe", out, "--json").json["description"]
         assert told["title"] == title["title"], name
+        # Up and the first view stay as well, and move with the scene.
+        with cogsplat.open(out) as file:
+            view, up = file.root.first_view, file.root.up
+        shift = {"convert": [0, 0, -8], "merge": [1, 0, -4]}.get(name, [0, 0, -4])
+        assert view.position == pytest.approx(shift), name
+        assert up == pytest.approx([0, -1, 0]), name
         if name == "convert":
             assert told["metres_per_unit"] == 0.25
     encoded = run("encode", described, tmp_path / "e.cogs", "--preset", "fast", "--describe",
