@@ -292,29 +292,46 @@ def test_poses_are_texts(page: Page, server: FaultyServer) -> None:
 
 
 def test_viewers_of_a_page_share_one_budget(page: Page, server: FaultyServer) -> None:
-    server.files["two.html"] = (
-        b"<!doctype html><style>cogsplat-viewer { height: 100px }</style>"
+    server.files["three.html"] = (
+        b"<!doctype html><style>cogsplat-viewer { height: 170px }</style>"
         b"<script type=module src=viewer.js></script>"
-        b"<cogsplat-viewer src=scene.cogs></cogsplat-viewer>"
+        b"<cogsplat-viewer src=scene.cogs style='height: 340px'></cogsplat-viewer>"
+        b"<cogsplat-viewer src=scene.cogs></cogsplat-viewer><p style='height: 3000px'></p>"
         b"<cogsplat-viewer src=scene.cogs></cogsplat-viewer>"
     )
-    page.goto(f"{server.url}two.html")
-    total = 1000
+    page.goto(f"{server.url}three.html")
+    total = 1500
     page.evaluate(
         """async (total) => {
           await customElements.whenDefined("cogsplat-viewer");
           customElements.get("cogsplat-viewer").budget.total = total;
+          window.all = [...document.querySelectorAll("cogsplat-viewer")];
         }""",
         total,
     )
-    drawn = page.wait_for_function(
-        """() => {
-          const all = [...document.querySelectorAll("cogsplat-viewer")];
-          const done = all.every((it) => it.statistics.state === "complete"
-            && it.statistics.upToDate);
-          return done && all.map((it) => it.statistics.drawnSplats);
-        }""",
-        timeout=60_000,
-    ).json_value()
-    # Whole chunks that are within half of the budget.
-    assert 0 < drawn[0] == drawn[1] <= total / 2
+
+    def drawn(*viewers: int) -> list[int]:
+        found: list[int] = page.wait_for_function(
+            """(viewers) => {
+              const found = viewers.map((i) => all[i].statistics);
+              const done = found.every((it) => it.state === "complete" && it.upToDate);
+              return done && found.map((it) => it.drawnSplats);
+            }""",
+            arg=viewers,
+            timeout=60_000,
+        ).json_value()
+        return found
+
+    # Whole chunks that are within their shares by size; what is out of sight has none.
+    large, small = drawn(0, 1)
+    assert 0 < small <= total / 3 < large <= 2 * total / 3
+    assert page.evaluate("() => all[2].statistics.splats") == 0
+    before = page.evaluate("() => { all[0].view = { ...all[0].view }; return all[0].view; }")
+    page.evaluate("() => scrollTo(0, 5000)")
+    (last,) = drawn(2)
+    assert large < last <= total
+    page.evaluate("() => { scrollTo(0, 0); all[1].setAttribute('splat-budget', 2000); }")
+    page.wait_for_function("() => all[1].statistics.drawnSplats > 1500")
+    # What the page has chosen stays, and the others share the rest.
+    assert drawn(1)[0] <= 2000
+    assert page.evaluate("() => all[0].view") == before

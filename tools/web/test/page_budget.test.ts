@@ -2,28 +2,35 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { PageBudget } from "../src/viewer/page_budget.js";
 
-test("viewers share a budget: small scenes leave the rest to large ones", () => {
-  const budget = new PageBudget(1000);
-  const shares: { a?: number; b?: number; c?: number } = {};
-  const viewers = { a: {}, b: {}, c: {} };
-  const ask = (name: "a" | "b" | "c", splats: number): void =>
-    budget.ask(viewers[name], splats, (share) => {
+test("viewers share a budget by size: small scenes leave the rest to large ones", () => {
+  const budget = new PageBudget(1200);
+  const shares: Record<string, number> = {};
+  const b = {};
+  const viewers: Record<string, object> = { a: {}, b, c: {} };
+  const ask = (name: string, splats: number, size = 1, isChosen = false): void =>
+    budget.ask(viewers[name]!, { splats, size, isChosen }, (share) => {
       shares[name] = share;
     });
+  const shareOf = (name: string): number | undefined => shares[name];
   ask("a", Number.POSITIVE_INFINITY);
-  assert.deepEqual({ ...shares }, { a: 1000 });
-  ask("b", Number.POSITIVE_INFINITY);
-  assert.deepEqual({ ...shares }, { a: 500, b: 500 });
-  ask("a", 5000);
-  ask("b", 100);
-  assert.equal(shares.a, 900);
+  assert.deepEqual({ ...shares }, { a: 1200 });
+  ask("b", Number.POSITIVE_INFINITY, 2);
+  assert.deepEqual({ ...shares }, { a: 400, b: 800 });
+  ask("b", 100, 2);
+  assert.equal(shareOf("a"), 1100);
   ask("c", 2000);
-  assert.deepEqual([shares.a, shares.c], [450, 450]);
-  budget.leave(viewers.b);
-  budget.leave(viewers.c);
-  assert.equal(shares.a, 1000);
-  budget.total = 300;
-  assert.equal(shares.a, 300);
+  assert.deepEqual([shareOf("a"), shareOf("c")], [550, 550]);
+  // Out of sight a viewer has what the others leave.
+  ask("c", 2000, 0);
+  assert.deepEqual([shareOf("a"), shareOf("c")], [1100, 0]);
+  ask("a", 300);
+  assert.equal(shareOf("c"), 800);
+  // A number that the page has chosen is kept.
+  ask("b", 700, 2, true);
+  assert.deepEqual({ ...shares }, { a: 500, b: Number.POSITIVE_INFINITY, c: 200 });
+  budget.leave(b);
+  budget.total = 400;
+  assert.deepEqual([shareOf("a"), shareOf("c")], [400, 100]);
 });
 
 test("the shares that viewers use never exceed the budget", () => {
@@ -31,13 +38,13 @@ test("the shares that viewers use never exceed the budget", () => {
     const budget = new PageBudget(1000);
     const used = new Map<object, () => number>();
     for (let i = 0; i < 1 + (turn % 7); i++) {
-      const wish = Math.floor(Math.abs(Math.sin(turn * 31 + i * 7)) * 900);
+      const splats = Math.floor(Math.abs(Math.sin(turn * 31 + i * 7)) * 900);
       const viewer = {};
       let share = 0;
-      budget.ask(viewer, wish, (given) => {
+      budget.ask(viewer, { splats, size: (turn * i) % 5, isChosen: false }, (given) => {
         share = given;
       });
-      used.set(viewer, () => Math.min(wish, share));
+      used.set(viewer, () => Math.min(splats, share));
     }
     const sum = [...used.values()].reduce((total, value) => total + value(), 0);
     assert.ok(sum <= 1000, String(sum));

@@ -20,6 +20,8 @@ const QUIET_AFTER = 2500;
 const HINT_MILLISECONDS = 1800;
 /** Rotation by itself, degrees per second. */
 const ROTATION = 12;
+/** Margin around the screen within which an element keeps its splats. */
+const NEAR = "50%";
 /** Share of the window's width and height that an element covers which has the page's gestures. */
 const FILLS_WINDOW = 0.95;
 
@@ -56,7 +58,7 @@ const PageElement = globalThis.HTMLElement ?? (class {} as typeof HTMLElement);
  * | `background` | CSS colour behind the splats; black by default |
  * | `sh-degree` | highest SH degree drawn, 0 to 3 |
  * | `level` | level drawn in a scene with levels, 0 the coarsest, or a number between two; by default by the picture's size |
- * | `splat-budget` | splats in memory at most, within the budget that the viewers of a page share by the device's memory |
+ * | `splat-budget` | splats in memory at most, in place of a share of the budget that the viewers of a page divide |
  * | `order` | fetch order: `view` or `file`; by default `view` for files cut into cells |
  * | `pixel-ratio` | device pixels per CSS pixel at most; 2 by default |
  * | `resolution` | `full` draws moving and arriving pictures at full resolution on slow graphics too |
@@ -119,6 +121,10 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
   private hint: ReturnType<typeof setTimeout> | undefined;
   private extras: Extras | undefined;
   private isTurning = false;
+  /** Splats of the scene; Infinity before they are known, 0 without a scene. */
+  private wanted = 0;
+  /** Whether the element is on the screen, or less than half a screen away. */
+  private isNear = true;
   /** Rotation to begin with the first picture, degrees per second. */
   private rotation: number | undefined;
 
@@ -234,8 +240,13 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
   }
 
   /** Call a function when the element enters or leaves the screen. */
-  private watch(signal: AbortSignal, seen: (isVisible: boolean, observer: IntersectionObserver) => void): void {
-    const observer = new IntersectionObserver((entries) => seen(entries.at(-1)!.isIntersecting, observer));
+  private watch(
+    signal: AbortSignal,
+    seen: (isVisible: boolean, observer: IntersectionObserver) => void,
+    rootMargin = "0px",
+  ): void {
+    const look = (entries: IntersectionObserverEntry[]): void => seen(entries.at(-1)!.isIntersecting, observer);
+    const observer = new IntersectionObserver(look, { rootMargin });
     observer.observe(this);
     signal.addEventListener("abort", () => observer.disconnect());
   }
@@ -330,8 +341,10 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     } else if (name === "sh-degree") scene.show({ degree: value === null ? 3 : Number(value) });
     else if (name === "level") {
       scene.level = value === null || !Number.isFinite(Number(value)) ? undefined : Number(value);
-    } else if (name === "splat-budget") scene.limit(value === null ? Infinity : Number(value));
-    else if (name === "order") scene.order = value === "view" || value === "file" ? value : undefined;
+    } else if (name === "splat-budget") {
+      scene.limit(value === null ? Infinity : Number(value));
+      this.askFor(this.wanted);
+    } else if (name === "order") scene.order = value === "view" || value === "file" ? value : undefined;
     else if (name === "pixel-ratio") scene.mostPixelRatio = value === null ? 2 : Number(value);
     else if (name === "resolution") scene.allowsLowResolution = value !== "full";
     else if (name === "fill-holes") this.fillHoles = value !== "off";
@@ -341,7 +354,14 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
 
   /** Ask for splats of the page's budget. */
   private askFor(splats: number): void {
-    CogsplatViewer.budget.ask(this, splats, (share) => this.scene?.share(share));
+    this.wanted = splats;
+    const given = this.getAttribute("splat-budget");
+    const wish = {
+      splats: Math.min(splats, given === null ? Infinity : Number(given)),
+      size: this.isNear ? this.clientWidth * this.clientHeight : 0,
+      isChosen: given !== null,
+    };
+    CogsplatViewer.budget.ask(this, wish, (share) => this.scene?.share(share));
   }
 
   private listen(signal: AbortSignal): void {
@@ -358,7 +378,15 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     this.watch(signal, (isVisible) => {
       this.scene!.isVisible = isVisible;
     });
-    const resized = new ResizeObserver(() => this.chooseGestures());
+    const sighted = (isNear: boolean): void => {
+      this.isNear = isNear;
+      this.askFor(this.wanted);
+    };
+    this.watch(signal, sighted, NEAR);
+    const resized = new ResizeObserver(() => {
+      this.chooseGestures();
+      this.askFor(this.wanted);
+    });
     resized.observe(this);
     signal.addEventListener("abort", () => resized.disconnect());
     window.addEventListener("resize", () => this.chooseGestures(), { signal });

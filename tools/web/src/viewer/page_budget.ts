@@ -1,14 +1,28 @@
-/** Splats in memory for each GiB that the device has, about 130 bytes each with their textures. */
+/** Splats in memory for each GiB that a computer has, about 130 bytes each with their textures. */
 const SPLATS_PER_GIB = 1_500_000;
 /** GiB of a device that does not state its memory; none states more. */
 const USUAL_GIB = 8;
-/** Splats on touch screens at most: phones have less memory and power. */
-const BUDGET_OF_PHONES = 1_500_000;
+/** GiB of the phones that the budget of phones is for. */
+const GIB_OF_PHONES = 4;
+/** Budgets of devices with slower graphics, those of Spark 2 (sparkjs.dev): headsets, phones, other touch screens. */
+const BUDGET_OF_HEADSETS = 500_000;
+const BUDGET_OF_PHONES = 1_000_000;
+const BUDGET_OF_TOUCH_SCREENS = 1_500_000;
 
-/** A viewer of the page: the splats that its scene has, and the function that sets its share. */
+/** Request of a viewer. */
+export interface Wish {
+  /** Splats of the scene or, where a page limits them, the limit; Infinity before they are known. */
+  readonly splats: number;
+  /** Area of the viewer, 0 out of sight. */
+  readonly size: number;
+  /** Whether the page has chosen the number of splats, which is kept whatever others need. */
+  readonly isChosen: boolean;
+}
+
+/** A viewer of the page, and the function that sets its share. */
 interface Member {
-  wish: number;
-  share: number;
+  wish: Wish;
+  share: number | undefined;
   readonly apply: (share: number) => void;
 }
 
@@ -31,13 +45,12 @@ export class PageBudget {
   /**
    * Ask for splats; the share may change whenever another viewer asks.
    *
-   * @param splats - Splats of the scene; Infinity before they are known.
    * @param apply - Called with a new share.
    */
-  ask(viewer: object, splats: number, apply: (share: number) => void): void {
+  ask(viewer: object, wish: Wish, apply: (share: number) => void): void {
     const known = this.members.get(viewer);
-    if (known?.wish === splats) return;
-    this.members.set(viewer, { wish: splats, share: known?.share ?? -1, apply });
+    if (known !== undefined && JSON.stringify(known.wish) === JSON.stringify(wish)) return;
+    this.members.set(viewer, { wish, share: known?.share, apply });
     this.divide();
   }
 
@@ -46,25 +59,53 @@ export class PageBudget {
     if (this.members.delete(viewer)) this.divide();
   }
 
-  /** Give everybody an even share; what small scenes leave goes to large ones. */
+  /** Divide by size among viewers in sight; those out of sight have what is left. */
   private divide(): void {
+    const members = [...this.members.values()];
     let left = this.all;
-    const waiting = [...this.members.values()].sort((a, b) => a.wish - b.wish);
-    waiting.forEach((member, i) => {
-      const even = Math.floor(left / (waiting.length - i));
-      left -= Math.min(member.wish, even);
-      // A scene that needs less than its share may still grow to it.
-      if (member.share === even) return;
-      member.share = even;
-      member.apply(even);
-    });
+    const shares: [Member, number][] = [];
+    const give = (group: Member[], size: (member: Member) => number): void => {
+      const need = (member: Member): number => member.wish.splats / size(member);
+      let sizes = group.reduce((sum, member) => sum + size(member), 0);
+      // What small scenes leave goes to large ones.
+      for (const member of group.sort((a, b) => (need(a) < need(b) ? -1 : 1))) {
+        const share = Math.floor((left * size(member)) / sizes);
+        sizes -= size(member);
+        left -= Math.min(member.wish.splats, share);
+        // A scene that needs less than its share may still grow to it.
+        shares.push([member, share]);
+      }
+    };
+    for (const member of members.filter(({ wish }) => wish.isChosen)) {
+      left = Math.max(left - member.wish.splats, 0);
+      shares.push([member, Infinity]);
+    }
+    const others = members.filter(({ wish }) => !wish.isChosen);
+    give(
+      others.filter(({ wish }) => wish.size > 0),
+      ({ wish }) => wish.size,
+    );
+    give(
+      others.filter(({ wish }) => wish.size === 0),
+      () => 1,
+    );
+    for (const [member, share] of shares) {
+      if (member.share === share) continue;
+      member.share = share;
+      member.apply(share);
+    }
   }
 }
 
-/** Return the budget for the memory of this device. */
+/** Return the budget for this device. */
 function budgetOfDevice(): number {
   // A server that renders pages has no navigator.
-  const device = globalThis.navigator as { readonly deviceMemory?: number } | undefined;
-  const budget = (device?.deviceMemory ?? USUAL_GIB) * SPLATS_PER_GIB;
-  return globalThis.matchMedia?.("(pointer: coarse)").matches ? Math.min(budget / 4, BUDGET_OF_PHONES) : budget;
+  const device = globalThis.navigator as { readonly deviceMemory?: number; readonly userAgent?: string } | undefined;
+  const gib = device?.deviceMemory ?? USUAL_GIB;
+  const agent = device?.userAgent ?? "";
+  if (/OculusBrowser|Quest|PicoBrowser/.test(agent)) return BUDGET_OF_HEADSETS;
+  const ofPhone = /Android/.test(agent) ? BUDGET_OF_PHONES : BUDGET_OF_TOUCH_SCREENS;
+  return globalThis.matchMedia?.("(pointer: coarse)").matches
+    ? ofPhone * Math.min(gib / GIB_OF_PHONES, 1)
+    : gib * SPLATS_PER_GIB;
 }

@@ -59,8 +59,13 @@ export interface SceneViewHost extends Pick<ControlsHost, "leavesScrolling" | "l
   restored(): void;
 }
 
+/** Share of the splats wanted below which a scene is loaded again for them. */
+const TOO_FEW = 0.75;
+
 /** One of the two scenes shown. */
 interface Shown {
+  /** Splats in memory at most, when it was loaded. */
+  readonly budget: number;
   readonly feed: SceneFeed;
   readonly abort: AbortController;
   readonly workers: AllowedWorkers;
@@ -139,6 +144,11 @@ export class SceneView {
   private motion: Motion | undefined;
   private visible = true;
   private isFree = false;
+  private source: SceneSource | undefined;
+  /** Rows of the picture that stays while the scene is loaded again; 0 otherwise. */
+  private keptRows = 0;
+  /** Whether a person has moved the camera since the scene began to load again. */
+  private hasMoved = false;
   private readonly waiting: (() => void)[] = [];
   private picture: PictureOptions = { background: [0, 0, 0, 1], degree: 3, fill: 0, divide: 0.5 };
   private fills = true;
@@ -161,7 +171,7 @@ export class SceneView {
         camera: () => this.camera,
         touched: () => this.endMotion(true),
         moved: () => {
-          this.touched = true;
+          this.touched = this.hasMoved = true;
           this.redraw();
         },
         leavesScrolling: () => host.leavesScrolling(),
@@ -330,10 +340,30 @@ export class SceneView {
     this.applyBudget();
   }
 
-  /** Limit the splats to the viewer's share of the page's budget. */
+  /**
+   * Limit the splats to the viewer's share of the page's budget.
+   *
+   * Without any the scene's memory is given back, and with many more the scene is loaded again; the canvas keeps its
+   * picture meanwhile.
+   */
   share(splats: number): void {
     this.sharedBudget = splats;
-    this.applyBudget();
+    const { main, source } = this;
+    if (source === undefined || this.compares || this.statistics.state === "failed") {
+      this.applyBudget();
+      return;
+    }
+    const most = Math.min(main?.layer?.scene.splats ?? Infinity, this.budget);
+    if (splats > 0 && main !== undefined && main.budget >= TOO_FEW * most) {
+      this.applyBudget();
+      return;
+    }
+    this.keptRows = Math.max(this.drawnRows, this.keptRows);
+    this.hasMoved = false;
+    this.close("main");
+    this.meter.reset();
+    this.wasSettled = false;
+    if (splats > 0) void this.run("main", source);
   }
 
   private get budget(): number {
@@ -349,6 +379,8 @@ export class SceneView {
 
   /** Replace the scene. */
   async load(source: SceneSource): Promise<void> {
+    this.source = source;
+    this.keptRows = 0;
     this.endMotion(true);
     this.close("main");
     this.close("other");
@@ -358,7 +390,8 @@ export class SceneView {
     this.wasSettled = false;
     this.statistics = { ...EMPTY, state: "opening" };
     this.host.changed();
-    await this.run("main", source);
+    // Out of sight of a page whose budget is used up the scene waits for a share.
+    if (this.sharedBudget > 0) await this.run("main", source);
   }
 
   /** Show a second scene left of the divide; undefined removes it. */
@@ -463,7 +496,7 @@ export class SceneView {
       ply !== undefined
         ? new PlyFeed(ply, meter, workers, this.budget)
         : new CogsFeed(source, meter, workers, this.budget, this.order);
-    const shown: Shown = { feed, abort, workers };
+    const shown: Shown = { budget: this.budget, feed, abort, workers };
     this[which] = shown;
     try {
       await feed.run(isMain ? this.mainHost(shown) : this.otherHost(shown), abort.signal);
@@ -487,7 +520,12 @@ export class SceneView {
         this.origin = info.origin;
         this.homeCamera = () => new OrbitCamera({ ...info, ...(this.start.up && { up: this.start.up }) });
         this.home = undefined;
+        const pose = this.keptRows > 0 ? this.view : undefined;
         this.reset();
+        if (pose !== undefined) {
+          this.camera!.setPose(pose);
+          this.touched = true;
+        }
         this.updateStatistics({ state: "streaming", totalSplats: scene.splats });
         shown.layer?.close();
         shown.layer = this.makeLayer(scene, shown.workers.known);
@@ -722,6 +760,9 @@ export class SceneView {
     renderer.resize(width, height);
     if (camera === undefined || layers.length === 0)
       return statistics.state === "failed" || statistics.state === "empty";
+    // The picture of the scene that is loaded again stays until as much is there, or a person moves.
+    if (statistics.state === "streaming" && layers[0]!.rows < this.keptRows && !this.hasMoved) return false;
+    this.keptRows = 0;
     const start = performance.now();
     const arriving = statistics.state === "streaming" && this.fills && !this.wasSettled;
     const fill = arriving ? 1 - Math.min(statistics.splats / statistics.totalSplats, 1) : 0;
