@@ -222,3 +222,27 @@ def test_views_too_small_to_compare_are_refused(
     told = run("compare", small.ply, small.cogs, "--cameras", cameras)
     assert told.code == 3
     assert "[view-too-small]" in told.err
+
+
+def test_encode_stores_the_up_and_the_view_that_are_given(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    out = tmp_path / "out.cogs"
+    common = ["--cameras", small.cameras, "--profile", "near-lossless"]
+    pose = "0.5,-2,-6,0,-0.5,0,48"
+    told = run("encode", small.ply, out, *common, "--up", "-y", "--view", pose)
+    assert told.code == 0, told.err
+    stored = run("info", out, "--json").json
+    assert stored["up"] == [0.0, -1.0, 0.0]
+    first = stored["first_view"]
+    assert isinstance(first, dict)
+    assert (first["text"], first["target"]) == (pose, [0.0, -0.5, 0.0])
+    # Chunks are the same, whatever a viewer starts with.
+    other = tmp_path / "other.cogs"
+    assert run("encode", small.ply, other, *common).code == 0
+    with cogsplat.open(out) as one, cogsplat.open(other) as two:
+        assert one.segments.hash.tolist() == two.segments.hash.tolist()
+    for option, text in (("--up", "0,0,0"), ("--view", "1,2,3"), ("--view", "east")):
+        told = run("encode", small.ply, tmp_path / "no.cogs", *common, option, text)
+        assert told.code != 0
+        assert "bad-view-text" in told.err
