@@ -135,7 +135,7 @@ def _target(path: Path, *, to_folder: bool) -> Path:
 
 
 def _with_files(description: Description | None, file: CogsFile) -> Description | None:
-    """Return a description whose pictures have files: their own, or those of the scene."""
+    """Return a description with the file of every picture: a new file, or the scene's."""
     if description is None or description.is_empty:
         return None
     lacking = [name for name, one in description.pictures().items() if one.data is None]
@@ -203,7 +203,7 @@ def described_source(
 
 
 def _joined(table: SegmentTable, rows: NDArray[np.int64], other: SegmentTable) -> SegmentTable:
-    """Return some rows of a segment table with another table behind them."""
+    """Return a segment table of some rows of one table and all rows of another."""
     names = [field.name for field in fields(SegmentTable)]
     return SegmentTable(
         **{
@@ -223,7 +223,7 @@ class _Piece:
 
 
 class _JoinedSource:
-    """Source over ranges of other sources, one behind the other; `close` leaves these open."""
+    """Source that concatenates ranges of other sources; `close` leaves the other sources open."""
 
     def __init__(self, name: str, pieces: Sequence[_Piece]) -> None:
         self.name = name

@@ -181,6 +181,6 @@ class Description:
         return replace(self, poster=None, sky=None)
 
     def with_pictures(self, pictures: Mapping[str, Picture]) -> Description:
-        """Return the description with other pictures, by name; those not named stay."""
+        """Return the description with some pictures replaced, by name."""
         poster, sky = pictures.get("poster", self.poster), pictures.get("sky", self.sky)
         return replace(self, poster=poster, sky=sky)

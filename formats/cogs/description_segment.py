@@ -267,7 +267,7 @@ def _maps(table: CheckedMap, where: str, key: str, most: int, least: int = 0) ->
 
 
 def _views(table: CheckedMap, where: str) -> tuple[Camera, ...]:
-    """Remove the named views and return them."""
+    """Parse the named views."""
     maps = _maps(table, where, "views", MAX_VIEWS)
     return tuple(parse_camera(one, _text(one, "name", MAX_NAME_BYTES)) for one in maps)
 
@@ -287,7 +287,7 @@ def _path(table: CheckedMap, where: str) -> CameraPath:
 
 
 def _annotations(table: CheckedMap, where: str) -> tuple[Annotation, ...]:
-    """Remove the annotations and return them."""
+    """Parse the annotations."""
     found = []
     for number, one in enumerate(_maps(table, where, "annotations", MAX_ANNOTATIONS)):
         place = np.array(one.numbers("place", 3))
@@ -341,7 +341,7 @@ def _sky(table: CheckedMap) -> Picture:
 
 
 def _rotation(table: CheckedMap) -> NDArray[np.float64]:
-    """Remove the rotation and return it; a camera has the same rule."""
+    """Parse the rotation of a sky, by the rule of a camera's rotation."""
     rotation = np.array(table.numbers("rotation", 9)).reshape(3, 3)
     try:
         return Camera(1, 1, 1.0, 1.0, 0.5, 0.5, rotation, np.zeros(3), "sky").rotation
@@ -350,7 +350,7 @@ def _rotation(table: CheckedMap) -> NDArray[np.float64]:
 
 
 def _picture(table: CheckedMap) -> Picture:
-    """Remove type and size of a picture and return them."""
+    """Parse type and size of a picture."""
     media_type = table.word("type")
     if media_type not in (JPEG, WEBP):
         raise table.error("type", f"{media_type[:40]!r}, expected {JPEG} or {WEBP}")
@@ -386,7 +386,7 @@ def check_picture(picture: Picture, data: bytes, where: str) -> None:
 
 
 def require_pictures(description: Description, rows: Mapping[str, int], where: str) -> None:
-    """Refuse a file whose picture segments are not those of its description.
+    """Refuse a file whose picture segments differ from the pictures of its description.
 
     Parameters
     ----------

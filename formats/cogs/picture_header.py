@@ -31,7 +31,7 @@ def picture_header(data: bytes, where: str) -> tuple[str, int, int]:
     Raises
     ------
     FormatError
-        ``picture-header``: neither a JPEG nor a still WebP, or cut.
+        ``picture-header``: another format than JPEG and still WebP, or a cut picture.
     """
     try:
         if data[:2] == b"\xff\xd8":

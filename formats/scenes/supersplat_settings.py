@@ -1,7 +1,7 @@
 """Settings of the SuperSplat viewer as JSON: background, start camera, track, annotations.
 
 Source: Experience Settings, version 2 (developer.playcanvas.com, SuperSplat's user manual, 2026).
-Settings lie beside a scene. The viewer turns scenes by 180° about z, so its positions are those of
+Settings are a file next to the scene. The viewer turns scenes by 180° about z, so its positions are those of
 the splats with x and y negated, in the axes of 3DGS training. Fields of view are vertical here.
 """
 
@@ -283,7 +283,7 @@ def _settings(
 
 
 def _flat(poses: Sequence[Mapping[str, object]], key: str) -> list[object]:
-    """Return the numbers of a key of all poses, one behind the other."""
+    """Return the concatenated numbers of a key of all poses."""
     found: list[object] = []
     for pose in poses:
         values = pose[key]
