@@ -1,8 +1,9 @@
 """Settings of the SuperSplat viewer as JSON: background, start camera, track, annotations.
 
 Source: Experience Settings, version 2 (developer.playcanvas.com, SuperSplat's user manual, 2026).
-Settings are a file next to the scene. The viewer turns scenes by 180° about z, so its positions are those of
-the splats with x and y negated, in the axes of 3DGS training. Fields of view are vertical here.
+Settings are a file next to the scene. The viewer turns scenes by 180° about z: its positions are
+those of the splats, in the axes of 3DGS training, with x and y negated. Fields of view are vertical
+here.
 """
 
 from __future__ import annotations
