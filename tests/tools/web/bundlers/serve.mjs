@@ -1,8 +1,8 @@
 // Makes a fresh app of app/ with a bundler, without configuration, serves it, and prints its address.
 // node serve.mjs BUNDLER dev|build|strict SCENE; strict serves a build with a policy that allows nothing but files.
-import { copyFileSync, cpSync, mkdirSync, readdirSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { copyFileSync, cpSync, mkdirSync, readdirSync, readFileSync, renameSync, rmSync, writeFileSync } from "node:fs";
 import { createServer } from "node:http";
-import { basename, dirname, extname, join } from "node:path";
+import { dirname, extname, join } from "node:path";
 import { fileURLToPath } from "node:url";
 
 const [bundler, mode, scene] = process.argv.slice(2);
@@ -13,8 +13,8 @@ rmSync(root, { recursive: true, force: true });
 cpSync(join(here, "app"), root, { recursive: true });
 writeFileSync(join(root, "package.json"), JSON.stringify({ name: "app", private: true, type: "module" }));
 mkdirSync(join(root, "public"));
-for (const file of [scene, join(root, "count_workers.js")]) copyFileSync(file, join(root, "public", basename(file)));
-rmSync(join(root, "count_workers.js"));
+copyFileSync(scene, join(root, "public", "scene.cogs"));
+renameSync(join(root, "count_workers.js"), join(root, "public", "count_workers.js"));
 
 const TYPES = { ".html": "text/html", ".js": "text/javascript", ".cogs": "application/octet-stream" };
 

@@ -9,8 +9,7 @@ export const SH_WORDS = [2, 4, 4] as const;
 /**
  * Splats packed for upload, four u32 each, within the tolerances of SPEC 8.6 except for rotations.
  *
- * The layout is that of Spark's `PackedSplats`, half the size of its `ExtSplats`. Rotations are up to 0.034 radians
- * off; the layouts of `texels.ts` keep all tolerances.
+ * The layout is that of Spark's `PackedSplats`. Rotations are up to 0.034 radians off.
  *
  * | word | bits | contents |
  * |---|---|---|

@@ -17,9 +17,6 @@ export interface Splats {
   readonly shN: Float32Array;
 }
 
-/** Coefficients above DC alone. */
-export type ShRows = Pick<Splats, "count" | "shDegree" | "shN">;
-
 /** Concatenate the rows of several parts of one SH degree. */
 export function concatenate(parts: readonly Splats[], shDegree: number): Splats {
   const join = (arrays: Float32Array[]) => {
