@@ -216,7 +216,7 @@ def test_lpips_and_photos_are_measured_where_given(
         (["--shares", "0"], "expected percents"),
         (["--sizes", "12 parsecs"], "expected bytes"),
         (["--orders", "contribution,gloss"], "expected one of"),
-        (["--orders", "contribution+frustum"], "without --first-view"),
+        (["--orders", "contribution", "--frustum-share", "0.5"], "followed by"),
     ],
 )
 def test_what_makes_no_sense_is_usage(
