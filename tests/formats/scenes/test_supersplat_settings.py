@@ -1,6 +1,7 @@
 """Settings of the SuperSplat viewer: read into descriptions and written again."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -144,3 +145,30 @@ def test_other_settings_are_refused(changes):
         read(settings(**changes))
     assert caught.value.code in ("bad-settings-file", "bad-view-text")
     assert "settings.json" in caught.value.message or caught.value.code == "bad-view-text"
+
+
+CASES = json.loads(
+    (Path(__file__).resolve().parents[3] / "tools/web/test/supersplat_cases.json").read_text(
+        "utf-8"
+    )
+)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case["name"])
+def test_settings_mean_what_they_mean_in_the_viewer(case):
+    found = read(case["settings"], case["axes"], np.array(case["up"], dtype=float))
+    expected, described = case["expected"], found.description
+    assert described.background == tuple(expected["background"])
+    assert (found.first_view is None) == (expected["start"] is None)
+    if found.first_view is not None:
+        assert found.first_view.position == pytest.approx(expected["start"]["position"])
+        assert found.first_view.target == pytest.approx(expected["start"]["target"])
+    path = described.path
+    assert (None if path is None else path.loop) == expected["loop"]
+    stops = [] if path is None else path.stops
+    assert [stop.time for stop in stops] == [stop["time"] for stop in expected["stops"]]
+    for stop, wanted in zip(stops, expected["stops"], strict=True):
+        assert stop.camera.position == pytest.approx(wanted["position"])
+    places = [one.place.tolist() for one in described.annotations]
+    assert places == expected["places"]
+    assert [one.title for one in described.annotations] == expected["titles"]

@@ -1,4 +1,5 @@
 import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
 import { test } from "node:test";
 import { positionOf } from "../src/viewer/flight.js";
 import { exportSettings, importSettings } from "../src/viewer/supersplat_settings.js";
@@ -64,6 +65,49 @@ test("settings come back as they were, in any axes", () => {
     const [annotation] = parts.annotations;
     assert.deepEqual([annotation!.title, annotation!.text], ["Here", "<b>text</b>"]);
     assert.ok(near(annotation!.place, [1, 2, 8]));
+  }
+});
+
+interface Case {
+  readonly name: string;
+  readonly axes: string;
+  readonly up: [number, number, number];
+  readonly settings: object;
+  readonly expected: {
+    readonly background: readonly number[];
+    readonly start: { readonly position: readonly number[]; readonly target: readonly number[] } | null;
+    readonly loop: boolean | null;
+    readonly stops: readonly { readonly time: number; readonly position: readonly number[] }[];
+    readonly places: readonly (readonly number[])[];
+    readonly titles: readonly string[];
+  };
+}
+
+test("settings mean what they mean in Python", () => {
+  const cases = JSON.parse(readFileSync("test/supersplat_cases.json", "utf8")) as Case[];
+  for (const { name, axes, up, settings, expected } of cases) {
+    const { parts, start } = importSettings(JSON.stringify(settings), { axes, up });
+    const { background, path, annotations } = parts;
+    assert.deepEqual(background, expected.background, name);
+    assert.equal(start === undefined, expected.start === null, name);
+    if (start !== undefined && expected.start !== null) {
+      assert.ok(near(positionOf(start), expected.start.position) && near(start.target!, expected.start.target), name);
+    }
+    assert.equal(path?.loop ?? null, expected.loop, name);
+    assert.deepEqual(
+      path?.stops.map(({ time }) => time) ?? [],
+      expected.stops.map(({ time }) => time),
+    );
+    expected.stops.forEach(({ position }, i) => {
+      assert.ok(near(positionOf(path!.stops[i]!), position), name);
+    });
+    expected.places.forEach((place, i) => {
+      assert.ok(near(annotations[i]!.place, place), name);
+    });
+    assert.deepEqual(
+      annotations.map(({ title }) => title),
+      expected.titles,
+    );
   }
 });
 

@@ -122,7 +122,13 @@ export function importSettings(
       time: (time - times[0]!) / rate,
       ...view(positions!.slice(3 * i, 3 * i + 3), targets!.slice(3 * i, 3 * i + 3), fovs[i]!),
     }));
-    return { loop: track.at("loopMode").value === "repeat", stops };
+    const loop = track.at("loopMode").value === "repeat";
+    const duration = track.at("duration").numbers()[0]!;
+    if (loop && duration > stops.at(-1)!.time && stops.length < MOST_STOPS) {
+      // SuperSplat moves on to the first view until the track ends.
+      stops.push({ ...stops[0]!, time: duration });
+    }
+    return { loop, stops };
   };
   const background = root.at("background").at("color");
   const [camera, track] = [root.at("cameras").items()[0], root.at("animTracks").items()[0]];
