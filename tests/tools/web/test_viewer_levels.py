@@ -100,6 +100,7 @@ def test_a_level_can_be_chosen(page: Page, levels: Path) -> None:
             assert_level(page, levels, level, CAMERA)
         page.keyboard.press("g")
         select = page.get_by_label("Level")
+        select.wait_for()
         options = [
             "By the picture's size", "For 1/4 of it", "For 1/2 of it", "For full size",
         ]  # fmt: skip
@@ -114,6 +115,7 @@ def test_a_scene_without_levels_offers_none(page: Page, server: FaultyServer) ->
     page.goto(server.url)
     assert "level" not in wait_until(page, "s.upToDate && s.state === 'complete'")
     page.keyboard.press("g")
+    page.get_by_role("form", name="Settings").wait_for()
     assert not page.get_by_label("Level").is_visible()
 
 
