@@ -34,7 +34,7 @@ from cogsplat.tools.main import cli
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("tests/**/*.md")])
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-TRANSCRIPT = ("", "html", "text", "ts")  # Pictures, dumps, pages: nothing that runs here.
+TRANSCRIPT = ("", "html", "js", "text", "ts")  # Pictures, dumps, pages: nothing that runs here.
 
 # What is added to a command so that the scene it makes is small.
 SMALL = {"lab synth": ("--splats", "3000"), "demo": ("--splats", "2000")}
@@ -100,14 +100,21 @@ def commands(block: str) -> list[list[str]]:
     return found
 
 
-# Files and folders of the tree, in backticks; a document says which are to be made.
+# Files and folders of the tree and entries of the npm package, in backticks; a document says which
+# are to be made.
 NAMED = re.compile(r"`((?:codec|formats|tools|tests|cogsplat)/[\w./-]+)`(, to be made)?")
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_files_that_documents_name_are_there(path: Path) -> None:
     named = NAMED.findall(path.read_text(encoding="utf-8"))
-    wrong = [name for name, to_be_made in named if (ROOT / name).exists() == bool(to_be_made)]
+    package = json.loads((ROOT / "tools" / "web" / "package.json").read_text(encoding="utf-8"))
+    entries = {f"cogsplat{entry.removeprefix('.')}" for entry in package["exports"]}
+    wrong = [
+        name
+        for name, to_be_made in named
+        if ((ROOT / name).exists() or name in entries) == bool(to_be_made)
+    ]
     assert wrong == []
 
 
