@@ -38,7 +38,6 @@ _MODULES: Final = {
     "compare": "cli.compare.compare",
     "render": "cli.render.render",
     "demo": "lab.cli.demo.demo",
-    "warm": "cli.warm.warm",
     "lab": "lab.cli.lab.lab",
 }
 

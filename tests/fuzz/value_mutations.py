@@ -40,6 +40,17 @@ def with_other_values(target: str, data: bytes, seed: int) -> bytes:
             return joined(page, _flipped(buffer, rng))
         case "sog" | "pt":
             return _in_zip(data, rng)
+        case "description":
+            page, picture = split(data, 2)
+            value = json.loads(page)
+            value["metres_per_unit"] = rng.uniform(0.1, 9)
+            for annotation in value.get("annotations", ()):
+                annotation["place"] = [rng.uniform(-9, 9) for _ in range(3)]
+            return joined(json.dumps(value).encode(), picture)
+        case "settings":
+            value = json.loads(data)
+            value["background"] = {"color": [rng.uniform(0, 1) for _ in range(3)]}
+            return json.dumps(value).encode()
         case "cameras_json":
             return json.dumps(_scaled(json.loads(data), rng)).encode()
         case "transforms_json":

@@ -56,9 +56,9 @@ def build(folder: Path) -> Path:
     leave = shutil.ignore_patterns("node_modules", "build", "dist", "wasm_bytes.ts")
     shutil.copytree(WEB, package, ignore=leave)
     shutil.copytree(ROOT / "tests" / "vectors", folder / "tests" / "vectors")
-    decisions = "tests/tools/lab/scheduling/decisions.json"
-    (folder / decisions).parent.mkdir(parents=True)
-    shutil.copy(ROOT / decisions, folder / decisions)
+    for table in ("tests/tools/lab/scheduling/decisions.json", "tests/view_text.json"):
+        (folder / table).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / table, folder / table)
     shutil.copy(ROOT / "SPEC.md", folder)
     npm(_INSTALL, package)
     npm(("run", "build"), package)

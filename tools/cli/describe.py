@@ -71,7 +71,7 @@ _POSTER_SIZE: Final = (1280, 720)
     epilog="\b\nExample:\n"
     "  cogsplat describe scene.cogs\n"
     "  cogsplat describe scene.cogs new.cogs --title Garden --licence CC-BY-4.0\n"
-    "  cogsplat describe folder/ --force --from description.json --poster first-view\n"
+    "  cogsplat describe folder/ --force --from about.json --poster first-view\n"
     "  cogsplat describe scene.cogs settings.json"
 )
 @click.argument("scene", type=INPUT_BY_RANGES, metavar="SCENE")

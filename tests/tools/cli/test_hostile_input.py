@@ -56,7 +56,7 @@ def test_every_command_that_reads_takes_limits() -> None:
     # The scenes of a batch take limits among their options, a server decodes nothing, the others
     # make what they read.
     assert without == [
-        *("batch", "serve", "demo", "warm", "lab synth"),
+        *("batch", "serve", "demo", "lab warm", "lab synth"),
         *("lab conformance run", "lab conformance fuzz"),
     ]
 

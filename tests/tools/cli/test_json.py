@@ -104,7 +104,7 @@ def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> lis
         "lab simulate": [small.cogs, *cameras, "--policy", "file", "--moments", 1, "--wait"],
         "lab synth": [out / "a.ply", "--splats", 1000],
         "demo": ["--out", out / "demo", "--splats", 1000],
-        "warm": [],
+        "lab warm": [],
         "batch": [out / "scenes.jsonl"],
         "tune": [
             small.ply, out / "a.cogs", *cameras, "--minutes", "0.01", "--target-size", "20KB",

@@ -24,9 +24,9 @@ WRITTEN = {
     "lab conformance fuzz": {"keep"},
     **{
         name: {"out"}
-        for name in ("layers", "decode", "convert", "merge", "filter", "decimate", "export-html")
+        for name in ("layers", "decode", "convert", "describe", "merge", "filter", "decimate")
     },
-    **{name: {"out"} for name in ("render", "lab score", "lab order", "lab views")},
+    **{name: {"out"} for name in ("export-html", "render", "lab score", "lab order", "lab views")},
 }
 
 

@@ -17,6 +17,7 @@ _MODULES: Final = {
     "bench": "bench.bench",
     "synth": "synth.synth",
     "conformance": "conformance.conformance",
+    "warm": "warm.warm",
 }
 
 

@@ -11,7 +11,7 @@ from running import Run
 from cogsplat.codec import compiling
 from cogsplat.codec.compiling import DeclaredKernel
 from cogsplat.codec.errors import Cancelled
-from cogsplat.tools.cli import warm
+from cogsplat.tools.lab.cli import warm
 from cogsplat.tools.workflow import compile_ahead
 from cogsplat.tools.workflow.compile_ahead import CompileAhead
 
@@ -99,12 +99,12 @@ def test_warm_says_what_it_compiled(
     run: Run, kernels: list[DeclaredKernel], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(warm, "every_kernel", lambda: kernels)
-    first, second = run("warm", "--json"), run("warm", "--json")
+    first, second = run("lab", "warm", "--json"), run("lab", "warm", "--json")
     assert first.json["kernels"] == first.json["kernels_compiled"] == 8
     assert first.json["kernel_folders"] == [str(tmp_path / "__pycache__")]
     assert second.json["kernels_compiled"] == 0
-    assert "0 kernels compiled, 8 were there already" in run("warm").out
-    assert run("warm", "--quiet").out == ""
+    assert "0 kernels compiled, 8 were there already" in run("lab", "warm").out
+    assert run("lab", "warm", "--quiet").out == ""
 
 
 def test_warm_says_that_no_folder_can_be_written(
@@ -112,7 +112,7 @@ def test_warm_says_that_no_folder_can_be_written(
 ) -> None:
     monkeypatch.setattr(DeclaredKernel, "folder", None)
     monkeypatch.setattr(warm, "every_kernel", lambda: kernels)
-    told = run("warm")
+    told = run("lab", "warm")
     assert told.code == 4
     assert "[no-kernel-folder]" in told.err
     assert "NUMBA_CACHE_DIR" in told.err

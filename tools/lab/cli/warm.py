@@ -1,4 +1,4 @@
-"""``cogsplat warm``: compile every kernel before the first command that needs it."""
+"""``cogsplat lab warm``: compile every kernel before the first command that needs it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def every_kernel() -> list[DeclaredKernel]:
     return encoding + kernels_in((*KERNEL_MODULES, *_TRAINING))
 
 
-@click.command(epilog="\b\nExample:\n  cogsplat warm")
+@click.command(epilog="\b\nExample:\n  cogsplat lab warm")
 @threads_option
 @quiet_option
 @json_option
