@@ -122,6 +122,12 @@ def test_one_finger_scrolls_the_page_and_two_turn_the_scene(
         scrolled(page)
         expect(page.get_by_text("Two fingers turn the scene")).to_be_visible()
         assert pose(page) == first
+        # A page goes on scrolling for a while after the finger has left it.
+        page.wait_for_function(
+            "() => { const before = globalThis.before; globalThis.before = scrollY;"
+            " return before === scrollY; }",
+            polling=500,
+        )
         page.evaluate("() => scrollTo(0, 0)")
         page.wait_for_function("() => scrollY === 0")
         drag(session, (150, 200), (250, 200), by=(80, 40))
