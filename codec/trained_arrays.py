@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .errors import DataError
+
+_Float = TypeVar("_Float", np.float32, np.float64)
 
 # Names of each array in trainers: gsplat's, then nerfstudio's.
 TRAINED_NAMES: Final = {
@@ -56,6 +58,12 @@ def logits(values: NDArray[np.float32], space: str) -> NDArray[np.float32]:
     with np.errstate(divide="ignore"):
         wide = values.astype(np.float64)
         return (np.log(wide) - np.log1p(-wide)).astype(np.float32)
+
+
+def opacities_from_logits(values: NDArray[_Float]) -> NDArray[_Float]:
+    """Convert opacity logits, ±inf included, to opacities from 0 to 1 of the same precision."""
+    with np.errstate(over="ignore"):
+        return np.asarray(1.0 / (1.0 + np.exp(-values)), values.dtype)
 
 
 def wxyz(values: NDArray[np.float32], order: str) -> NDArray[np.float32]:

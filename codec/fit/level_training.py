@@ -22,6 +22,7 @@ from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
+from cogsplat.codec.trained_arrays import opacities_from_logits
 
 from .densification import Densification
 from .differentiable_rendering import Gradients, render_forward, with_values
@@ -245,7 +246,7 @@ class _LevelBuilder:
             recorded.
         """
         level, before = self._level, self.count
-        is_drawn = _opacity(scene.opacities) >= MIN_OPACITY
+        is_drawn = opacities_from_logits(scene.opacities.astype(np.float64)) >= MIN_OPACITY
         # An added splat that its own level does not draw belongs to no level.
         kept = np.flatnonzero(is_drawn[frozen:])
         added = scene.take(frozen + kept)
@@ -307,7 +308,9 @@ def train_jointly(
     pictures = [downscale_picture(target, scale) for scale in config.scales for target in targets]
     longer = replace(config, steps=config.steps * len(config.scales))
     scene = _train_level(scene, 0, views, pictures, longer, 0, progress)
-    scene = scene.take(np.flatnonzero(_opacity(scene.opacities) >= MIN_OPACITY))
+    scene = scene.take(
+        np.flatnonzero(opacities_from_logits(scene.opacities.astype(np.float64)) >= MIN_OPACITY)
+    )
     zeros = np.zeros(len(scene), np.int64)
     return LevelledSplats(scene, config.scales[-1:], zeros, zeros, scene.opacities[None])
 
@@ -438,12 +441,6 @@ def _learning_rates(axes: F32, frozen: int, factor: float, *, from_points: bool)
             by_splat[:frozen] = 0
         rates[name] = by_splat
     return rates
-
-
-def _opacity(logits: F32) -> NDArray[np.float64]:
-    """Return opacities, 0 to 1, from logits."""
-    opacity: NDArray[np.float64] = 1 / (1 + np.exp(-np.clip(logits, -80, 80).astype(np.float64)))
-    return opacity
 
 
 def _concatenate(first: Splats, second: Splats) -> Splats:

@@ -13,14 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR
 from cogsplat.codec.geometry.rotations import normalise_extremes
-from cogsplat.codec.render.peak_weights import peak_weights
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import one_blas_thread
+from cogsplat.codec.trained_arrays import opacities_from_logits
 
 from .first_look import FirstLook
 from .framed_views import BELOW, around, fitting_axes, inside, places_inside
 from .occlusion import Occluders
 from .pose import down_direction, front_direction, level_axes
+from .small_picture import SmallPicture, weighted_quantiles
 from .subsample import Subsample, subsample
 from .up_direction import up_from_cameras, up_from_splats
 from .view_sets import sample_evenly
@@ -42,19 +43,8 @@ _UP_DECIMALS: Final = 6
 
 # Given cameras that are tried as first views at most.
 _TRIED_CAMERAS: Final = 24
-# Longer side of a tried picture, px.
-_TRIED_PX: Final = 64
-# Peak weight from which on a splat counts as clearly seen.
-_CLEAR: Final = 0.3
-# Radius from which on a splat is made out in the full picture, px.
-_RESOLVED_PX: Final = 4.0
-# A splat that reaches further than this share of the picture is out of focus to a viewer: too near.
-_LARGE_SHARE: Final = 0.25
 # Width by height of the frames of a screen and of a telephone.
 _FRAMES: Final = (16.0 / 9.0, 9.0 / 19.5)
-# Factor of a view that such splats fill, and of one whose distance or pitch is three times as far
-# from the cameras' median as is usual.
-_BLURRED_FACTOR: Final = 0.2
 
 # The bulk of a scene: the quartiles of each axis, widened by so many times their largest distance.
 _BULK_REACH: Final = 0.35
@@ -76,6 +66,8 @@ _CONTRAST: Final = 0.4
 _LEAST_CONTENTS: Final = 0.06
 # Least width of a scene with rooms, as a share of its length.
 _LEAST_WIDTH: Final = 0.2
+# Clearness from which on a splat counts as shown.
+_CLEAR: Final = 0.3
 # Clearness of what is not seen, so that no sum is 0.
 _UNSEEN: Final = 1e-9
 # Length of a cell, as a share of the scene's diagonal, and cells along the diagonal.
@@ -90,17 +82,10 @@ _FREE: Final = 0.1
 # one of 64. A jar with an opening has less.
 _DIRECTIONS: Final = 64
 _ENCLOSED: Final = 0.98
-# Focal length of a picture of 120 degrees, in widths.
-_WIDE_FOCAL: Final = 0.29
 # Free places that are tried at most, headings at each, and half the angle of a view, radians.
 _TRIED_PLACES: Final = 9
 _HEADINGS: Final = 12
 _HALF_VIEW: Final = math.radians(37.0)
-
-# Basis of the DC coefficient (SPEC 2.3).
-_DC: Final = 0.28209479177387814
-# The middle of the picture: this share of its width and height.
-_MIDDLE: Final = 0.3
 
 
 @one_blas_thread()
@@ -181,21 +166,21 @@ def _thin(splats: Splats) -> Subsample | None:
 def _core_box(scene: Subsample) -> F64:
     """Return the bounding box of a scene without sky and floaters, (6,)."""
     means = scene.splats.means.astype(np.float64)
-    weights = scene.counts / (1.0 + np.exp(-np.clip(scene.splats.opacities, -30.0, 30.0)))
-    quartiles = [_quantiles(means[:, axis], weights, (0.25, 0.75)) for axis in range(3)]
+    weights = scene.counts * opacities_from_logits(scene.splats.opacities)
+    quartiles = [weighted_quantiles(means[:, axis], weights, (0.25, 0.75)) for axis in range(3)]
     low, high = np.array(quartiles).T
     # One reach for all axes: what stands on a flat ground belongs to the scene.
     reach = _FENCE * float((high - low).max())
     inside = ((means >= low - reach) & (means <= high + reach)).all(axis=1)
     shares = (_STRAY_SHARE, 1.0 - _STRAY_SHARE)
-    ends = [_quantiles(means[inside, axis], weights[inside], shares) for axis in range(3)]
+    ends = [weighted_quantiles(means[inside, axis], weights[inside], shares) for axis in range(3)]
     return np.array([low for low, _ in ends] + [high for _, high in ends])
 
 
 def _best_camera(scene: Subsample, cameras: Sequence[Camera], up: F64) -> Camera:
     """Return the given camera, levelled, that shows most of what the cameras look at."""
     tried = [level(camera, up) for camera in sample_evenly(cameras, _TRIED_CAMERAS)]
-    pictures = [_Picture.of(scene, camera) for camera in tried]
+    pictures = [SmallPicture.draw(scene, camera) for camera in tried]
     sharpness = [_sharpness_in_frames(scene, camera) for camera in tried]
     looks = np.zeros(len(scene))
     for picture in pictures:
@@ -217,7 +202,7 @@ def _best_view(scene: Subsample, core: F64, up: F64, front: F64) -> Camera | Non
     points = _points_to_hold(scene, core)
     if not len(points):
         return None
-    weights = scene.counts * _opacities(scene)
+    weights = scene.counts * opacities_from_logits(scene.splats.opacities.astype(np.float64))
     outside = _views_around(scene, points, up, front)
     inside, panoramas = _views_inside(scene, points, weights, up)
     from_outside = np.zeros(len(scene))
@@ -225,7 +210,7 @@ def _best_view(scene: Subsample, core: F64, up: F64, front: F64) -> Camera | Non
         view.picture.add_to(from_outside)
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
     for camera in around(points, centre, up, front, 2.0 * NEAR, BELOW):
-        _Picture.of(scene, camera).add_to(from_outside)
+        SmallPicture.draw(scene, camera).add_to(from_outside)
     walls = _near_shown(scene, from_outside, points)
     contents = [
         float((weights * ~walls) @ np.maximum(seen - from_outside, 0.0) / (weights @ seen))
@@ -254,7 +239,7 @@ class _Tried:
     Parameters
     ----------
     camera : Camera
-    picture : _Picture
+    picture : SmallPicture
         What it shows.
     taste : float
         Factor for its elevation and side.
@@ -263,7 +248,7 @@ class _Tried:
     """
 
     camera: Camera
-    picture: _Picture
+    picture: SmallPicture
     taste: float
     is_within: bool = True
 
@@ -272,15 +257,8 @@ def _points_to_hold(scene: Subsample, core: F64) -> F64:
     """Return the points that a view of the whole scene holds: opaque splats in the core box."""
     means = scene.splats.means.astype(np.float64)
     inside = ((means >= core[:3]) & (means <= core[3:])).all(axis=1)
-    opaque = inside & (_opacities(scene) >= _OPAQUE)
+    opaque = inside & (opacities_from_logits(scene.splats.opacities.astype(np.float64)) >= _OPAQUE)
     return means[opaque if opaque.any() else inside]
-
-
-def _opacities(scene: Subsample) -> F64:
-    """Return the opacity of each splat, 0 to 1."""
-    logits = np.clip(scene.splats.opacities.astype(np.float64), -30.0, 30.0)
-    opacities: F64 = 1.0 / (1.0 + np.exp(-logits))
-    return opacities
 
 
 def _views_around(scene: Subsample, points: F64, up: F64, front: F64) -> list[_Tried]:
@@ -303,7 +281,7 @@ def _views_around(scene: Subsample, points: F64, up: F64, front: F64) -> list[_T
             )
             taste = math.exp(-(((elevation - _USUAL_ELEVATION) / _ELEVATION_SPREAD) ** 2))
             taste *= 1.0 + _FRONT * float(camera.rotation[2] @ front)
-            found.append(_Tried(camera, _Picture.of(scene, camera), taste, is_within))
+            found.append(_Tried(camera, SmallPicture.draw(scene, camera), taste, is_within))
     return found
 
 
@@ -328,10 +306,11 @@ def _views_inside(
     scene: Subsample, points: F64, weights: F64, up: F64
 ) -> tuple[list[_Tried], list[F64]]:
     """Return the best view from each of some places in rooms, and how clear each shows all."""
-    extents = np.sort(np.ptp(points @ fitting_axes(points, up).T, axis=0))
+    axes = fitting_axes(points, up)
+    extents = np.sort(np.ptp(points @ axes.T, axis=0))
     if extents[1] < _LEAST_WIDTH * extents[2]:
         return [], []
-    places = places_inside(points, up)
+    places = places_inside(points, axes)
     size = float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
     occluders = Occluders(scene.splats)
     reach = min(_CLEARANCE * size, _HEADROOM * float(np.ptp(points @ up)))
@@ -340,6 +319,7 @@ def _views_inside(
     far = occluders.occlusion(free, np.full(len(free), np.inf), _DIRECTIONS)
     enclosed = far >= _ENCLOSED
     free = free[enclosed] if 2 * int(enclosed.sum()) >= len(enclosed) else free[:0]
+    side, other = level_axes(up)
     found: list[_Tried] = []
     panoramas: list[F64] = []
     for place in _spread(free, _TRIED_PLACES):
@@ -347,17 +327,16 @@ def _views_inside(
         panoramas.append(np.full(len(scene), _UNSEEN))
         for quarter in range(4):
             camera = inside(place, 0.5 * math.pi * quarter, up)
-            picture = _Picture.of(scene, camera, wide=True)
+            picture = SmallPicture.draw(scene, camera, wide=True)
             picture.add_to(panoramas[-1])
             offsets = scene.splats.means[picture.index].astype(np.float64) - place
-            side, other = level_axes(up)
             angles = np.arctan2(offsets @ other, offsets @ side)
             shown = weights[picture.index] * picture.clear
             for heading in range(_HEADINGS):
                 turned = np.angle(np.exp(1j * (angles - 2.0 * math.pi * heading / _HEADINGS)))
                 looks[heading] += float(np.sum(shown, where=np.abs(turned) < _HALF_VIEW))
         camera = inside(place, 2.0 * math.pi * int(looks.argmax()) / _HEADINGS, up)
-        found.append(_Tried(camera, _Picture.of(scene, camera), 1.0))
+        found.append(_Tried(camera, SmallPicture.draw(scene, camera), 1.0))
     return found, panoramas
 
 
@@ -393,7 +372,7 @@ def _sharpness_in_frames(scene: Subsample, camera: Camera) -> float:
         width = max(camera.width, round(camera.height * aspect))
         height = max(camera.height, round(camera.width / aspect))
         seen = replace(camera, width=width, height=height, cx=0.5 * width, cy=0.5 * height)
-        product *= _Picture.of(scene, seen).sharpness
+        product *= SmallPicture.draw(scene, seen).sharpness
     return math.sqrt(product)
 
 
@@ -415,100 +394,9 @@ def level(camera: Camera, up: F64) -> Camera:
 
 def _aim(scene: Subsample, camera: Camera) -> Camera:
     """Return a camera with a target at the depth that the middle of its picture shows."""
-    return _with_target(camera, _Picture.of(scene, camera).middle_depth)
+    return _with_target(camera, SmallPicture.draw(scene, camera).middle_depth)
 
 
 def _with_target(camera: Camera, depth: float) -> Camera:
     """Return a camera with a target in the middle of its picture."""
     return replace(camera, target=camera.position + depth * camera.rotation[2])
-
-
-@dataclass(frozen=True, eq=False)
-class _Picture:
-    """What a small picture of a camera shows.
-
-    Parameters
-    ----------
-    index : (n,) int32
-        Rows of the subsample in the picture.
-    clear : (n,) float64
-        How clearly each is seen, 0 to 1.
-    detail : (n,) float64
-        How clearly each is seen, less where it is too small to be made out.
-    sharpness : float
-        1 for a picture of small splats, less where large near splats fill it.
-    middle_depth : float
-        Median depth of what the middle of the picture shows, scene units.
-    light, contrast : float
-        Mean brightness of what is shown, 0 to 1, and how much its colours differ.
-    """
-
-    index: NDArray[np.int32]
-    clear: F64
-    detail: F64
-    sharpness: float
-    middle_depth: float
-    light: float
-    contrast: float
-
-    def add_to(self, clear: F64) -> None:
-        """Raise how clearly each splat of the subsample is seen to what this picture shows."""
-        clear[self.index] = np.maximum(clear[self.index], self.clear)
-
-    @classmethod
-    def of(cls, scene: Subsample, camera: Camera, *, wide: bool = False) -> _Picture:
-        """Draw a small picture of a subsample; a wide one shows 120 degrees in fewer pixels."""
-        small = _shrunk(camera)
-        if wide:
-            side = _TRIED_PX // 2
-            small = replace(
-                small, width=side, height=side, fx=_WIDE_FOCAL * side, fy=_WIDE_FOCAL * side,
-                cx=0.5 * side, cy=0.5 * side,
-            )  # fmt: skip
-        index, peaks = peak_weights(scene.splats, small, NEAR)
-        clear = np.minimum(1.0, peaks.astype(np.float64) / _CLEAR)
-        means = scene.splats.means[index].astype(np.float64)
-        seen = means @ small.rotation.T + small.translation
-        depths = np.maximum(seen[:, 2], NEAR)
-        radii = scene.sizes[index] * small.fy / depths
-        areas = np.pi * np.square(radii) * peaks
-        large = 2.0 * radii > _LARGE_SHARE * max(small.width, small.height)
-        filled = float(np.sum(areas, where=large)) / (small.width * small.height)
-        sharpness = 1.0 - (1.0 - _BLURRED_FACTOR) * min(1.0, filled)
-        offsets = np.abs(seen[:, :2]) * [small.fx, small.fy] / depths[:, None]
-        middle = (offsets < 0.5 * _MIDDLE * np.array([small.width, small.height])).all(axis=1)
-        weights = peaks.astype(np.float64) * np.minimum(1.0, areas)
-        if not weights[middle].any():
-            middle = np.ones(len(index), np.bool_)
-        depth = 1.0
-        if weights[middle].any():
-            (depth,) = _quantiles(depths[middle], weights[middle], (0.5,))
-        colours = np.clip(0.5 + _DC * scene.splats.sh0[index].astype(np.float64), 0.0, 1.0)
-        mean = weights @ colours / max(float(weights.sum()), 1e-12)
-        # Differences of the channels: faces differ in colour, what shines in brightness alone.
-        chroma = np.diff(colours - mean, axis=1)
-        spread = weights @ np.square(chroma) / max(float(weights.sum()), 1e-12)
-        contrast = math.sqrt(float(spread.sum()))
-        detail = clear * np.minimum(1.0, scene.sizes[index] * camera.fy / depths / _RESOLVED_PX)
-        return cls(index, clear, detail, sharpness, depth, float(mean.mean()), contrast)
-
-
-def _shrunk(camera: Camera) -> Camera:
-    """Return a camera with a small picture of the same view."""
-    scale = _TRIED_PX / max(camera.width, camera.height)
-    width, height = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
-    across, down = width / camera.width, height / camera.height
-    return replace(
-        camera, width=width, height=height, fx=camera.fx * across, fy=camera.fy * down,
-        cx=camera.cx * across, cy=camera.cy * down,
-    )  # fmt: skip
-
-
-def _quantiles(values: F64, weights: F64, shares: Sequence[float]) -> list[float]:
-    """Return the smallest values with these shares of the weights up to them."""
-    order = np.argsort(values, kind="stable")
-    total = np.cumsum(weights[order])
-    rows = [
-        min(int(np.searchsorted(total, share * total[-1])), len(values) - 1) for share in shares
-    ]
-    return [float(values[order[row]]) for row in rows]

@@ -130,9 +130,8 @@ def around(
     return found
 
 
-def places_inside(points: F64, up: F64) -> F64:
-    """Return places within the extent of points: a level grid, (n, 3) float64."""
-    axes = fitting_axes(points, up)
+def places_inside(points: F64, axes: F64) -> F64:
+    """Return a level grid of places in the bounding box of points along `fitting_axes`, (n, 3)."""
     low, high = (points @ axes.T).min(axis=0), (points @ axes.T).max(axis=0)
     steps = (np.arange(_GRID) + 0.5) / _GRID
     shares = np.array([(x, y, _HEIGHT) for x in steps for y in steps])

@@ -17,6 +17,7 @@ from cogsplat.codec.render.blending import ALPHA_MAX
 from cogsplat.codec.render.jit import inner_kernel, kernel
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
+from cogsplat.codec.trained_arrays import opacities_from_logits
 
 from .low_discrepancy import even_directions
 from .subsample import MAX_LOG_SCALE
@@ -170,12 +171,10 @@ class Occluders:
         deviations = np.maximum(deviations, _THINNEST * largest[:, None])
         # Whitening: maps an offset in scene units to the splat's axes, in standard deviations.
         axes = matrices(unit(splats.quats)).transpose(0, 2, 1)
-        with np.errstate(over="ignore"):
-            opacities_unit = 1.0 / (1.0 + np.exp(-splats.opacities.astype(np.float64)))
         self._arrays: tuple[F64, F64, F64, F64] = (
             splats.means.astype(np.float64),
             np.ascontiguousarray(axes / deviations[:, :, None]),
-            opacities_unit,
+            opacities_from_logits(splats.opacities.astype(np.float64)),
             CUT_SIGMA * largest,
         )
         self._threads = thread_count(threads)

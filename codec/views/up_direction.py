@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.geometry.rotations import matrices, unit
+from cogsplat.codec.trained_arrays import opacities_from_logits
 
 from .low_discrepancy import even_directions
 from .pose import level_axes
@@ -194,7 +195,7 @@ class _Surface:
         thin, middle, large = np.take_along_axis(log_scales, order, axis=1).T
         axes = matrices(unit(splats.quats[inside])).astype(np.float64)
         normals = np.take_along_axis(axes, order[:, None, :1], axis=2)[:, :, 0]
-        opacity = 1.0 / (1.0 + np.exp(-np.clip(splats.opacities[inside], -30.0, 30.0)))
+        opacity = opacities_from_logits(splats.opacities[inside])
         log_areas = middle + large
         areas = opacity * np.exp(np.minimum(log_areas, np.quantile(log_areas, _LARGEST)))
         if not areas.sum() > 0.0:

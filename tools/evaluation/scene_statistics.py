@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Extra, Splats, sh_coefficients
+from cogsplat.codec.trained_arrays import opacities_from_logits
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -111,7 +112,7 @@ def statistics(splats: Splats, progress: Progress = silent) -> SceneStatistics:
     # Overflowing exponentials are counted as inf, and inf - inf as NaN.
     with np.errstate(over="ignore", invalid="ignore"):
         ordered = np.sort(splats.scales, axis=1)
-        opacities_unit = 1.0 / (1.0 + np.exp(-splats.opacities.astype(np.float64)))
+        opacities_unit = opacities_from_logits(splats.opacities.astype(np.float64))
         rows["opacities_unit"] = opacities_unit.astype(np.float32)
         rows["scales_linear.max"] = np.exp(ordered[:, 2])
         rows["elongation"] = ordered[:, 2] - ordered[:, 1]

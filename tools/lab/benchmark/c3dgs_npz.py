@@ -21,6 +21,7 @@ from cogsplat.codec.errors import DataError
 from cogsplat.codec.geometry import covariance, morton, rotations
 from cogsplat.codec.scoring.contribution import Scores
 from cogsplat.codec.splats import SceneInfo, Splats
+from cogsplat.codec.trained_arrays import opacities_from_logits
 from cogsplat.formats.storage.atomic import atomic_write
 
 F32 = NDArray[np.float32]
@@ -77,7 +78,7 @@ def write(splats: Splats, scores: Scores, path: Path, *, threads: int = 0) -> No
     scales, quats, shape_indices, factors = _cluster_shapes(
         splats, scores, int(kept.sum()), threads
     )
-    opacities_unit = 1 / (1 + np.exp(-splats.opacities.astype(np.float64)))
+    opacities_unit = opacities_from_logits(splats.opacities.astype(np.float64))
     arrays: dict[str, NDArray[np.generic]] = {
         "xyz": splats.means.astype(np.float16),
         "feature_indices": colour_indices,

@@ -1,0 +1,127 @@
+"""Small pictures of a subsample, by which candidates for the first view are judged."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.geometry.frustum import NEAR
+from cogsplat.codec.render.peak_weights import peak_weights
+
+from .subsample import Subsample
+
+F64 = NDArray[np.float64]
+
+# Longer side of a small picture, px.
+_SIDE_PX: Final = 64
+# Focal length of a picture of 120 degrees, in widths.
+_WIDE_FOCAL: Final = 0.29
+# Peak weight from which on a splat is seen in full clearness.
+_CLEAR_PEAK: Final = 0.3
+# Radius from which on a splat is made out in the full picture, px.
+_RESOLVED_PX: Final = 4.0
+# Share of the picture's longer side from which on a splat is large: too near, and blurred.
+_LARGE_SHARE: Final = 0.25
+# Sharpness of a picture that large splats fill.
+_BLURRED: Final = 0.2
+# Share of the width and of the height that is the middle of the picture.
+_MIDDLE: Final = 0.3
+# Basis of the DC coefficient (SPEC 2.3).
+_DC: Final = 0.28209479177387814
+
+
+@dataclass(frozen=True, eq=False)
+class SmallPicture:
+    """What a small picture of a camera shows.
+
+    Parameters
+    ----------
+    index : (n,) int32
+        Rows of the subsample in the picture.
+    clear : (n,) float64
+        How clearly each is seen, 0 to 1.
+    detail : (n,) float64
+        How clearly each is seen, less where it is too small to be made out.
+    sharpness : float
+        1 for a picture of small splats, less where large near splats fill it.
+    middle_depth : float
+        Median depth of what the middle of the picture shows, scene units.
+    light, contrast : float
+        Mean brightness of what is shown, 0 to 1, and how much its colours differ.
+    """
+
+    index: NDArray[np.int32]
+    clear: F64
+    detail: F64
+    sharpness: float
+    middle_depth: float
+    light: float
+    contrast: float
+
+    def add_to(self, clear: F64) -> None:
+        """Raise how clearly each splat of the subsample is seen to what this picture shows."""
+        clear[self.index] = np.maximum(clear[self.index], self.clear)
+
+    @classmethod
+    def draw(cls, scene: Subsample, camera: Camera, *, wide: bool = False) -> SmallPicture:
+        """Draw a small picture of a subsample; a wide one shows 120 degrees in fewer pixels."""
+        small = _shrunk(camera)
+        if wide:
+            side = _SIDE_PX // 2
+            small = replace(
+                small, width=side, height=side, fx=_WIDE_FOCAL * side, fy=_WIDE_FOCAL * side,
+                cx=0.5 * side, cy=0.5 * side,
+            )  # fmt: skip
+        index, peaks = peak_weights(scene.splats, small, NEAR)
+        clear = np.minimum(1.0, peaks.astype(np.float64) / _CLEAR_PEAK)
+        means = scene.splats.means[index].astype(np.float64)
+        seen = means @ small.rotation.T + small.translation
+        depths = np.maximum(seen[:, 2], NEAR)
+        radii = scene.sizes[index] * small.fy / depths
+        areas = np.pi * np.square(radii) * peaks
+        large = 2.0 * radii > _LARGE_SHARE * max(small.width, small.height)
+        filled = float(np.sum(areas, where=large)) / (small.width * small.height)
+        sharpness = 1.0 - (1.0 - _BLURRED) * min(1.0, filled)
+        offsets = np.abs(seen[:, :2]) * [small.fx, small.fy] / depths[:, None]
+        middle = (offsets < 0.5 * _MIDDLE * np.array([small.width, small.height])).all(axis=1)
+        weights = peaks.astype(np.float64) * np.minimum(1.0, areas)
+        if not weights[middle].any():
+            middle = np.ones(len(index), np.bool_)
+        depth = 1.0
+        if weights[middle].any():
+            (depth,) = weighted_quantiles(depths[middle], weights[middle], (0.5,))
+        colours = np.clip(0.5 + _DC * scene.splats.sh0[index].astype(np.float64), 0.0, 1.0)
+        mean = weights @ colours / max(float(weights.sum()), 1e-12)
+        # Differences of the channels: faces differ in colour, what shines in brightness alone.
+        chroma = np.diff(colours - mean, axis=1)
+        spread = weights @ np.square(chroma) / max(float(weights.sum()), 1e-12)
+        contrast = math.sqrt(float(spread.sum()))
+        detail = clear * np.minimum(1.0, scene.sizes[index] * camera.fy / depths / _RESOLVED_PX)
+        return cls(index, clear, detail, sharpness, depth, float(mean.mean()), contrast)
+
+
+def _shrunk(camera: Camera) -> Camera:
+    """Return a camera with a small picture of the same view."""
+    scale = _SIDE_PX / max(camera.width, camera.height)
+    width, height = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
+    across, down = width / camera.width, height / camera.height
+    return replace(
+        camera, width=width, height=height, fx=camera.fx * across, fy=camera.fy * down,
+        cx=camera.cx * across, cy=camera.cy * down,
+    )  # fmt: skip
+
+
+def weighted_quantiles(values: F64, weights: F64, shares: Sequence[float]) -> list[float]:
+    """Return the smallest values with these shares of the weights up to them."""
+    order = np.argsort(values, kind="stable")
+    total = np.cumsum(weights[order])
+    rows = [
+        min(int(np.searchsorted(total, share * total[-1])), len(values) - 1) for share in shares
+    ]
+    return [float(values[order[row]]) for row in rows]
