@@ -1,4 +1,4 @@
-"""Framed views: cameras around a scene that hold all of it, and places inside it to look from."""
+"""Framed views: level cameras around a scene that hold the whole scene, and views from inside."""
 
 from __future__ import annotations
 
@@ -18,41 +18,42 @@ F64 = NDArray[np.float64]
 
 # Field of view of the longer side of a framed picture, degrees.
 _FOV_DEG: Final = 50.0
-# Width by height of a framed picture, from upright to wide, and its number of pixels.
+# Least and largest aspect ratio of a framed picture, width by height, and its number of pixels.
 _NARROWEST, _WIDEST = 0.75, 16.0 / 9.0
 _PIXELS: Final = 1280 * 960
-# Least depth, in extents of the object along the view: its ends differ in size by at most 3.
+# Least depth, in extents of the object along the view. The near end of the object is shown at most
+# 3 times as large as the far end.
 _NEAREST: Final = 0.5
-# Least field of view of a small object, as a share of the usual one.
+# Least factor on the slopes of the picture's edges, for small objects: bounds the zoom.
 _LEAST_ZOOM: Final = 1e-3
-# Free margin at each side, as a share of the picture.
+# Margin at each side, as a share of the picture.
 _MARGIN: Final = 0.06
 RINGS: Final = ((15.0, 12), (40.0, 6))
 """Elevations of the cameras around a scene, degrees, and the number of cameras at each."""
 BELOW: Final = ((-40.0, 4),)
-"""The same, of cameras that look up at what stands on no ground."""
+"""Elevations and numbers of cameras that look up at a scene from below."""
 
-# Field of view of the picture inside a scene, degrees across, and its size.
+# Horizontal field of view of pictures from inside a scene, degrees, and their size, px.
 _INSIDE_FOV_DEG: Final = 75.0
 _INSIDE_SIZE: Final = (1280, 960)
 # Pitch of the views inside a scene, degrees downwards.
 _INSIDE_PITCH_DEG: Final = 8.0
-# Places inside a scene: a grid of so many by so many, at this share of its height.
+# Places inside a scene: rows and columns of a level grid, and its height as a share of the scene's.
 _GRID: Final = 6
 _HEIGHT: Final = 0.55
-# Directions in a quarter turn that the grid may have.
+# Rotations in a quarter turn that are tried for the smallest rectangle.
 _TURNS: Final = 18
 
 
 def framed(points: F64, centre: F64, towards: F64, up: F64, near_plane: float) -> Camera:
-    """Return the level camera that looks in a direction and holds points as large as fits.
+    """Return the level camera that looks in a direction and fits points into its picture.
 
     Parameters
     ----------
     points : (n, 3) float64
         Points to hold, scene units; at least one.
     centre : (3,) float64
-        Point whose depth the target has.
+        Point of the same depth as the camera's target, scene units.
     towards : (3,) float64
         Direction of view, a unit vector.
     up : (3,) float64
@@ -63,8 +64,8 @@ def framed(points: F64, centre: F64, towards: F64, up: F64, near_plane: float) -
     Returns
     -------
     Camera
-        Its picture is as wide or tall as the points need, between 3:4 and 16:9. Where the points
-        are nearer than `near_plane` allows, the camera zooms in.
+        Camera with an aspect ratio that follows the points, from 3:4 to 16:9. It keeps all points
+        beyond `near_plane`; if they would be small there, it zooms in.
     """
     rotation = level_rotation(towards, up)
     seen = (points - centre) @ rotation.T
@@ -73,21 +74,22 @@ def framed(points: F64, centre: F64, towards: F64, up: F64, near_plane: float) -
     longer = math.tan(math.radians(0.5 * _FOV_DEG))
     slopes = np.array([longer, longer / aspect] if aspect >= 1.0 else [longer * aspect, longer])
     inner = slopes * (1.0 - 2.0 * _MARGIN)
-    # The camera stands `back` behind the centre, moved aside by `aside`: both sides just fit.
+    # Offsets of the camera from the centre: `back` against the view, `shift` across it. With both,
+    # the outermost points reach the margins on both sides.
     highest = (seen[:, :2] / inner - seen[:, 2:]).max(axis=0)
     lowest = (-seen[:, :2] / inner - seen[:, 2:]).max(axis=0)
-    aside = 0.5 * inner * (highest - lowest)
+    shift = 0.5 * inner * (highest - lowest)
     back = float((0.5 * (highest + lowest)).max())
     nearest = max(near_plane, _NEAREST * float(spans[2])) - float(seen[:, 2].min())
     if back < nearest:
-        # Of a small object, or one that is seen lengthwise: the camera stands off and zooms in.
+        # The object is small, or seen lengthwise: the camera keeps its distance and zooms in.
         back = nearest
-        reach = np.abs(seen[:, :2] - aside) / (inner * (seen[:, 2:] + back))
+        reach = np.abs(seen[:, :2] - shift) / (inner * (seen[:, 2:] + back))
         slopes = slopes * max(float(reach.max()), _LEAST_ZOOM)
     height = math.sqrt(_PIXELS / aspect)
     width_px, height_px = round(height * aspect), round(height)
     focal = 0.5 * width_px / float(slopes[0])
-    position = centre + rotation.T @ np.array([aside[0], aside[1], -back])
+    position = centre + rotation.T @ np.array([shift[0], shift[1], -back])
     return Camera(
         width_px, height_px, focal, focal, 0.5 * width_px, 0.5 * height_px,
         rotation, -rotation @ position, "first view", position + back * towards,
@@ -102,14 +104,14 @@ def around(
     near_plane: float,
     rings: Sequence[tuple[float, int]] = RINGS,
 ) -> list[Camera]:
-    """Return level cameras all around points that each hold all of them.
+    """Return level cameras around points; each camera holds all points.
 
     Parameters
     ----------
     points, centre, up, near_plane
         As in `framed`.
     front : (3,) float64
-        Direction in which the first camera looks, if it is not vertical.
+        Viewing direction of the first camera; ignored if vertical.
     rings : sequence of (float, int)
         Elevations, degrees, and the number of cameras at each.
     """
@@ -140,7 +142,7 @@ def places_inside(points: F64, axes: F64) -> F64:
 
 
 def fitting_axes(points: F64, up: F64) -> F64:
-    """Return two level axes and `up`, (3, 3), along which points fill the smallest rectangle."""
+    """Return two level axes and `up`, (3, 3): axes of the smallest rectangle around points."""
     side, other = level_axes(up)
     best, smallest = np.stack([side, other, up]), math.inf
     for step in range(_TURNS):
@@ -154,7 +156,7 @@ def fitting_axes(points: F64, up: F64) -> F64:
 
 
 def inside(place: F64, angle: float, up: F64) -> Camera:
-    """Return a camera at a place that looks about level.
+    """Return a camera at a place, looking 8 degrees below the horizon.
 
     Parameters
     ----------

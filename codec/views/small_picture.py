@@ -22,11 +22,11 @@ F64 = NDArray[np.float64]
 _SIDE_PX: Final = 64
 # Focal length of a picture of 120 degrees, in widths.
 _WIDE_FOCAL: Final = 0.29
-# Peak weight from which on a splat is seen in full clearness.
-_CLEAR_PEAK: Final = 0.3
-# Radius from which on a splat is made out in the full picture, px.
+# Peak blending weight from which on a splat's visibility is 1.
+_VISIBLE_PEAK: Final = 0.3
+# Radius in the full picture from which on a splat's detail is resolved, px.
 _RESOLVED_PX: Final = 4.0
-# Share of the picture's longer side from which on a splat is large: too near, and blurred.
+# Share of the picture's longer side above which a splat's diameter is large: near and blurred.
 _LARGE_SHARE: Final = 0.25
 # Sharpness of a picture that large splats fill.
 _BLURRED: Final = 0.2
@@ -38,40 +38,42 @@ _DC: Final = 0.28209479177387814
 
 @dataclass(frozen=True, eq=False)
 class SmallPicture:
-    """What a small picture of a camera shows.
+    """Splats that a small picture of a view shows, and the picture's sharpness and colours.
 
     Parameters
     ----------
     index : (n,) int32
         Rows of the subsample in the picture.
-    clear : (n,) float64
-        How clearly each is seen, 0 to 1.
-    detail : (n,) float64
-        How clearly each is seen, less where it is too small to be made out.
+    visibility : (n,) float64
+        Visibility of each of these splats, 0 to 1: its peak blending weight over 0.3.
+    resolved : (n,) float64
+        Visibility, reduced for splats that are smaller than 4 px in the full picture.
     sharpness : float
-        1 for a picture of small splats, less where large near splats fill it.
+        1 for a picture of small splats; falls to 0.2 as large near splats fill it.
     middle_depth : float
-        Median depth of what the middle of the picture shows, scene units.
-    light, contrast : float
-        Mean brightness of what is shown, 0 to 1, and how much its colours differ.
+        Median depth of the splats in the middle of the picture, scene units.
+    light : float
+        Mean brightness, 0 to 1.
+    contrast : float
+        Standard deviation of the differences between colour channels.
     """
 
     index: NDArray[np.int32]
-    clear: F64
-    detail: F64
+    visibility: F64
+    resolved: F64
     sharpness: float
     middle_depth: float
     light: float
     contrast: float
 
-    def add_to(self, clear: F64) -> None:
-        """Raise how clearly each splat of the subsample is seen to what this picture shows."""
-        clear[self.index] = np.maximum(clear[self.index], self.clear)
+    def raise_visibility(self, visibility: F64) -> None:
+        """Raise the visibility of the subsample's splats, in place, to this picture's."""
+        visibility[self.index] = np.maximum(visibility[self.index], self.visibility)
 
     @classmethod
     def draw(cls, scene: Subsample, camera: Camera, *, wide: bool = False) -> SmallPicture:
         """Draw a small picture of a subsample; a wide one shows 120 degrees in fewer pixels."""
-        small = _shrunk(camera)
+        small = _shrink(camera)
         if wide:
             side = _SIDE_PX // 2
             small = replace(
@@ -79,7 +81,7 @@ class SmallPicture:
                 cx=0.5 * side, cy=0.5 * side,
             )  # fmt: skip
         index, peaks = peak_weights(scene.splats, small, NEAR)
-        clear = np.minimum(1.0, peaks.astype(np.float64) / _CLEAR_PEAK)
+        visibility = np.minimum(1.0, peaks.astype(np.float64) / _VISIBLE_PEAK)
         means = scene.splats.means[index].astype(np.float64)
         seen = means @ small.rotation.T + small.translation
         depths = np.maximum(seen[:, 2], NEAR)
@@ -98,16 +100,18 @@ class SmallPicture:
             (depth,) = weighted_quantiles(depths[middle], weights[middle], (0.5,))
         colours = np.clip(0.5 + _DC * scene.splats.sh0[index].astype(np.float64), 0.0, 1.0)
         mean = weights @ colours / max(float(weights.sum()), 1e-12)
-        # Differences of the channels: faces differ in colour, what shines in brightness alone.
+        # Differences of channels: faces differ in colour, highlights in brightness alone.
         chroma = np.diff(colours - mean, axis=1)
         spread = weights @ np.square(chroma) / max(float(weights.sum()), 1e-12)
         contrast = math.sqrt(float(spread.sum()))
-        detail = clear * np.minimum(1.0, scene.sizes[index] * camera.fy / depths / _RESOLVED_PX)
-        return cls(index, clear, detail, sharpness, depth, float(mean.mean()), contrast)
+        resolved = visibility * np.minimum(
+            1.0, scene.sizes[index] * camera.fy / depths / _RESOLVED_PX
+        )
+        return cls(index, visibility, resolved, sharpness, depth, float(mean.mean()), contrast)
 
 
-def _shrunk(camera: Camera) -> Camera:
-    """Return a camera with a small picture of the same view."""
+def _shrink(camera: Camera) -> Camera:
+    """Return a camera of the same view with a picture of at most 64 px a side."""
     scale = _SIDE_PX / max(camera.width, camera.height)
     width, height = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
     across, down = width / camera.width, height / camera.height
@@ -118,7 +122,7 @@ def _shrunk(camera: Camera) -> Camera:
 
 
 def weighted_quantiles(values: F64, weights: F64, shares: Sequence[float]) -> list[float]:
-    """Return the smallest values with these shares of the weights up to them."""
+    """Return weighted quantiles: the smallest value at which the weights reach each share."""
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
     rows = [

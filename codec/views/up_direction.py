@@ -1,4 +1,4 @@
-"""Up direction of a scene: from its cameras, or from its planes and where its mass rests."""
+"""Up direction of a scene: from its cameras, or from level surfaces with splats above."""
 
 from __future__ import annotations
 
@@ -26,47 +26,54 @@ _LEAST_SPREAD: Final = 0.01
 # Share of the spread of the right axes out of the horizontal plane, relative to that within it,
 # above which the cameras roll too much to agree on a horizontal plane.
 _MOST_ROLL: Final = 0.4
-# Sine of the angle out of the horizontal plane from which on a camera counts less, and rounds of
-# reweighting.
+# Sine of the angle out of the horizontal plane from which on a camera's weight falls, and rounds of
+# iterative reweighting.
 _OUTLIER_SINE: Final = 0.03
 _ROUNDS: Final = 10
 # Length of the mean up axis below which the cameras point up in all directions.
 _LEAST_MEAN: Final = 0.2
 
-# Fewest splats from which surfaces can be told.
+# Fewest splats from which surfaces are estimated.
 _LEAST_SPLATS: Final = 50
-# Quantile of the splats' areas above which a splat counts no more: skies and blurred walls.
+# Quantile of the splats' areas at which areas are clipped: skies and blurred walls lie above.
 _LARGEST: Final = 0.99
-# Directions that are searched for planes, planes that are tried, and cosine of the angle that two
-# planes are apart.
+# Directions searched for planes, planes tried at most, and cosine of the least angle between two
+# planes.
 _DIRECTIONS: Final = 1200
 _PLANES: Final = 6
-_APART: Final = math.cos(math.radians(20.0))
-# Angle within which a normal belongs to a plane, radians; and those of the rounds of refining.
+_LEAST_APART: Final = math.cos(math.radians(20.0))
+# Width of the Gaussian of angles between a plane and its splats' normals, radians: in the search,
+# and in each round of refinement.
 _PLANE_ANGLE: Final = math.radians(12.0)
-_REFINING: Final = (math.radians(15.0), math.radians(10.0), math.radians(6.0), math.radians(6.0))
-# Heights are counted in steps of this share of the half diagonal, from -1 to 1.
+_REFINEMENT_ANGLES: Final = (
+    math.radians(15.0),
+    math.radians(10.0),
+    math.radians(6.0),
+    math.radians(6.0),
+)
+# Histograms of heights from -1 to 1: bin size, in half diagonals of the core box, and bins.
 _STEP: Final = 0.025
 _STEPS: Final = 80
-# Share of the mass that a plane which holds nearly everything is compared with.
+# Mass added to the denominator when the masses above and below a plane are compared. It lowers the
+# score of a plane that holds nearly all mass itself.
 _OWN_SHARE: Final = 0.1
-# Weights of what speaks for a direction: the largest plane with mass on it, and all level area.
+# Weights in a direction's score: of the largest level plane with mass above, and of all level area.
 _GROUND, _LEVEL = 4.0, 2.0
-# Shares of what is not level that lie below its bottom and its top.
+# Quantiles of the heights of mass outside level surfaces that count as its bottom and its top.
 _ENDS: Final = (0.03, 0.97)
-# Cells across the core box in which a plane and what is above it are compared.
+# Cells across the core box in which a plane and the mass above it are compared.
 _CELLS: Final = 24
 # Reciprocal of the share of area that is not level from which on level area counts in full.
 _OTHERS: Final = 5.0
-# How much more a direction must show than the usual up: nothing up to the first angle to it, this
-# from the second on.
+# Penalty on the score of a direction that is far from the usual up, and the angles from which on it
+# rises and is full, radians.
 _NEAR, _FAR = math.radians(10.0), math.radians(35.0)
-_DISTRUST: Final = 0.4
-# Cosine of the angle of a plane's normal to the usual up from which on the planes of the scene lie
-# along the axes of the format, and how many times as much another direction must show then.
-_AGREEING: Final = math.cos(math.radians(8.0))
-_AGREEMENT: Final = 2.0
-# Cosine of the angle up to which the usual up is exact.
+_FULL_PENALTY: Final = 0.4
+# Cosine of the angle between a plane's normal and the usual up above which the scene is aligned
+# with the axes of the format, and the factor on the score of the usual up in such a scene.
+_ALIGNED: Final = math.cos(math.radians(8.0))
+_ALIGNED_FACTOR: Final = 2.0
+# Cosine of the angle between the usual up and its refinement above which the usual up is kept.
 _EXACT: Final = math.cos(math.radians(1.0))
 
 
@@ -113,9 +120,9 @@ def up_from_cameras(cameras: Sequence[Camera], usual: F64) -> F64:
 def up_from_splats(scene: Subsample, core: F64, usual: F64) -> F64:
     """Return the up direction that a scene's splats show.
 
-    Flat splats show surfaces. Candidates are the normals of the largest surfaces, and `usual`. The
-    candidate with the largest level surfaces is chosen, with mass that rests on them. `usual` is
-    left for directions that have far more of both.
+    Flat splats show surfaces. Candidates are the normals of the largest surfaces, and `usual`. A
+    candidate scores by the area of its level surfaces and by the mass above them. Directions far
+    from `usual` need a higher score.
 
     Parameters
     ----------
@@ -136,30 +143,30 @@ def up_from_splats(scene: Subsample, core: F64, usual: F64) -> F64:
         return usual
     best, best_score = usual, surface.score(usual)
     planes = surface.normals_of_planes()
-    if any(abs(float(normal @ usual)) > _AGREEING for normal in planes):
-        # The planes lie along the axes of the format, so that somebody chose them.
+    if any(abs(float(normal @ usual)) > _ALIGNED for normal in planes):
+        # Planes along the axes of the format: somebody has aligned the scene.
         refined = surface.refine(usual)
         if float(refined @ usual) < _EXACT:
             best = refined
-        best_score *= _AGREEMENT
+        best_score *= _ALIGNED_FACTOR
     for normal in planes:
         for sign in (1.0, -1.0):
             refined = surface.refine(sign * normal)
             angle = math.acos(min(1.0, max(-1.0, float(refined @ usual))))
-            score = surface.score(refined) - _distrust(angle)
+            score = surface.score(refined) - _penalty(angle)
             if score > best_score:
                 best, best_score = refined, score
     return best
 
 
-def _distrust(angle: float) -> float:
-    """Return how much more a direction must show than the usual up, by its angle to it."""
-    return _DISTRUST * min(1.0, max(0.0, angle - _NEAR) / (_FAR - _NEAR))
+def _penalty(angle: float) -> float:
+    """Return the penalty on a direction's score for its angle to the usual up, radians."""
+    return _FULL_PENALTY * min(1.0, max(0.0, angle - _NEAR) / (_FAR - _NEAR))
 
 
 @dataclass(frozen=True, eq=False)
 class _Surface:
-    """Flat splats of a scene, as samples of its surfaces.
+    """Splats of a scene as samples of its surfaces.
 
     Parameters
     ----------
@@ -168,11 +175,11 @@ class _Surface:
     normals : (n, 3) float64
         Shortest axis of each splat.
     mass : (n,) float64
-        Share of the scene's splats, weighted by opacity: detail, not area.
+        Share of the scene's splats, weighted by opacity.
     areas : (n,) float64
         Share of the area, weighted by opacity.
     flat : (n,) float64
-        Share of the area whose normal is known.
+        Share of the area, weighted by opacity and by how thin the splat is: 0 for a sphere.
     """
 
     means: F64
@@ -208,7 +215,7 @@ class _Surface:
         return cls(means, normals, mass / mass.sum(), areas, areas * flat)
 
     def normals_of_planes(self) -> list[F64]:
-        """Return the directions that most area faces, the largest first."""
+        """Return the normals of the largest planes, by falling area."""
         directions = even_directions(_DIRECTIONS)
         directions = directions[directions[:, 2] >= 0.0]
         cosines = np.abs(directions @ self.normals.T)
@@ -217,12 +224,12 @@ class _Surface:
         while len(found) < _PLANES and facing.max() > 0.0:
             row = int(facing.argmax())
             found.append(directions[row])
-            facing[np.abs(directions @ directions[row]) > _APART] = 0.0
+            facing[np.abs(directions @ directions[row]) > _LEAST_APART] = 0.0
         return found
 
     def refine(self, up: F64) -> F64:
-        """Return a direction nearby that is orthogonal to level surfaces and parallel to walls."""
-        for angle in _REFINING:
+        """Return the direction near `up` most orthogonal to floors and most parallel to walls."""
+        for angle in _REFINEMENT_ANGLES:
             cosines = self.normals @ up
             level = self.flat * np.exp(
                 -np.square(np.arccos(np.minimum(np.abs(cosines), 1.0)) / angle)
@@ -233,13 +240,13 @@ class _Surface:
             weights = level - upright
             values, vectors = np.linalg.eigh((self.normals * weights[:, None]).T @ self.normals)
             found: F64 = vectors[:, 2] * np.sign(vectors[:, 2] @ up)
-            if values[2] <= 0.0 or float(found @ up) < _APART:
+            if values[2] <= 0.0 or float(found @ up) < _LEAST_APART:
                 return up
             up = found
         return up
 
     def score(self, up: F64) -> float:
-        """Return how much level surface there is across a direction, and mass that rests on it."""
+        """Return the score of an up direction: level area, and mass above the largest plane."""
         cosines = np.minimum(np.abs(self.normals @ up), 1.0)
         level = self.flat * np.exp(-np.square(np.arccos(cosines) / _PLANE_ANGLE))
         heights = self.means @ up
@@ -247,7 +254,7 @@ class _Surface:
         planes = np.bincount(rows, level, _STEPS)
         planes = planes + np.roll(planes, 1)
         mass = np.bincount(rows, self.mass, _STEPS)
-        # Mass below and above each plane, but for its own slab of two steps on each side.
+        # Mass below and above each plane, without a slab of two bins on each side of it.
         total = np.concatenate([[0.0], np.cumsum(mass)])
         below = total[np.maximum(np.arange(_STEPS) - 2, 0)]
         above = total[-1] - total[np.minimum(np.arange(_STEPS) + 2, _STEPS)]
@@ -255,26 +262,29 @@ class _Surface:
         grounds = planes * np.maximum(rests, 0.0)
         row = int(grounds.argmax())
         slab = (rows >= row - 1) & (rows <= row) & (level > 0.5 * self.flat)
-        ground = float(grounds[row]) * self._footing(up, slab, rows > row + 1)
+        ground = float(grounds[row]) * self._supported_share(up, slab, rows > row + 1)
         clutter = self.mass * (1.0 - level / self.areas)
         order = np.argsort(heights, kind="stable")
         ends = np.searchsorted(np.cumsum(clutter[order]), np.array(_ENDS) * clutter.sum())
         low, high = heights[order[np.minimum(ends, len(order) - 1)]]
         share = np.clip((heights - low) / (high - low + 1e-12), 0.0, 1.0)
         lean = 1.0 - 2.0 * float(clutter @ share) / float(clutter.sum())
-        # A lone plane, such as a painting, does not say what is up.
+        # The normal of a lone plane, such as a painting, is no evidence of up.
         lone = min(1.0, _OTHERS * (1.0 - float(level.sum() / self.flat.sum())))
         found = (_GROUND * ground + _LEVEL * float(level.sum()) * lone) * (1.0 + lean)
         return float(found)
 
-    def _footing(self, up: F64, slab: NDArray[np.bool_], above: NDArray[np.bool_]) -> float:
-        """Return the share of the mass above a plane that has the plane below it.
+    def _supported_share(self, up: F64, slab: NDArray[np.bool_], above: NDArray[np.bool_]) -> float:
+        """Return the share of the mass above a plane that lies over covered cells of the plane.
 
         Parameters
         ----------
         up : (3,) float64
-        slab, above : (n,) bool
-            Splats of the plane, and those above it.
+            Normal of the plane, a unit vector.
+        slab : (n,) bool
+            Splats of the plane.
+        above : (n,) bool
+            Splats above the plane.
         """
         flat = self.means @ np.stack(level_axes(up), axis=1)
         cells = np.clip(((flat + 1.0) * (0.5 * _CELLS)).astype(np.int64), 0, _CELLS - 1)
