@@ -454,7 +454,7 @@ def _with_stored_look(scene: Splats | _Path, request: EncodeRequest) -> EncodeRe
 
 
 def _description_of(scene: Splats | _Path) -> Description | None:
-    """Return the description of a COGS file; None for other scenes."""
+    """Return the description of a COGS file; None for a scene in memory or of another format."""
     if isinstance(scene, Splats) or not is_cogs(scene):
         return None
     with open_scene(scene) as file:

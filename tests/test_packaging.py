@@ -96,7 +96,7 @@ def test_the_checkout_has_no_links() -> None:
 
 @pytest.mark.slow
 def test_core_alone_imports_from_the_wheel(wheel: zipfile.Path, tmp_path: Path) -> None:
-    """What decodes and inspects works with no extra installed."""
+    """Decoding and inspection work with no extra installed."""
     # Not by `wheel.root`, whose listing has folders that the file does not hold.
     with zipfile.ZipFile(str(wheel.root.filename)) as archive:
         archive.extractall(tmp_path)

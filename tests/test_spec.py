@@ -93,7 +93,7 @@ def registry():
 
 
 def raised(paths):
-    """Reason codes that modules raise: code to classes and to the clauses stated beside it."""
+    """Reason codes that modules raise: by code, its classes and the SPEC clauses cited with it."""
     classes, clauses = defaultdict(set), defaultdict(set)
     for path in paths:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

@@ -1,4 +1,4 @@
-"""Our reader against the conformance files: bits of the valid, reason codes of the others."""
+"""Our reader against the conformance files: bits of valid files, reason codes of invalid files."""
 
 import hashlib
 import itertools
@@ -51,7 +51,7 @@ def arrays_of(entry):
 
 
 def assert_rows(splats, arrays, rows):
-    """Compare bits: rows of a decoded scene with those of the expected arrays."""
+    """Assert that a decoded scene equals rows of the expected arrays, bit by bit."""
     for name in ARRAYS:
         actual, expected = getattr(splats, name), arrays[name][rows]
         assert actual.shape == expected.shape, name
@@ -59,7 +59,7 @@ def assert_rows(splats, arrays, rows):
 
 
 def coarse_of(entry):
-    """What the heads alone give; the manifest has its hash where that is something else."""
+    """Return the arrays decoded from heads alone, checked against the manifest's hash."""
     with open_cogs(BytesSource(data_of("valid", entry))) as file:
         splats = file.decode(refine=False)
     arrays = {name: getattr(splats, name) for name in ARRAYS}
@@ -69,13 +69,13 @@ def coarse_of(entry):
 
 
 def digest(splats):
-    """SHA-256 of a decoded scene's arrays, one after the other."""
+    """Return the SHA-256 of a decoded scene's concatenated arrays."""
     values = b"".join(getattr(splats, name).astype("<f4").tobytes() for name in ARRAYS)
     return hashlib.sha256(values).hexdigest()
 
 
 def counts_of(entry):
-    """Splats of each chunk that the whole file draws; 0 of those that have ended."""
+    """Return the splats per chunk that the whole file draws: 0 for a chunk that has ended."""
     until = entry.get("until", [0] * len(entry["chunk_splats"]))
     return [0 if end else count for count, end in zip(entry["chunk_splats"], until, strict=True)]
 

@@ -223,7 +223,7 @@ class _Piece:
 
 
 class _JoinedSource:
-    """Source that concatenates ranges of other sources; `close` leaves the other sources open."""
+    """Concatenation of byte ranges of open sources; `close` leaves the sources open."""
 
     def __init__(self, name: str, pieces: Sequence[_Piece]) -> None:
         self.name = name

@@ -34,9 +34,9 @@ Answer = dict[str, Any]
 
 @cache
 def files() -> dict[str, bytes]:
-    """Return the file of each way to read, and another one under ``other``."""
+    """Return COGS files by transport, and under ``other`` a file that replaces the first midway."""
     small = (VECTORS / "valid" / "vq.cogs").read_bytes()
-    # Longer than the first request, so that ranges are asked for.
+    # Longer than the first request, so that the reader requests further ranges.
     large = file_of("vq", 2500, 3, 500)
     other = (VECTORS / "valid" / "chunks.cogs").read_bytes()
     return {"file": large, "folder": small, "s3": small, "other": other}
@@ -66,13 +66,13 @@ def parsed(data: bytes) -> dict[str, Any]:
 
 
 def via_of(script: dict[str, Any]) -> str:
-    """Return how the scene of a script is read."""
+    """Return the transport by which a script reads its scene: file, folder or s3."""
     found = script.get("via")
     return found if found in ("folder", "s3") else "file"
 
 
 def how_of(script: dict[str, Any]) -> str:
-    """Return by which function the scene of a script is read."""
+    """Return the function that reads the scene of a script: decode, stream or chunks."""
     found = script.get("how")
     return found if found in ("stream", "chunks") else "decode"
 

@@ -1,4 +1,4 @@
-"""Write the corpus of the fuzz targets: a small file of each kind, and those that once did harm.
+"""Write the corpus of the fuzz targets: a small file of each kind, and inputs that failed.
 
 Run as ``python tests/fuzz/make_corpus.py``; the bytes are the same every time. A file that a fuzzer
 finds is added to the folder of its target by hand, under a name that says what it does.
@@ -227,7 +227,7 @@ def own_harm(folder: Path) -> Iterator[tuple[str, str, bytes]]:
 
 
 def main() -> None:
-    """Write all files; those of the COGS target are the conformance vectors."""
+    """Write the corpus of every target but COGS, whose corpus is the conformance vectors."""
     for made in (scenes, harm, own, descriptions, own_harm):
         with tempfile.TemporaryDirectory() as folder:
             for target, name, data in made(Path(folder)):

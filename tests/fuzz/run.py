@@ -2,7 +2,7 @@
 
 Takes atheris (``pip install atheris``; Linux, CPython 3.11 to 3.13), which follows what of our code
 each input reaches. What it finds is written to ``--findings`` with the command that repeats it;
-without atheris, ``--mutations N`` runs so many of our own mutations of the corpus.
+without atheris, ``--mutations N`` runs N mutations of the corpus by our own mutator.
 """
 
 import argparse

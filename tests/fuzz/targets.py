@@ -1,4 +1,4 @@
-"""What is fuzzed: every reader of files of unknown origin, as a function of bytes.
+"""Fuzz targets: every reader of files of unknown origin, as a function of bytes.
 
 A target writes what it is given to a file, reads it as a program would, and lets no exception pass
 but the refusals that are documented. Limits are low, so that an input that costs much is found by
@@ -69,7 +69,7 @@ class Target:
         for name, part in zip(self.files, split(data, len(self.files)), strict=True):
             (folder / name).write_bytes(part)
         with warnings.catch_warnings():
-            # What numpy warns of was foreseen nowhere.
+            # A numpy warning means that the reader missed a bad value.
             warnings.simplefilter("error")
             warnings.simplefilter("ignore", CogsplatWarning)
             try:
@@ -104,7 +104,7 @@ def check_refusal(error: CogsplatError) -> None:
 
 
 def check_splats(splats: Splats) -> None:
-    """What a reader returns has the arrays it promises."""
+    """Assert that splats from a reader have arrays of valid shapes and types."""
     count = len(splats)
     assert count <= LIMITS.splats
     for name in ARRAYS:
@@ -137,7 +137,7 @@ def _points(path: Path) -> None:
 
 
 def _description(path: Path) -> None:
-    """What is read of JSON and a picture can be stored, and comes back."""
+    """Read a description; assert that it is unchanged after being stored and read again."""
     description = read_description(path, limits=LIMITS)
     segments = pack_segments(description)
     if segments:

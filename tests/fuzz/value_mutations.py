@@ -1,6 +1,6 @@
-"""Mutations of stored values alone, with all that says how they are stored as it was.
+"""Mutations of stored values that keep sizes, types and checksums consistent.
 
-Most files that they make are read, so that what readers promise of files they accept is tried.
+Readers accept most of the mutated files, so that the checks of decoded scenes run as well.
 """
 
 import io

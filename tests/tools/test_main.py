@@ -34,7 +34,7 @@ def test_every_command_has_help_with_an_example_and_json(run: Run, name: str) ->
 
 
 def test_a_command_that_is_not_there_is_refused_with_one_that_is() -> None:
-    """In a process of its own, where no other command has been asked for before."""
+    """A new process, in which no command has been loaded yet, suggests the nearest command."""
     told = subprocess.run(program(["encoed"]), capture_output=True, text=True, check=False)
     assert told.returncode == 2
     assert "encode" in told.stderr

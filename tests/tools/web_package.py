@@ -66,7 +66,7 @@ def build(folder: Path) -> Path:
 
 
 def build_once(shared: Path) -> Path:
-    """Build the package in a folder that several processes share; the first builds, others wait."""
+    """Build the package in a shared folder: the first process builds, later processes wait."""
     # Where Node is missing every test skips, whichever process comes first.
     installed("npm")
     folder = shared / "web-package"

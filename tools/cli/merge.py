@@ -182,7 +182,7 @@ def merge(
 
 
 def _notes(sources: Sequence[Path], edits: SceneEdits) -> SceneNotes:
-    """Return the notes of the first scene; warn of descriptions of others, which are left out."""
+    """Return the notes of the first scene; warn if a later scene's description is left out."""
     first = notes_of(sources[0], edits)
     left_out = [path for path in sources[1:] if notes_of(path).description is not None]
     if left_out:

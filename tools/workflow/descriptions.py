@@ -1,4 +1,4 @@
-"""What files store about their scenes, for commands that write the scenes again."""
+"""Descriptions and first looks stored in files, for commands that write edited scenes."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class SceneNotes:
     view: Camera | None = None
 
     def complete(self, request: EncodeRequest) -> EncodeRequest:
-        """Return a request with the stored up direction and view, unless it has cameras or own."""
+        """Return a request with the stored up direction and view, if it has no cameras or view."""
         own = (request.cameras, request.up, request.view, request.config.ordering.first_view)
         if any(given is not None for given in own):
             return request
@@ -51,14 +51,14 @@ class SceneNotes:
 
 
 def notes_of(scene: Path, edits: SceneEdits | None = None) -> SceneNotes:
-    """Return what a scene's file stores about the scene, moved as the edits move the scene.
+    """Return description, up direction and first view of a scene's file, moved with its edits.
 
     Parameters
     ----------
     scene : Path
         Scene of any format.
     edits : SceneEdits, optional
-        Edits of the scene, with which views, places and sky move.
+        Edits of the scene, applied to views, places and sky as well.
 
     Raises
     ------

@@ -283,7 +283,7 @@ def orders_option(command: Callable[..., object]) -> Callable[..., object]:
 
 
 def _order_names(order: str | tuple[str, ...], frustum_share: float | None) -> tuple[str, ...]:
-    """Return the names of the orders; refuse a share of the frustum that none of them uses."""
+    """Return the names of the orders; refuse a frustum share that no order uses."""
     names = (order,) if isinstance(order, str) else order
     if frustum_share is not None and FRUSTUM not in {split_name(name)[1] for name in names}:
         raise click.UsageError(

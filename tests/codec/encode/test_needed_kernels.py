@@ -1,4 +1,4 @@
-"""The kernels that an encode needs are those that it calls, with the types that are declared."""
+"""Kernels that an encode compiles ahead: exactly the kernels it calls, with declared types."""
 
 import subprocess
 import sys

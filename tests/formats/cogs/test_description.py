@@ -265,7 +265,7 @@ def test_a_sky_without_rotation_follows_the_axes():
     plain = Description(sky=Picture("image/webp", 6, 3))
     turn = np.diag([-1.0, 1.0, -1.0])
     after = move_description(plain, "LUF", 1.0, turn, (0.0, 0.0, 0.0))
-    # x left, y up, z front: what was to the front is to the back.
+    # x left, y up, z front: the front of the sky turns to the back.
     assert (after.sky.rotation @ [0.0, 0.0, -1.0]).tolist() == [0.0, 0.0, 1.0]
     assert (after.sky.rotation @ [0.0, 1.0, 0.0]).tolist() == [0.0, -1.0, 0.0]
     still = move_description(plain, "LUF", 2.0, None, (1.0, 0.0, 0.0))

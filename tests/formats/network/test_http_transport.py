@@ -21,7 +21,7 @@ DATA = np.random.default_rng(2).bytes(400_000)
 
 
 def fetched(transport, first=0, end=100):
-    """Return what one request gives."""
+    """Return the bytes of one range request."""
 
     async def one():
         try:
@@ -281,5 +281,5 @@ def test_frames_without_end_are_left(name, monkeypatch):
 
 
 def test_the_module_imports_without_the_extra():
-    """What is imported at the top must not need httpx."""
+    """The module's imports at the top leave httpx out."""
     assert "httpx" not in vars(http_transport)

@@ -22,7 +22,7 @@ def pose(position, target=(0, 0, 0), fov=60):
 
 
 def settings(**changes):
-    """Return settings of version 2, as the editor writes them."""
+    """Return viewer settings of version 2 of SuperSplat, with some changed."""
     track = {
         "name": "fly",
         "duration": 4,

@@ -79,7 +79,7 @@ def test_numbers_in_a_pickle_that_would_take_memory_are_refused(
 
 @pytest.mark.parametrize("pickled", [b"\x80\x02}r\x00\x00\x00\x04.", b"\x80\x02}p30000000\n."])
 def test_objects_under_large_numbers_take_no_memory(tmp_path: Path, pickled: bytes) -> None:
-    """CPython's compiled unpickler allocates arrays of these lengths: 1 GiB and 480 MB."""
+    """Memo indices for which CPython's compiled unpickler would allocate 1 GiB and 480 MB."""
     path = tmp_path / "weights.pth"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("archive/data.pkl", pickled)
@@ -183,7 +183,7 @@ def test_files_that_are_none_are_refused(tmp_path: Path, length: int) -> None:
 
 @pytest.mark.parametrize("deflated", ["a/data.pkl", "a/data/0"])
 def test_entries_that_inflate_are_refused(tmp_path: Path, deflated: str) -> None:
-    """What torch stores takes its own size in the file; nothing else is read."""
+    """torch stores entries uncompressed; compressed entries are refused."""
     plain, packed = tmp_path / "plain.pth", tmp_path / "packed.pth"
     values = np.zeros(1000, np.float32)
     saved(plain, {"w": tensor("0", values)}, {"0": values.tobytes()})
@@ -219,7 +219,7 @@ def test_arrays_of_any_layout_are_read(tmp_path: Path) -> None:
 def test_objects_and_sizes_that_are_not_there_are_refused(
     tmp_path: Path, values: np.ndarray
 ) -> None:
-    """What a header says is not allocated before the bytes are there."""
+    """An array is allocated only once the file holds all its bytes."""
     whole, path = io.BytesIO(), tmp_path / "a.npz"
     np.save(whole, values, allow_pickle=True)
     data = whole.getvalue().replace(b"(3,)", b"(9" + b"0" * 12 + b",)")

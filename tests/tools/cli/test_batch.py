@@ -310,7 +310,7 @@ def alive(number: int) -> bool:
 def test_a_killed_batch_leaves_no_encode_and_is_continued(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
-    """The encode ends with its parent, and what was begun is replaced by the same command."""
+    """The encode ends with its parent; the same command replaces the unfinished file."""
     manifest = tmp_path / "scenes.jsonl"
     manifest.write_text(entry(small.ply, "a.cogs", preset="best"))
     words = program(["batch", manifest], before=TELL_OF_PROCESSES.replace('"started"', "self.pid"))

@@ -1,4 +1,4 @@
-"""`describe`: what is shown and changed, and what other commands keep of it."""
+"""`describe`: shown and changed descriptions, and descriptions kept by later commands."""
 
 import json
 from pathlib import Path

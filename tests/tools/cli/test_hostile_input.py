@@ -103,7 +103,7 @@ def test_escape_sequences_do_not_reach_the_terminal(run: Run, tmp_path: Path) ->
 
 
 def test_names_with_escape_sequences(run: Run, small: SmallScene, tmp_path: Path) -> None:
-    """Of files, of cameras, and of attributes: in summaries, tables and warnings."""
+    """Names of files, cameras and attributes are escaped in summaries, tables and warnings."""
     entries = json.loads(small.cameras.read_text())
     for entry in entries:
         entry["img_name"] = ESCAPES

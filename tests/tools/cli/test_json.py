@@ -1,4 +1,4 @@
-"""JSON objects of all commands: their keys are those of docs/reference/json.md."""
+"""JSON output of all commands has exactly the keys of docs/reference/json.md."""
 
 import json
 import re
@@ -78,7 +78,7 @@ def labelled(small: SmallScene, tmp_path: Path) -> Path:
 
 
 def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> list[object]:
-    """Return what a command is run with: everything that adds keys."""
+    """Return the arguments of a command, with every option that adds keys."""
     cameras = ["--cameras", small.cameras]
     given: dict[str, list[object]] = {
         "encode": [

@@ -1,4 +1,4 @@
-"""What options take: byte counts, ranges, colours, sizes."""
+"""Values of options: byte counts, ranges, colours, sizes."""
 
 from pathlib import Path
 

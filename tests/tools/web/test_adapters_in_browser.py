@@ -34,7 +34,8 @@ RENDERERS = ("spark", "playcanvas")
 LEAST_DB = {"spark": 25.0, "playcanvas": 17.0}
 # With the rules of SPEC 8.7.
 BY_SPEC_DB = 38.0
-# A picture has come to rest when so many, so far apart, are equal.
+# A picture is stable after this number of equal pictures in succession, and the time between two of
+# them, ms, in which a worker sorts.
 _EQUAL_PICTURES = 3
 _SORTING_MS = 200
 _MOST_PICTURES = 60
@@ -108,13 +109,13 @@ def look_from(page: Page, view: Camera) -> None:
 
 
 def wait_frames(page: Page, count: int = 6) -> None:
-    """Wait for some pictures: the renderers sort beside them, and show the order later."""
+    """Wait for frames: renderers sort in a worker, and draw the new order some frames later."""
     page.evaluate("() => { example.frames = 0; }")
     page.wait_for_function(f"() => example.frames >= {count}", timeout=PATIENCE_MS)
 
 
 def shown(page: Page) -> NDArray[np.float32]:
-    """Return the picture once it stays the same: renderers sort beside it, as long as it takes."""
+    """Return the picture once it is stable: renderers sort in a worker for an unknown time."""
     found, same = picture(page), 0
     for _ in range(_MOST_PICTURES):
         wait_frames(page)
@@ -181,7 +182,7 @@ def test_the_adapter_shows_what_the_renderer_makes_of_a_ply(
 
 
 def assert_our_pictures(page: Page, small: SmallScene, *views: Camera) -> None:
-    """Look from cameras; pictures must be those of our own renderer."""
+    """Assert that pictures from the cameras match our own renderer."""
     for view in views:
         look_from(page, view)
         expected = np.clip(render(cogsplat.decode(small.cogs), view), 0, 1)

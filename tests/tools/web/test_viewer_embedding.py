@@ -67,7 +67,7 @@ def pose(page: Page) -> str:
 
 
 def drag(session: CDPSession, *fingers: tuple[int, int], by: tuple[int, int]) -> None:
-    """Put fingers on the screen one after the other, and move them together."""
+    """Touch the screen with each finger in turn, then move all fingers together."""
 
     def send(kind: str, share: float, count: int) -> None:
         points = [

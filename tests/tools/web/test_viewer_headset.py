@@ -123,7 +123,7 @@ def pose() -> dict[str, object]:
 
 
 def eye_camera(name: str, offset: float, up: F64) -> Camera:
-    """Return what an eye sees of the scene."""
+    """Return the camera of one eye, shifted sideways from the view."""
     view = camera()
     front = view.rotation[2]
     right = np.cross(front, up)

@@ -142,7 +142,7 @@ def test_levels_grow_into_each_other_as_they_arrive(page: Page, levels: Path) ->
 
 @pytest.fixture(scope="module")
 def ending(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Splats of the first seconds, larger ones in other colours, that end with the fifth chunk."""
+    """Scene whose first chunk ends with the fifth chunk."""
     splats = synth(4000)
     config = EncodeConfig(chunk_splats=500, prune=None, compensate=False, order="contribution")
     encoded = pipeline.encode(

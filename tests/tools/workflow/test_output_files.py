@@ -1,4 +1,4 @@
-"""Files that a command writes: never its inputs, never each other, no links, no files of others."""
+"""Output files of a command: inputs, links and foreign files are never overwritten."""
 
 import os
 import shutil
@@ -54,7 +54,7 @@ def test_outputs_that_are_one_file(tmp_path: Path) -> None:
 
 @pytest.fixture
 def files(small: SmallScene, tmp_path: Path) -> Path:
-    """Folder of a scene, its cameras and a configuration, and other names of them."""
+    """Folder of a scene, cameras and a configuration, and hard and symbolic links to each."""
     for path in (small.ply, small.cogs, small.cameras):
         shutil.copy(path, tmp_path / path.name)
     (tmp_path / "options.toml").write_text("quality = 30\n")

@@ -520,7 +520,7 @@ class _Chunks:
         return entries[number]["scale"], chunks, self.concatenate(parts)
 
     def prefix(self, prefix: Prefix) -> Rows:
-        """Return the splats that a prefix draws, those of chunks that have not ended (SPEC 8.2)."""
+        """Return the splats that a prefix draws; chunks that have ended are left out (SPEC 8.2)."""
         counts = dict(prefix.opacities)
         return self.concatenate(
             self.decode_chunk(

@@ -376,12 +376,12 @@ class _Round:
         self.chosen.append(chain[0])
 
     def make_room(self, splats: int) -> None:
-        """Evict chunks outside the target until so many splats fit the budget.
+        """Evict chunks outside the target until `splats` more splats fit the budget.
 
         Parameters
         ----------
         splats : int
-            Splats of a chunk of the target; 0 to enforce a budget that was lowered.
+            Splats of the next chunk of the target; 0 to enforce a budget that was lowered.
         """
         while self._evictable and self._held_splats + splats > self._state.budget_splats:
             chunk = self._evictable.pop(0)

@@ -1,4 +1,4 @@
-"""Kernels compiled ahead: by other processes and by this one, and nothing lost where one ends."""
+"""Kernels compiled ahead, in this process and in workers; none is lost if a worker dies."""
 
 import subprocess
 import sys
@@ -25,12 +25,12 @@ def kernel{0}(x):
 
 @pytest.fixture
 def kernels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[DeclaredKernel]]:
-    """Eight small kernels that nothing has compiled."""
+    """Eight small kernels that are not compiled yet."""
     name = f"eight_{tmp_path.name}"
     source = "from cogsplat.codec.compiling import called_with, jit_kernel\n"
     (tmp_path / f"{name}.py").write_text(source + "".join(KERNEL.format(i) for i in range(8)))
     monkeypatch.syspath_prepend(tmp_path)
-    # The other processes find the module, and keep its code beside it.
+    # Workers import the module, and cache compiled kernels in its folder.
     monkeypatch.setenv("PYTHONPATH", ":".join(sys.path))
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     from numba.core import config
@@ -57,7 +57,7 @@ def test_all_are_compiled_and_kept(kernels: list[DeclaredKernel], processes: int
 def test_other_processes_take_their_share(
     kernels: list[DeclaredKernel], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With this process at rest the others compile everything."""
+    """Workers compile every kernel while this process compiles none."""
     with CompileAhead(kernels, 3) as ahead:
         for feeder in ahead._feeders:
             feeder.join()
