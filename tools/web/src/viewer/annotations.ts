@@ -79,8 +79,8 @@ export class Annotations {
     const { scene } = this.stage;
     for (const [i, { place }] of this.annotations.entries()) {
       const at = this.stage.projection()?.place(place);
-      if (this.pins[i]!.hidden || at === undefined || scene.view === undefined) continue;
-      const position = positionOf(scene.view);
+      if (this.pins[i]!.hidden || at === undefined || scene.camera.pose === undefined) continue;
+      const position = positionOf(scene.camera.pose);
       const front = this.stage.pick(...at);
       const isCovered = front !== undefined && distance(front, position) < COVERED * distance(place, position);
       this.pins[i]!.classList.toggle("covered", isCovered);

@@ -1,7 +1,7 @@
 import type { CameraPath } from "../container/description.js";
 import { matrixOf, positionOf, quaternionOf, slerp, translationOf } from "./flight.js";
 import type { Vector } from "./orbit.js";
-import type { Motion } from "./scene_view.js";
+import type { Motion } from "./scene_camera.js";
 import type { ViewerPose } from "./viewer_handle.js";
 
 /** Return the pose of a path at a time, s: positions on a curve through the stops, directions on the shortest arcs. */

@@ -137,9 +137,9 @@ export class DescribedScene {
 
   private togglePlay(): void {
     const { scene } = this.stage;
-    if (this.isPlaying) scene.endMotion(true);
+    if (this.isPlaying) scene.camera.endMotion(true);
     else {
-      scene.move(this.player!.motion());
+      scene.camera.move(this.player!.motion());
       this.isPlaying = true;
       this.showPlay();
     }

@@ -6,12 +6,13 @@ import { formatBytes, formatShare, parseColour } from "./numbers.js";
 import { RADIANS_PER_PIXEL } from "./orbit.js";
 import { PageBudget } from "./page_budget.js";
 import { absoluteAddress, sceneName } from "./scene_name.js";
-import { type SceneSource, SceneView } from "./scene_view.js";
+import { SceneView } from "./scene_view.js";
 import { describeError, type Sentence } from "./sentences.js";
+import type { SceneSource } from "./shown_scene.js";
 import { STYLE } from "./style.js";
 import { parsePoint, parseUp, parseView } from "./view_text.js";
 import type { Extras } from "./viewer_extras.js";
-import type { ViewerHandle, ViewerPose, ViewerStatistics } from "./viewer_handle.js";
+import { NO_STATISTICS, type ViewerHandle, type ViewerPose, type ViewerStatistics } from "./viewer_handle.js";
 import { type ViewerWorkers, workersBeside } from "./viewer_workers.js";
 
 /** Time for which the statistics stay visible after the scene is complete, ms. */
@@ -29,19 +30,6 @@ const FILLS_WINDOW = 0.95;
 export interface ExtrasModule {
   readonly Extras: typeof Extras;
 }
-
-const NOTHING: ViewerStatistics = {
-  state: "empty",
-  splats: 0,
-  drawnSplats: 0,
-  totalSplats: 0,
-  bytes: 0,
-  frames: 0,
-  drawMilliseconds: 0,
-  pictureMilliseconds: 0,
-  sortMilliseconds: 0,
-  upToDate: false,
-};
 
 /** Base class of elements; a server that renders pages imports this module too, and has none. */
 const PageElement = globalThis.HTMLElement ?? (class {} as typeof HTMLElement);
@@ -129,22 +117,22 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
   private rotation: number | undefined;
 
   get statistics(): ViewerStatistics {
-    const statistics = this.scene?.statistics ?? { ...NOTHING, ...(this.error && { state: "failed" as const }) };
+    const statistics = this.scene?.statistics ?? { ...NO_STATISTICS, ...(this.error && { state: "failed" as const }) };
     return this.error === undefined ? statistics : { ...statistics, error: this.error.detail };
   }
 
   get view(): ViewerPose | undefined {
-    return this.scene?.view ?? this.pose;
+    return this.scene?.camera.pose ?? this.pose;
   }
 
   /** Text of the camera's pose, as `cogsplat --view` takes it; undefined before a scene is open. */
   get viewText(): string | undefined {
-    return this.scene?.viewText;
+    return this.scene?.camera.text;
   }
 
   set view(view: ViewerPose | undefined) {
     this.pose = view;
-    if (this.scene) this.scene.view = view;
+    if (this.scene) this.scene.camera.pose = view;
   }
 
   get fillHoles(): boolean {
@@ -286,7 +274,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
       return;
     }
     const { scene } = this;
-    scene.view = this.pose;
+    scene.camera.pose = this.pose;
     scene.fillHoles = this.fills;
     this.divide = new Divide(this.find("#divide"), (share) => scene.show({ divide: share }), signal);
     this.listen(signal);
@@ -320,7 +308,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
       if (value !== null) image.src = absoluteAddress(value, document.baseURI);
     } else if (name === "view" || name === "up" || name === "target") this.setStart(name, value);
     else if (name === "gestures") this.chooseGestures();
-    else if (name === "orbit") scene.orbitsFreely = value === "free";
+    else if (name === "orbit") scene.camera.orbitsFreely = value === "free";
     else if (name === "auto-rotate") {
       const degrees = value === null || value.trim() === "" ? ROTATION : Number(value);
       const isCalm = matchMedia("(prefers-reduced-motion: reduce)").matches;
@@ -366,7 +354,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
 
   private listen(signal: AbortSignal): void {
     const click = (id: string, act: () => void): void => this.find(`#${id}`).addEventListener("click", act, { signal });
-    click("reset", () => this.scene!.reset());
+    click("reset", () => this.scene!.camera.reset());
     const toggleStrip = (): void => void this.withExtras((extras) => extras.toggleStrip());
     click("film", toggleStrip);
     const togglePanel = (): void => void this.withExtras((extras) => extras.togglePanel());
@@ -376,7 +364,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     void this.offerHeadset();
     click("again", () => void (this.source !== undefined && this.load(this.source)));
     this.watch(signal, (isVisible) => {
-      this.scene!.isVisible = isVisible;
+      this.scene!.camera.isVisible = isVisible;
     });
     const sighted = (isNear: boolean): void => {
       this.isNear = isNear;
@@ -409,7 +397,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
           .some((target) => target instanceof HTMLInputElement || target instanceof HTMLSelectElement);
         if (event.ctrlKey || event.metaKey || event.altKey || (inField && event.code !== "Escape")) return;
         const command = {
-          KeyR: () => this.scene!.reset(),
+          KeyR: () => this.scene!.camera.reset(),
           KeyF: () => void this.toggleFullScreen(),
           KeyC: () => void this.copyView(),
           KeyG: togglePanel,
@@ -461,7 +449,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
   private setStart(name: "view" | "up" | "target", value: string | null): void {
     try {
       const parse = { view: parseView, up: parseUp, target: parsePoint }[name];
-      this.scene!.startFrom({ [name]: value === null ? undefined : parse(value) });
+      this.scene!.camera.startFrom({ [name]: value === null ? undefined : parse(value) });
     } catch (error) {
       if (!(error instanceof SyntaxError)) throw error;
       this.showMessage({ title: `The attribute ${name} cannot be used`, detail: error.message }, false);
@@ -493,10 +481,10 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     const { scene } = this;
     if (scene === undefined) return;
     if (degrees === undefined) {
-      scene.endMotion(true);
+      scene.camera.endMotion(true);
       return;
     }
-    scene.move((camera, seconds) => {
+    scene.camera.move((camera, seconds) => {
       camera.turn((degrees * seconds * Math.PI) / 180 / RADIANS_PER_PIXEL, 0);
       return true;
     });

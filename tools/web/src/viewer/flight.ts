@@ -1,5 +1,5 @@
 import type { Vector } from "./orbit.js";
-import type { Motion } from "./scene_view.js";
+import type { Motion } from "./scene_camera.js";
 import type { ViewerPose } from "./viewer_handle.js";
 
 /** Rotation as w, x, y, z. */

@@ -95,9 +95,9 @@ export class Headset {
       const layer = new browser.XRWebGLLayer(session, gl);
       session.updateRenderState({ baseLayer: layer });
       const space = await session.requestReferenceSpace("local");
-      const { view, up } = scene;
-      if (view === undefined || up === undefined) throw new Error("no scene is open");
-      return new Headset(scene, session, layer, space, placementOf(view, up, metresPerUnit), ended);
+      const { pose, up } = scene.camera;
+      if (pose === undefined || up === undefined) throw new Error("no scene is open");
+      return new Headset(scene, session, layer, space, placementOf(pose, up, metresPerUnit), ended);
     } catch (error) {
       await session.end();
       throw error;

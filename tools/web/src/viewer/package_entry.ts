@@ -9,7 +9,7 @@ import { decoderText, fileAddress } from "../workers/worker_ways.js";
 import { CogsplatViewer, defineViewer } from "./element.js";
 import { workersOfTexts } from "./viewer_workers.js";
 
-export type { SceneSource } from "./scene_view.js";
+export type { SceneSource } from "./shown_scene.js";
 export type { ViewerHandle, ViewerPose, ViewerStatistics } from "./viewer_handle.js";
 export { CogsplatViewer, defineViewer };
 

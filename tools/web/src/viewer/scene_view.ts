@@ -1,24 +1,18 @@
 import type { LevelEntry } from "../container/root.js";
-import type { ByteSource } from "../loader/byte_source.js";
-import { DEFAULT_RANGES } from "../scene/packed_splats.js";
 import { millisecondsLeft } from "./arrival_forecast.js";
-import { CogsFeed, type FetchOrder } from "./cogs_feed.js";
+import type { FetchOrder } from "./cogs_feed.js";
 import { Controls, type ControlsHost } from "./controls.js";
-import { DepthSorter } from "./depth_sorter.js";
-import { bulkOf, depthAhead } from "./framing.js";
 import { Meter } from "./meter.js";
-import { OrbitCamera, type Vector } from "./orbit.js";
+import type { Vector } from "./orbit.js";
 import { PicturePace } from "./picture_pace.js";
-import { PlyFeed, plyOf } from "./ply_feed.js";
+import { plyOf } from "./ply_feed.js";
 import { type EyeTarget, type PictureOptions, SplatRenderer, type View } from "./renderer.js";
-import type { DescriptionSource, FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
-import { SplatLayer } from "./splat_layer.js";
-import { poseOf, type ViewText } from "./view_text.js";
-import type { ViewerPose, ViewerStatistics } from "./viewer_handle.js";
-import { AllowedWorkers, type ViewerWorkers } from "./viewer_workers.js";
-
-/** A URL, a file, or another source of the bytes of a `.cogs` file. */
-export type SceneSource = string | Blob | ByteSource;
+import { SceneCamera, type SceneCameraHost } from "./scene_camera.js";
+import type { DescriptionSource, FeedHost, FeedProgress, Prefix } from "./scene_feed.js";
+import { type SceneSource, ShownScene } from "./shown_scene.js";
+import type { LayerScene, SplatLayer } from "./splat_layer.js";
+import { NO_STATISTICS, type ViewerPose, type ViewerStatistics } from "./viewer_handle.js";
+import type { ViewerWorkers } from "./viewer_workers.js";
 
 /** Longest work on compensation between two pictures, ms: a frame has 16. */
 const WORK_MILLISECONDS = 5;
@@ -27,30 +21,14 @@ const QUIET_MILLISECONDS = 300;
 /** Interval at which the GPU is polled for the end of a picture, ms. */
 const LOOK_MILLISECONDS = 4;
 
-/** Time without a change of the pose after which the view rests, ms. */
-const REST_MILLISECONDS = 200;
-
-/** Moves the camera with each picture until it returns false or a person moves; the time since the last one is in s. */
-export type Motion = (camera: OrbitCamera, seconds: number) => boolean;
-
-/** Where the camera starts, in place of the scene's first view. */
-export interface Start {
-  readonly view?: ViewText | undefined;
-  readonly up?: Vector | undefined;
-  /** Point that turning goes around. */
-  readonly target?: Vector | undefined;
-}
-
 /** Callbacks of a scene view. */
-export interface SceneViewHost extends Pick<ControlsHost, "leavesScrolling" | "left" | "tapped"> {
-  /** Called when the camera has come to rest in another pose. */
-  rested(): void;
+export interface SceneViewHost
+  extends Pick<ControlsHost, "leavesScrolling" | "left" | "tapped">,
+    Pick<SceneCameraHost, "rested" | "motionEnded"> {
   /** Called when the first rows of a scene that has a description are there. */
   described(source: DescriptionSource): void;
   /** Called after each picture. */
   drawn(): void;
-  /** Called when a motion has ended; by a person or by itself. */
-  motionEnded(byPerson: boolean): void;
   /** Called when the statistics or the canvas have changed. */
   changed(): void;
   /** Called on an error of a scene, of the second scene or of WebGL. */
@@ -62,34 +40,12 @@ export interface SceneViewHost extends Pick<ControlsHost, "leavesScrolling" | "l
 /** Share of the splats wanted below which a scene is loaded again for them. */
 const TOO_FEW = 0.75;
 
-/** One of the two scenes shown. */
-interface Shown {
-  /** Splats in memory at most, when it was loaded. */
-  readonly budget: number;
-  readonly feed: SceneFeed;
-  readonly abort: AbortController;
-  readonly workers: AllowedWorkers;
-  layer?: SplatLayer;
-}
-
-const EMPTY: ViewerStatistics = {
-  state: "empty",
-  splats: 0,
-  drawnSplats: 0,
-  totalSplats: 0,
-  bytes: 0,
-  frames: 0,
-  drawMilliseconds: 0,
-  pictureMilliseconds: 0,
-  sortMilliseconds: 0,
-  upToDate: false,
-};
-
 /** Shows a scene, and optionally a second one, on a canvas: loads it, moves the camera, draws on demand. */
 export class SceneView {
+  readonly camera: SceneCamera;
   readonly controls: Controls;
   readonly meter = new Meter();
-  statistics: ViewerStatistics = EMPTY;
+  statistics = NO_STATISTICS;
   /** Axes of the scene. */
   axes = "RDF";
   /** Highest SH degree of the scene. */
@@ -108,17 +64,8 @@ export class SceneView {
   private readonly pace: PicturePace;
   private readonly abort = new AbortController();
   private readonly observer: ResizeObserver;
-  private main: Shown | undefined;
-  private other: Shown | undefined;
-  private camera: OrbitCamera | undefined;
-  /** World position of the zero of poses. */
-  private origin: readonly number[] = [0, 0, 0];
-  /** Sets the initial pose, for `reset`. */
-  private home: ((camera: OrbitCamera) => void) | undefined;
-  private homeCamera: (() => OrbitCamera) | undefined;
-  private pose: ViewerPose | undefined;
-  private start: Start = {};
-  private touched = false;
+  private main: ShownScene | undefined;
+  private other: ShownScene | undefined;
   /** Numbers of the scenes loaded, so that a scene replaced before its start does not start. */
   private readonly runs = { main: 0, other: 0 };
   private scheduled = false;
@@ -138,12 +85,6 @@ export class SceneView {
   private wasSettled = false;
   /** Last pose passed to the feeds. */
   private looked = "";
-  /** Last pose of the camera, and the timer that reports its rest. */
-  private seen = "";
-  private resting: ReturnType<typeof setTimeout> | undefined;
-  private motion: Motion | undefined;
-  private visible = true;
-  private isFree = false;
   private source: SceneSource | undefined;
   /** Rows of the picture that stays while the scene is loaded again; 0 otherwise. */
   private keptRows = 0;
@@ -165,13 +106,20 @@ export class SceneView {
     this.renderer = new SplatRenderer(canvas);
     this.pace = new PicturePace(this.renderer.gl);
     const { signal } = this.abort;
+    this.camera = new SceneCamera({
+      size: () => this.size(1),
+      isHeld: () => this.controls.active,
+      redraw: this.redraw,
+      rested: () => host.rested(),
+      motionEnded: (byPerson) => host.motionEnded(byPerson),
+    });
     this.controls = new Controls(
       canvas,
       {
-        camera: () => this.camera,
-        touched: () => this.endMotion(true),
+        camera: () => this.camera.orbit,
+        touched: () => this.camera.endMotion(true),
         moved: () => {
-          this.touched = this.hasMoved = true;
+          this.camera.wasMoved = this.hasMoved = true;
           this.redraw();
         },
         leavesScrolling: () => host.leavesScrolling(),
@@ -244,28 +192,6 @@ export class SceneView {
     this.redraw();
   }
 
-  /** Whether turning may go anywhere: over the poles and below the ground too. */
-  set orbitsFreely(isFree: boolean) {
-    this.isFree = isFree;
-    if (this.camera !== undefined) this.camera.isFree = isFree;
-  }
-
-  /** Pose of the camera; before a scene is open the one that was set, which applies to later scenes too. */
-  get view(): ViewerPose | undefined {
-    const { camera } = this;
-    if (camera === undefined) return this.pose;
-    const [width, height] = this.size(1);
-    const { rotation, translation, focal } = camera.view(height, width);
-    return { width, height, fx: focal[0], fy: focal[1], rotation, translation, target: camera.target };
-  }
-
-  set view(view: ViewerPose | undefined) {
-    this.endMotion(true);
-    this.pose = view;
-    if (view !== undefined) this.camera?.setPose(view);
-    this.redraw();
-  }
-
   /** Context that draws the scene. */
   get gl(): WebGL2RenderingContext {
     return this.renderer.gl;
@@ -275,52 +201,7 @@ export class SceneView {
   get packed(): { readonly words: Uint32Array; readonly rows: number; readonly shift: Vector } | undefined {
     const layer = this.main?.layer;
     if (layer === undefined) return undefined;
-    const shift = this.origin.map((value, axis) => value - layer.scene.origin[axis]!) as Vector;
-    return { words: layer.words, rows: layer.rows, shift };
-  }
-
-  /** Direction against gravity; undefined before a scene is open. */
-  get up(): Vector | undefined {
-    return this.camera?.up;
-  }
-
-  /** Text of the camera's pose; undefined before a scene is open. */
-  get viewText(): string | undefined {
-    const { camera } = this;
-    if (camera === undefined) return undefined;
-    const [width, height] = this.size(1);
-    return camera.text(height, width);
-  }
-
-  /** Change where the camera starts, and go there. */
-  startFrom(start: Start): void {
-    this.start = { ...this.start, ...start };
-    this.reset();
-  }
-
-  /** Whether the canvas can be seen; motions wait until it is. */
-  set isVisible(visible: boolean) {
-    this.visible = visible;
-    if (this.motion !== undefined) this.redraw();
-  }
-
-  /** Whether a motion moves the camera. */
-  get isMoving(): boolean {
-    return this.motion !== undefined;
-  }
-
-  /** Move the camera by a motion, in place of any other. */
-  move(motion: Motion): void {
-    this.endMotion(false);
-    this.motion = motion;
-    this.redraw();
-  }
-
-  /** End the motion, if any. */
-  endMotion(byPerson: boolean): void {
-    if (this.motion === undefined) return;
-    this.motion = undefined;
-    this.host.motionEnded(byPerson);
+    return { words: layer.words, rows: layer.rows, shift: this.shiftOf(layer) };
   }
 
   /** Options of pictures. */
@@ -381,14 +262,12 @@ export class SceneView {
   async load(source: SceneSource): Promise<void> {
     this.source = source;
     this.keptRows = 0;
-    this.endMotion(true);
+    this.camera.leave();
     this.close("main");
     this.close("other");
-    this.camera = undefined;
-    this.touched = false;
     this.meter.reset();
     this.wasSettled = false;
-    this.statistics = { ...EMPTY, state: "opening" };
+    this.statistics = { ...NO_STATISTICS, state: "opening" };
     this.host.changed();
     // Out of sight of a page whose budget is used up the scene waits for a share.
     if (this.sharedBudget > 0) await this.run("main", source);
@@ -399,22 +278,6 @@ export class SceneView {
     this.close("other");
     this.redraw();
     if (source !== undefined) await this.run("other", source);
-  }
-
-  /** Return to the first view. */
-  reset(): void {
-    this.endMotion(true);
-    this.camera = this.homeCamera?.();
-    if (this.camera !== undefined) {
-      this.camera.isFree = this.isFree;
-      this.home?.(this.camera);
-      const { view, target } = this.start;
-      if (view !== undefined) this.camera.setPose(poseOf(view, this.camera.up));
-      if (this.pose !== undefined) this.camera.setPose(this.pose);
-      if (target !== undefined) this.camera.setPose({ ...this.view!, target });
-    }
-    this.touched = false;
-    this.redraw();
   }
 
   /** Return the prefixes of the file that can be shown. */
@@ -431,28 +294,30 @@ export class SceneView {
 
   /** Leave the drawing to `drawEyes`; the function returned draws on the canvas again, in the pose before. */
   present(): () => void {
-    this.endMotion(true);
-    const before = this.view;
+    const { camera } = this;
+    camera.endMotion(true);
+    const before = camera.pose;
     this.isPresenting = true;
     return () => {
       this.isPresenting = false;
-      if (before !== undefined) this.camera?.setPose(before);
+      if (before !== undefined) camera.orbit?.setPose(before);
       this.redraw();
     };
   }
 
   /** Draw the rows received for each eye of a head. */
   drawEyes(head: ViewerPose, eyes: readonly { readonly view: View; readonly target: EyeTarget }[]): void {
-    const { camera, renderer, main } = this;
-    if (camera === undefined || main?.layer === undefined || this.lost) return;
-    camera.setPose(head);
+    const { renderer, main } = this;
+    const { orbit, origin } = this.camera;
+    if (orbit === undefined || main?.layer === undefined || this.lost) return;
+    orbit.setPose(head);
     this.passPose();
     main.feed.work(WORK_MILLISECONDS);
     if (!this.canDraw()) return;
     this.drawLevels(head.fy);
     main.layer.upload();
     const options = { ...this.picture, fill: 0 };
-    for (const { view, target } of eyes) renderer.draw({ ...view, origin: this.origin }, [main.layer], options, target);
+    for (const { view, target } of eyes) renderer.draw({ ...view, origin }, [main.layer], options, target);
   }
 
   /** Resolve when the canvas shows all rows received in the requested view. */
@@ -472,7 +337,7 @@ export class SceneView {
   /** End loading, workers and drawing, and give the memory back. */
   dispose(): void {
     this.abort.abort();
-    clearTimeout(this.resting);
+    this.camera.close();
     this.observer.disconnect();
     this.close("main");
     this.close("other");
@@ -485,25 +350,20 @@ export class SceneView {
   }
 
   private async run(which: "main" | "other", source: SceneSource): Promise<void> {
-    const abort = new AbortController();
     const isMain = which === "main";
     const run = ++this.runs[which];
     const ply = await plyOf(source);
     if (run !== this.runs[which]) return;
-    const workers = new AllowedWorkers(this.workers);
+    const { budget, order, workers } = this;
     const meter = isMain ? this.meter : new Meter();
-    const feed =
-      ply !== undefined
-        ? new PlyFeed(ply, meter, workers, this.budget)
-        : new CogsFeed(source, meter, workers, this.budget, this.order);
-    const shown: Shown = { budget: this.budget, feed, abort, workers };
+    const shown = new ShownScene(source, ply, { meter, workers, budget, order });
     this[which] = shown;
     try {
-      await feed.run(isMain ? this.mainHost(shown) : this.otherHost(shown), abort.signal);
+      await shown.run(isMain ? this.mainHost(shown) : this.otherHost(shown));
       if (isMain) this.updateStatistics({ state: "complete" });
       this.redraw();
     } catch (error) {
-      if (abort.signal.aborted) return;
+      if (shown.isClosed) return;
       if (isMain) this.updateStatistics({ state: "failed" });
       else this.close("other");
       this.host.failed(error, isMain ? "scene" : "other");
@@ -511,41 +371,23 @@ export class SceneView {
     }
   }
 
-  private mainHost(shown: Shown): FeedHost {
+  private mainHost(shown: ShownScene): FeedHost {
     return {
       begin: (scene, info) => {
         this.axes = info.axes;
         this.degree = scene.shDegree;
         this.levels = info.levels;
-        this.origin = info.origin;
-        this.homeCamera = () => new OrbitCamera({ ...info, ...(this.start.up && { up: this.start.up }) });
-        this.home = undefined;
-        const pose = this.keptRows > 0 ? this.view : undefined;
-        this.reset();
-        if (pose !== undefined) {
-          this.camera!.setPose(pose);
-          this.touched = true;
-        }
+        this.camera.enter(info, this.keptRows > 0);
         this.updateStatistics({ state: "streaming", totalSplats: scene.splats });
-        shown.layer?.close();
-        shown.layer = this.makeLayer(scene, shown.workers.known);
-        return shown.layer;
+        return this.makeLayer(shown, scene);
       },
       rowsArrived: (packed, first) => {
         const { descriptionSource } = shown.feed;
         if (first && descriptionSource !== undefined) this.host.described(descriptionSource);
         const { firstView } = shown.feed;
-        if (!first || this.camera === undefined || firstView?.target !== undefined) return;
         // Without a first view with a target, the first splats show where to stand or what to turn around.
-        const { position, forward } = this.camera;
-        const shift = this.origin.map((value, axis) => value - shown.layer!.scene.origin[axis]!) as Vector;
-        const bulk = firstView !== undefined ? undefined : bulkOf(packed, shift);
-        const ahead = bulk === undefined ? depthAhead(packed, shift, position, forward) : undefined;
-        this.home = (camera) => {
-          if (bulk !== undefined) camera.frame(bulk.centre, bulk.radius);
-          else if (ahead !== undefined) camera.turnAround(ahead);
-        };
-        if (!this.touched) this.reset();
+        if (first && firstView?.target === undefined)
+          this.camera.frameRows(packed, this.shiftOf(shown.layer!), firstView !== undefined);
       },
       progressed: (progress) => this.progressed(progress),
       settled: (isSettled) => {
@@ -557,13 +399,9 @@ export class SceneView {
     };
   }
 
-  private otherHost(shown: Shown): FeedHost {
+  private otherHost(shown: ShownScene): FeedHost {
     return {
-      begin: (scene) => {
-        shown.layer?.close();
-        shown.layer = this.makeLayer(scene, shown.workers.known);
-        return shown.layer;
-      },
+      begin: (scene) => this.makeLayer(shown, scene),
       rowsArrived: () => undefined,
       progressed: () => undefined,
       settled: () => undefined,
@@ -571,14 +409,14 @@ export class SceneView {
     };
   }
 
-  private makeLayer(
-    scene: ConstructorParameters<typeof SplatLayer>[1],
-    workers: ViewerWorkers | undefined,
-  ): SplatLayer {
-    const { gl } = this.renderer;
-    const sorter = (rows: number): DepthSorter =>
-      new DepthSorter(rows, workers, (message) => this.host.failed(new Error(message), "scene"));
-    return new SplatLayer(gl, scene, DEFAULT_RANGES, this.budget, sorter, this.redraw);
+  private makeLayer(shown: ShownScene, scene: LayerScene): SplatLayer {
+    const failed = (error: Error): void => this.host.failed(error, "scene");
+    return shown.makeLayer(this.renderer.gl, scene, this.budget, this.redraw, failed);
+  }
+
+  /** Return the vector from means of a layer's rows to points in the space of the poses. */
+  private shiftOf({ scene }: SplatLayer): Vector {
+    return this.camera.origin.map((value, axis) => value - scene.origin[axis]!) as Vector;
   }
 
   private progressed(progress: FeedProgress): void {
@@ -601,9 +439,7 @@ export class SceneView {
     this.runs[which]++;
     const shown = this[which];
     this[which] = undefined;
-    shown?.abort.abort();
-    shown?.layer?.close();
-    shown?.workers.close();
+    shown?.close();
   }
 
   /** Have `frame` called with the next frame of the browser, or after some time. */
@@ -621,7 +457,7 @@ export class SceneView {
     this.passPose();
     const more = [this.main, this.other].map((shown) => shown?.feed.work(WORK_MILLISECONDS) ?? false).some(Boolean);
     if (!this.canDraw()) return;
-    this.drawLevels(this.focal);
+    this.drawLevels(this.camera.focal);
     pace.splats = layers.reduce((sum, layer) => sum + layer.rows, 0);
     if (!pace.isFree) {
       this.schedule(LOOK_MILLISECONDS);
@@ -637,7 +473,7 @@ export class SceneView {
     // A pause between two movements is no slow picture.
     const passed = Math.min(time - this.lastFrame, 100);
     this.lastFrame = time;
-    const moves = [controls.step(passed / 1000), this.stepMotion(passed / 1000)].some(Boolean);
+    const moves = [controls.step(passed / 1000), this.camera.step(passed / 1000)].some(Boolean);
     if (moves) this.lastChange = time;
     const isUrgent = moves || this.dirty;
     if (isUrgent || !this.isSharp) {
@@ -663,52 +499,21 @@ export class SceneView {
     if (this.statistics.upToDate) for (const resolve of this.waiting.splice(0)) resolve();
   };
 
-  /** Move the camera by the motion; return whether one goes on. */
-  private stepMotion(seconds: number): boolean {
-    const { motion, camera } = this;
-    if (motion === undefined || camera === undefined || !this.visible) return false;
-    this.touched = true;
-    if (!motion(camera, seconds) && this.motion === motion) this.endMotion(false);
-    return true;
-  }
-
-  /** Report the camera's rest some time after its last change. */
-  private awaitRest(): void {
-    clearTimeout(this.resting);
-    this.resting = setTimeout(() => {
-      if (this.motion !== undefined || this.controls.active) this.awaitRest();
-      else this.host.rested();
-    }, REST_MILLISECONDS);
-  }
-
   /** Pass a changed pose to the feeds. */
   private passPose(): void {
-    const { camera } = this;
-    if (camera === undefined) return;
+    const { orbit, origin: zero } = this.camera;
+    if (orbit === undefined) return;
+    this.camera.watchRest();
     const [width, height] = this.size(1);
-    const { rotation, translation, focal } = camera.view(height, width);
-    const seen = [rotation, translation, focal[1] / height].join();
-    if (seen !== this.seen) {
-      this.seen = seen;
-      this.awaitRest();
-    }
+    const { rotation, focal } = orbit.view(height, width);
     const pose = { rotation, tanX: width / (2 * focal[0]), tanY: height / (2 * focal[1]) };
-    const key = JSON.stringify([camera.position, pose, this.other?.layer?.scene.origin]);
+    const key = JSON.stringify([orbit.position, pose, this.other?.layer?.scene.origin]);
     if (key === this.looked) return;
     this.looked = key;
     for (const shown of [this.main, this.other]) {
-      const origin = shown?.layer?.scene.origin ?? this.origin;
-      shown?.feed.setPose?.({
-        ...pose,
-        position: camera.position.map((x, axis) => x + this.origin[axis]! - origin[axis]!),
-      });
+      const origin = shown?.layer?.scene.origin ?? zero;
+      shown?.feed.setPose?.({ ...pose, position: orbit.position.map((x, axis) => x + zero[axis]! - origin[axis]!) });
     }
-  }
-
-  /** Focal length of the canvas, pixels; 1 before a scene is open. */
-  private get focal(): number {
-    const [width, height] = this.size(1);
-    return this.camera?.view(height, width).focal[1] ?? 1;
   }
 
   /** Draw the level of a focal length, pixels, or the chosen one. */
@@ -754,11 +559,12 @@ export class SceneView {
 
   /** Draw the rows received; return whether they are all, in the requested view. */
   private draw(scale: number): boolean {
-    const { camera, renderer, layers, pace, statistics } = this;
+    const { renderer, layers, pace, statistics } = this;
+    const { orbit, origin } = this.camera;
     const [width, height] = this.size(scale);
     // Resizing blocks until the GPU is idle, as it is before the first picture.
     renderer.resize(width, height);
-    if (camera === undefined || layers.length === 0)
+    if (orbit === undefined || layers.length === 0)
       return statistics.state === "failed" || statistics.state === "empty";
     // The picture of the scene that is loaded again stays until as much is there, or a person moves.
     if (statistics.state === "streaming" && layers[0]!.rows < this.keptRows && !this.hasMoved) return false;
@@ -766,10 +572,7 @@ export class SceneView {
     const start = performance.now();
     const arriving = statistics.state === "streaming" && this.fills && !this.wasSettled;
     const fill = arriving ? 1 - Math.min(statistics.splats / statistics.totalSplats, 1) : 0;
-    const whole = renderer.draw({ ...camera.view(height, width), origin: this.origin }, layers, {
-      ...this.picture,
-      fill,
-    });
+    const whole = renderer.draw({ ...orbit.view(height, width), origin }, layers, { ...this.picture, fill });
     this.host.drawn();
     if (this.drawnRows > 0)
       pace.submitted(start, { scale, splats: layers.reduce((sum, layer) => sum + layer.drawnRows, 0) });

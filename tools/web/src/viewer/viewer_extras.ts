@@ -165,9 +165,13 @@ export class Extras {
   /** Offer SuperSplat's settings for download: the description, and the present pose. */
   private exportSettings(): void {
     const { scene } = this.stage;
-    if (scene.view === undefined) return;
+    if (scene.camera.pose === undefined) return;
     const parts = this.described?.description ?? NO_DESCRIPTION;
-    const text = JSON.stringify(exportSettings(parts, scene.view, { axes: scene.axes, up: scene.up! }), undefined, 2);
+    const text = JSON.stringify(
+      exportSettings(parts, scene.camera.pose, { axes: scene.axes, up: scene.camera.up! }),
+      undefined,
+      2,
+    );
     const link = document.createElement("a");
     link.href = URL.createObjectURL(new Blob([text], { type: "application/json" }));
     link.download = "settings.json";
@@ -178,9 +182,9 @@ export class Extras {
   /** Show SuperSplat's settings in place of these parts of the description. */
   private async importSettings(file: File): Promise<void> {
     const { scene, hint } = this.stage;
-    if (scene.up === undefined) return;
+    if (scene.camera.up === undefined) return;
     try {
-      const { parts, start } = importSettings(await file.text(), { axes: scene.axes, up: scene.up });
+      const { parts, start } = importSettings(await file.text(), { axes: scene.axes, up: scene.camera.up });
       const { described } = this;
       const description = { ...NO_DESCRIPTION, ...described?.description, ...parts };
       const shown = this.showDescription(description, false);
@@ -212,20 +216,20 @@ export class Extras {
 
   private projection(): Projection | undefined {
     const { canvas, scene } = this.stage;
-    return scene.view && projectionOf(scene.view, canvas.clientWidth, canvas.clientHeight);
+    return scene.camera.pose && projectionOf(scene.camera.pose, canvas.clientWidth, canvas.clientHeight);
   }
 
   /** Fly to a pose. */
   private flyTo(to: ViewerPose): void {
     const { scene } = this.stage;
-    const from = scene.view;
-    if (from !== undefined) scene.move(flight(from, to));
+    const from = scene.camera.pose;
+    if (from !== undefined) scene.camera.move(flight(from, to));
   }
 
   /** Bring the point at a place of the canvas into the middle, nearer. */
   private focus(x: number, y: number): void {
     const { scene } = this.stage;
-    const from = scene.view;
+    const from = scene.camera.pose;
     const target = this.pick(x, y);
     if (from === undefined || target === undefined) return;
     const far = NEARER * distance(positionOf(from), target);
@@ -235,16 +239,17 @@ export class Extras {
 
   private pick(x: number, y: number): Vector | undefined {
     const { scene, canvas } = this.stage;
-    const { view, packed } = scene;
-    if (view === undefined || packed === undefined) return undefined;
-    const { rotation: r, fx, fy, height, width = 1 } = view;
+    const { packed } = scene;
+    const { pose } = scene.camera;
+    if (pose === undefined || packed === undefined) return undefined;
+    const { rotation: r, fx, fy, height, width = 1 } = pose;
     const scale = height / canvas.clientHeight;
     const inCamera = [(scale * x - width / 2) / fx, (scale * y - height / 2) / fy, 1];
     const size = Math.hypot(...inCamera);
     const direction = [0, 1, 2].map(
       (i) => inCamera.reduce((sum, value, row) => sum + value * r[3 * row + i]!, 0) / size,
     ) as Vector;
-    const position = positionOf(view);
+    const position = positionOf(pose);
     const origin = position.map((value, i) => value + packed.shift[i]!) as Vector;
     const far = pick(packed.words, packed.rows, { origin, direction, pixel: 1 / fy });
     return far === undefined ? undefined : (position.map((value, i) => value + far * direction[i]!) as Vector);

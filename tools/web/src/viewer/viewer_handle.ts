@@ -37,6 +37,20 @@ export interface ViewerStatistics {
   readonly error?: string;
 }
 
+/** Statistics of a viewer without a scene. */
+export const NO_STATISTICS: ViewerStatistics = {
+  state: "empty",
+  splats: 0,
+  drawnSplats: 0,
+  totalSplats: 0,
+  bytes: 0,
+  frames: 0,
+  drawMilliseconds: 0,
+  pictureMilliseconds: 0,
+  sortMilliseconds: 0,
+  upToDate: false,
+};
+
 /**
  * A pose and its focal lengths, pixels of a picture of this height; they are scaled to the canvas. Turning goes around
  * the target.
