@@ -206,7 +206,8 @@ def check_output(path: StrPath, *, force: bool, inputs: Iterable[StrPath] = ()) 
                 raise TargetExistsError(path)
         temporary, file = _create_temporary(target)
         file.close()
-        temporary.unlink()
+        # Unlocked since it was closed: another process may have removed it as stale.
+        temporary.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -10,13 +10,17 @@ import hashlib
 import os
 import random
 import signal
+import subprocess
 import sys
 import tempfile
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NoReturn
 
 ROOT = Path(__file__).resolve().parents[2]
 if __name__ == "__main__":
@@ -28,8 +32,10 @@ from s3_server import s3_server  # noqa: E402
 import cogsplat  # noqa: E402
 from cogsplat.formats.cameras.inria import write_cameras_json  # noqa: E402
 from cogsplat.formats.storage import atomic, scratch_folder  # noqa: E402
+from cogsplat.tools import child_command  # noqa: E402
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras  # noqa: E402
 from cogsplat.tools.main import cli, main  # noqa: E402
+from cogsplat.tools.workflow import child_process  # noqa: E402
 
 MOST_KILLS_OF_A_CHAIN = 5
 SLOWEST_SECONDS = 600.0
@@ -90,6 +96,44 @@ class Tally:
     faults: list[str] = field(default_factory=list)
 
 
+def start_forked(words: list[str], **options: Any) -> subprocess.Popen[str]:
+    """Start a child command of ``batch`` as a fork of this process, which has loaded everything.
+
+    Parameters
+    ----------
+    words : list of str
+        Command line of the interpreter: ``python -P -m MODULE``, then the command's words.
+    **options : object
+        Options of `subprocess.Popen`.
+    """
+
+    def run_command() -> None:
+        # Pipes and folder are in place; other descriptors are closed as `exec` would close them.
+        os.closerange(3, 1 << 10)
+        sys.stdin, sys.stdout, sys.stderr = open(0), open(1, "w"), open(2, "w")  # noqa: SIM115
+        run_to_end(child_command.main, words[4:])
+
+    return subprocess.Popen(words, preexec_fn=run_command, **options)
+
+
+def run_to_end(run: Callable[[], None], words: list[str]) -> NoReturn:
+    """Run a command in a forked process, and end the process."""
+    # Which folders were searched for files of killed processes.
+    atomic._remove_stale.cache_clear()
+    scratch_folder._remove_stale.cache_clear()
+    sys.argv = ["cogsplat", *words]
+    code: object = 1
+    try:
+        run()
+    except SystemExit as end:
+        code = end.code
+    except BaseException:
+        traceback.print_exc()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code if isinstance(code, int) else 1)
+
+
 def forked(
     words: list[str], folder: Path, scratch: Path, seconds: float | None, sessions: list[int]
 ) -> int | None:
@@ -109,28 +153,16 @@ def forked(
     process = os.fork()
     sessions.append(process)
     if not process:
-        try:
-            os.setsid()
-            log = os.open(f"{scratch}.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-            null = os.open(os.devnull, os.O_RDONLY)
-            for number, target in ((null, 0), (log, 1), (log, 2)):
-                os.dup2(number, target)
-            os.chdir(folder)
-            os.environ["TMPDIR"] = tempfile.tempdir = str(scratch)
-            atomic._remove_stale.cache_clear()
-            scratch_folder._remove_stale.cache_clear()
-            signal.signal(signal.SIGINT, signal.default_int_handler)
-            sys.argv = ["cogsplat", *words]
-            main()
-        except SystemExit as end:
-            sys.stdout.flush()
-            os._exit(end.code if isinstance(end.code, int) else 1)
-        except BaseException:
-            import traceback
-
-            traceback.print_exc()
-            sys.stderr.flush()
-        os._exit(1)
+        os.setsid()
+        log = os.open(f"{scratch}.txt", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        null = os.open(os.devnull, os.O_RDONLY)
+        for number, target in ((null, 0), (log, 1), (log, 2)):
+            os.dup2(number, target)
+        os.chdir(folder)
+        os.environ["TMPDIR"] = tempfile.tempdir = str(scratch)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        child_process.subprocess = SimpleNamespace(Popen=start_forked, PIPE=subprocess.PIPE)
+        run_to_end(main, words)
     until = time.monotonic() + (SLOWEST_SECONDS if seconds is None else seconds)
     while time.monotonic() < until:
         ended, status = os.waitpid(process, os.WNOHANG)
@@ -276,10 +308,13 @@ class Killer:
                 config = cogsplat.EncodeConfig(chunk_splats=20)
                 cogsplat.encode(self._prepared / "scene.ply", path, preset="fast", config=config)
                 cogsplat.unpack(path, self._prepared / "scene")
-        elif self._name != "batch":
+        else:
+            # A batch encodes in forks of its process.
+            encode = ["encode", "scene.ply", "o.cogs", *VIEWS, "--preset", "fast"]
             with tempfile.TemporaryDirectory() as name:
                 out = {"o.cogs": f"{name}/o.cogs", "o.npz": f"{name}/o.npz"}
-                words = [out.get(word, word) for word in self.command.words]
+                command = encode if self._name == "batch" else self.command.words
+                words = [out.get(word, word) for word in command]
                 before = Path.cwd()
                 os.chdir(self._prepared)
                 try:

@@ -243,6 +243,23 @@ def test_a_live_temporary_stays_though_its_number_says_nothing_here(tmp_path: Pa
 
 
 @posix_only
+def test_an_output_is_checked_while_another_process_removes_stale_temporaries(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The temporary of a check is unlocked for a moment before the check removes it."""
+    unlink = Path.unlink
+
+    def unlink_after_another_process(path: Path, missing_ok: bool = False) -> None:
+        if path.exists():
+            unlink(path)
+        unlink(path, missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", unlink_after_another_process)
+    atomic.check_output(tmp_path / "a.bin", force=False)
+    assert list(tmp_path.iterdir()) == []
+
+
+@posix_only
 def test_a_temporary_cleared_before_it_was_locked_is_made_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
