@@ -12,7 +12,7 @@ from urllib.parse import unquote_to_bytes
 from cogsplat.codec.errors import StorageError
 
 from .byte_range import RangeNotSatisfiableError, parse_range
-from .served_content import Content, bytes_content, file_content
+from .served_content import Content, SendFile, bytes_content, file_content
 from .shaped_link import ShapedLink
 
 Message = MutableMapping[str, Any]
@@ -38,6 +38,15 @@ _REVALIDATED: Final = "no-cache, no-transform"
 
 READ_HEADERS: Final = frozenset({b"range", b"if-range", b"if-match", b"if-none-match"})
 """Headers of requests that are read."""
+
+SEND_FILE: Final = "cogsplat.send_file"
+"""Key of ``scope["extensions"]``: a `SendFile` of the connection, if it can have one."""
+
+# Bytes that a `SendFile` may send at once, and bytes of the block after them, which waits for room.
+# Processor time of a download of 300 MB, ns per byte: 0.51 with blocks of 4 KiB, 0.43 with 16 KiB,
+# 0.49 with 64 KiB; 0.61 and 1.35 with 256 and 64 KiB sent at once; 0.85 without `SendFile`.
+_DIRECT_BYTES: Final = 1 << 20
+_WAITING_BYTES: Final = 1 << 14
 
 # Folder of the objects named by the hash of their content (SPEC 3.4), which never change.
 _OBJECT_FOLDER: Final = "segments"
@@ -130,7 +139,8 @@ class FileApp:
         headers = {
             key.decode("latin-1"): value.decode("latin-1") for key, value in scope["headers"]
         }
-        await self._send(name, content, headers, send, with_body=method == "GET")
+        send_file = scope.get("extensions", {}).get(SEND_FILE)
+        await self._send(name, content, headers, send, send_file, with_body=method == "GET")
 
     def _content(self, name: str) -> Content | None:
         """Return the page or file of a name; None for a name that is not served.
@@ -168,6 +178,7 @@ class FileApp:
         content: Content,
         request_headers: Mapping[str, str],
         send: Send,
+        send_file: SendFile | None,
         *,
         with_body: bool,
     ) -> None:
@@ -203,11 +214,16 @@ class FileApp:
             headers["Content-Range"] = f"bytes {first}-{end - 1}/{content.size}"
         await _begin(send, HTTPStatus.OK if part is None else HTTPStatus.PARTIAL_CONTENT, headers)
         if with_body:
-            await self._copy(content, first, end, send)
+            await self._copy(content, first, end, send, send_file)
         await send({"type": "http.response.body", "body": b""})
 
-    async def _copy(self, content: Content, first: int, end: int, send: Send) -> None:
+    async def _copy(
+        self, content: Content, first: int, end: int, send: Send, send_file: SendFile | None
+    ) -> None:
         """Send bytes of a file at the speed of the link.
+
+        With a `SendFile`, most bytes go from the file to the socket without a copy in this process:
+        as many as the socket's buffer has room for, then a small block, which waits for room.
 
         Raises
         ------
@@ -218,10 +234,17 @@ class FileApp:
         """
         stop = self._link.breaks_at(end - first)
         start = first
+        direct = send_file if stop is None and self._link.is_unlimited else None
         self._copies += 1
         try:
             while start < end:
-                until = min(start + self._link.block_bytes(self._copies), end)
+                block_bytes = self._link.block_bytes(self._copies)
+                if direct is not None:
+                    start += content.send(direct, start, min(start + _DIRECT_BYTES, end))
+                    if start == end:
+                        break
+                    block_bytes = min(block_bytes, _WAITING_BYTES)
+                until = min(start + block_bytes, end)
                 if stop is not None and until - first > stop:
                     raise ConnectionLostError("the link breaks")
                 block = content.read(start, until)

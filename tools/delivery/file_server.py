@@ -8,6 +8,8 @@ closed it.
 from __future__ import annotations
 
 import asyncio
+import errno
+import os
 import signal
 import socket
 import ssl
@@ -32,7 +34,7 @@ from .connection_limit import (
     connection_limit,
     limit_buffers,
 )
-from .file_app import READ_HEADERS, FileApp, Message, Receive, Send, refuse
+from .file_app import READ_HEADERS, SEND_FILE, FileApp, Message, Receive, Send, refuse
 from .threaded_server import HOST
 
 _BACKLOG: Final = 1024
@@ -48,6 +50,8 @@ _TLS_SECONDS: Final = 10.0
 _MAX_STREAMS: Final = 32
 _BODIES: Final = ("http.response.body", "websocket.http.response.body")
 _DISCONNECTS: Final = ("http.disconnect", "websocket.disconnect")
+# Errors of `os.sendfile` for a full socket, and for file systems that do not support it.
+_NOT_SENT: Final = (errno.EAGAIN, errno.EINVAL, errno.ENOSYS, errno.ENOTSUP)
 _STOP_SIGNALS: Final = ("SIGINT", "SIGTERM", "SIGHUP")
 
 App = Callable[[Message, Receive, Send], Awaitable[None]]
@@ -205,7 +209,7 @@ class FileServer:
             transport.set_write_buffer_limits(1)
             writer = asyncio.StreamWriter(transport, protocol, reader, loop)
             app = partial(self._answer, connection, transport)
-            await self._hypercorn.serve(app, reader, writer)
+            await self._hypercorn.serve(app, reader, writer, transport)
         except asyncio.CancelledError:
             # The connection or the server ends.
             pass
@@ -358,14 +362,66 @@ class _Hypercorn:
         self._wrap = wrap_app
 
     async def serve(
-        self, app: App, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+        self,
+        app: App,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+        transport: asyncio.Transport,
     ) -> None:
         """Serve the requests of one connection with an ASGI application."""
-        wrapped = self._wrap(cast(Any, app), 0, "asgi")
+
+        async def answer(scope: Message, receive: Receive, send: Send) -> None:
+            if self.tls is None and scope["type"] == "http" and scope["http_version"] != "2":
+                scope["extensions"][SEND_FILE] = partial(_send_file, transport, server)
+            await app(scope, receive, send)
+
+        wrapped = self._wrap(cast(Any, answer), 0, "asgi")
         loop = asyncio.get_running_loop()
         server = self._server(wrapped, loop, self._config, self._context, {}, reader, writer)
         server.idle_task = cast(Any, _NoIdleTask())
         await server
+
+
+@dataclass(frozen=True)
+class _SentBytes:
+    """Stand-in for the body's bytes that were sent past h11, which counts them."""
+
+    size: int
+
+    def __len__(self) -> int:
+        return self.size
+
+
+def _send_file(
+    transport: asyncio.Transport, server: Any, descriptor: int, first: int, size: int
+) -> int:
+    """Send bytes of a file to a connection without copying them; a `served_content.SendFile`.
+
+    Parameters
+    ----------
+    transport : Transport
+        Transport of a connection without TLS.
+    server : TCPServer
+        hypercorn's server of the connection, which speaks HTTP/1.
+    descriptor, first, size : int
+        Open file, first byte and number of bytes.
+    """
+    if transport.is_closing():
+        raise ConnectionResetError("the peer closed the connection")
+    if not hasattr(os, "sendfile") or transport.get_write_buffer_size():
+        return 0
+    try:
+        peer = transport.get_extra_info("socket").fileno()
+        sent = os.sendfile(peer, descriptor, first, size)
+    except OSError as error:
+        if error.errno not in _NOT_SENT:
+            raise
+        return 0
+    from h11 import Data
+
+    counted = Data(data=cast(bytes, _SentBytes(sent)))
+    server.protocol.protocol.connection.send_with_data_passthrough(counted)
+    return sent
 
 
 @contextmanager

@@ -70,6 +70,11 @@ class ShapedLink:
             return None
         return self._random.randrange(max(1, size_bytes))
 
+    @property
+    def is_unlimited(self) -> bool:
+        """Whether bytes pass without a wait."""
+        return self._quality.bits_per_second is None
+
     async def wait(self, size_bytes: int) -> None:
         """Wait until bytes have passed the link, behind earlier bytes of all responses."""
         rate = self._quality.bits_per_second

@@ -1,10 +1,11 @@
 import asyncio
+import os
 
 import pytest
 
 from cogsplat.codec.errors import StorageError
 from cogsplat.tools.delivery import file_app
-from cogsplat.tools.delivery.file_app import ConnectionLostError, FileApp
+from cogsplat.tools.delivery.file_app import SEND_FILE, ConnectionLostError, FileApp
 from cogsplat.tools.delivery.served_content import ContentChangedError
 from cogsplat.tools.delivery.shaped_link import MAX_LARGE_BLOCKS, LinkQuality, ShapedLink
 
@@ -24,9 +25,17 @@ def folder(tmp_path):
     return root
 
 
-def asked(app, path, method="GET", **headers):
-    """Return status, headers and body of an answer."""
+def asked(app, path, method="GET", send_file=None, **headers):
+    """Return status, headers and body of an answer.
+
+    `send_file` returns bytes that are sent past the application's messages.
+    """
     sent = []
+
+    def pass_on(descriptor, first, size):
+        block = send_file(descriptor, first, size)
+        sent.append({"body": block})
+        return len(block)
 
     async def send(message):
         sent.append(message)
@@ -36,6 +45,8 @@ def asked(app, path, method="GET", **headers):
 
     pairs = [(name.replace("_", "-").encode(), value.encode()) for name, value in headers.items()]
     scope = {"type": "http", "method": method, "raw_path": path.encode(), "headers": pairs}
+    if send_file is not None:
+        scope["extensions"] = {SEND_FILE: pass_on}
     asyncio.run(app(scope, receive, send))
     start, *rest = sent
     got = {key.decode(): value.decode() for key, value in start["headers"]}
@@ -58,6 +69,36 @@ def test_whole_files_and_ranges(folder):
     assert headers["content-range"] == f"bytes 10-19/{len(DATA)}"
     status, headers, _ = asked(app, "/scene.cogs", range=f"bytes={len(DATA)}-")
     assert (status, headers["content-range"]) == (416, f"bytes */{len(DATA)}")
+
+
+@pytest.mark.skipif(not hasattr(os, "pread"), reason="needs os.pread")
+def test_a_connection_sends_bytes_of_files_as_far_as_it_has_room(folder):
+    room = []
+
+    def send_file(descriptor, first, size):
+        room.append(30_000 if len(room) % 3 else 0)
+        return os.pread(descriptor, min(size, room[-1]), first)
+
+    assert asked(app_of(folder), "/scene.cogs", send_file=send_file)[2] == DATA
+    assert len(room) > 10
+    body = asked(app_of(folder), "/scene.cogs", send_file=send_file, range="bytes=7-99999")[2]
+    assert body == DATA[7:100_000]
+    # A slow link passes every block itself.
+    room.clear()
+    body = asked(app_of(folder, bits_per_second=1e9), "/scene.cogs", send_file=send_file)[2]
+    assert (body, room) == (DATA, [])
+
+
+@pytest.mark.skipif(not hasattr(os, "pread"), reason="needs os.pread")
+def test_a_file_that_is_cut_while_a_connection_sends_it(folder):
+    path = folder / "scene.cogs"
+
+    def send_file(descriptor, first, size):
+        os.truncate(path, 100_000)
+        return os.pread(descriptor, size, first)
+
+    with pytest.raises(ContentChangedError, match="was changed"):
+        asked(app_of(folder), "/scene.cogs", send_file=send_file)
 
 
 def test_a_head_has_no_body(folder):

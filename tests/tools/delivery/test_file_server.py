@@ -1,4 +1,5 @@
 import datetime
+import os
 import socket
 import ssl
 import struct
@@ -14,7 +15,7 @@ from cogs_samples import assert_same, file_of
 import cogsplat
 from cogsplat.codec.errors import MissingExtraError, StorageError
 from cogsplat.formats.network import http_transport
-from cogsplat.tools.delivery import connection_limit, file_server
+from cogsplat.tools.delivery import connection_limit, file_server, served_content
 from cogsplat.tools.delivery.file_app import FileApp
 from cogsplat.tools.delivery.file_server import Certificate, FileServer, running
 from cogsplat.tools.delivery.shaped_link import LinkQuality, ShapedLink
@@ -191,6 +192,27 @@ def test_connections_that_a_peer_closed_are_released(scene, large):
         for peer in peers:
             peer.close()
         wait_for(lambda: not len(server.connections))
+
+
+@pytest.mark.skipif(not hasattr(os, "sendfile"), reason="needs os.sendfile")
+def test_most_bytes_are_sent_without_a_copy(tmp_path, monkeypatch):
+    data = np.random.default_rng(1).bytes(8 << 20)
+    (tmp_path / "random.cogs").write_bytes(data)
+    read, copied = served_content.Content.read, []
+
+    def counting_read(content, first, end):
+        copied.append(end - first)
+        return read(content, first, end)
+
+    monkeypatch.setattr(served_content.Content, "read", counting_read)
+    with served(tmp_path) as server, httpx.Client() as client:
+        # Both on one connection, which h11 keeps if the bytes are those of Content-Length.
+        url = server.url + "random.cogs"
+        part = client.get(url, headers={"Range": "bytes=1000-5000000"})
+        assert part.content == data[1000:5000001]
+        assert client.get(url).content == data
+        assert len(server.connections) == 1
+    assert 0 < sum(copied) < 13e6 / 2
 
 
 def test_silent_and_slow_peers_are_closed(scene, large, monkeypatch):
