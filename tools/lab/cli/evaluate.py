@@ -260,11 +260,7 @@ def evaluate(
         raise click.UsageError("--shares none and --sizes none: nothing to measure")
     require_octree(choice.names, octree_depths)
     if out is not None:
-        # Checked before minutes of work.
-        with storage_errors(out):
-            out.mkdir(parents=True, exist_ok=True)
-        names = ("eval.csv", "eval.json", *picture_names(by))
-        check_outputs(*(out / name for name in names), force=force)
+        _prepare_folder(out, by, force=force)
     results = _Results()
     of_objects: list[ObjectPoint] = []
     with Stages(shown=not (quiet or as_json)) as stages:
@@ -304,12 +300,7 @@ def evaluate(
             stages=stages,
         )
         unordered = OrderInputs(
-            given.splats,
-            given.scores,
-            given.scored_on,
-            threads,
-            stages,
-            jitter=not no_jitter,
+            given.splats, given.scores, given.scored_on, threads, stages, jitter=not no_jitter
         )
         measured = curves(choice.names, given.config, octree_depths)
         ordered: dict[str, NDArray[np.int64]] = {}
@@ -326,28 +317,11 @@ def evaluate(
                 threads=threads,
                 progress=stages,
             )
-        if cut:
-            with scratch_folder() as folder:
-                made: list[tuple[str, Path, Curve | None]]
-                made = [(printable(display_name(path)), path, None) for path in files] or [
-                    (curve.label, folder / f"{number}.cogs", curve)
-                    for number, curve in enumerate(measured)
-                ]
-                stages("files", 0, len(made))
-                for number, (name, path, encoded) in enumerate(made, start=1):
-                    if encoded is not None:
-                        _encode(given, encoded, path, quality, target_psnr, threads, stages)
-                    _measure_file(
-                        given,
-                        name,
-                        path,
-                        lengths,
-                        results,
-                        compensate=compensate,
-                        threads=threads,
-                        stages=stages,
-                    )
-                    stages("files", number, len(made))
+        measuring = _FileMeasuring(given, lengths, results, compensate, threads, stages)
+        if files:
+            measuring.measure_files(files)
+        elif cut:
+            measuring.measure_encodes(measured, quality, target_psnr)
         if codecs:
             _measure_codecs(given, codecs, ordered, wanted or SHARES, results, stages)
         pages = result_files(given, results.points, by, of_objects)
@@ -361,14 +335,17 @@ def evaluate(
     print_results(given, results.points, by, of_objects)
     if not quiet:
         print_line("")
-        drawn = [
-            page
-            for kind in by
-            if results.strips[kind]
-            for page in (STRIPS[kind], DIFFERENCES[kind])
-        ]
-        written = f"{', '.join([*pages, *drawn])} in {out}"
-        print_facts(("written", written if out is not None else ""), ("time", stages.summary()))
+        drawn = [page for kind in by for page in results.strip_files(kind)]
+        written = "" if out is None else f"{', '.join([*pages, *drawn])} in {out}"
+        print_facts(("written", written), ("time", stages.summary()))
+
+
+def _prepare_folder(out: Path, by: Sequence[str], *, force: bool) -> None:
+    """Make the folder of the results, and refuse to replace files before minutes of work."""
+    with storage_errors(out):
+        out.mkdir(parents=True, exist_ok=True)
+    names = ("eval.csv", "eval.json", *picture_names(by))
+    check_outputs(*(out / name for name in names), force=force)
 
 
 @dataclass
@@ -385,6 +362,10 @@ class _Results:
 
     points: list[PrefixPoint] = field(default_factory=list)
     strips: dict[str, list[Strip]] = field(default_factory=lambda: {SPLATS: [], BYTES: []})
+
+    def strip_files(self, by: str) -> tuple[str, ...]:
+        """Return the file names of the film strips by `SPLATS` or `BYTES`."""
+        return (STRIPS[by], DIFFERENCES[by]) if self.strips[by] else ()
 
 
 def _measure_orders(
@@ -412,32 +393,77 @@ def _measure_orders(
     return ordered
 
 
-def _measure_file(
-    given: EvaluationInput,
-    name: str,
-    path: Path,
-    lengths: Sequence[ByteCount] | None,
-    results: _Results,
-    *,
-    compensate: bool,
-    threads: int,
-    stages: Stages,
-) -> None:
-    """Measure prefixes of a COGS file."""
-    size = _size_of(path)
-    found = by_bytes(
-        given.evaluator,
-        name,
-        path,
-        None if lengths is None else [one.of(size) for one in lengths],
-        compensate=compensate,
-        threads=threads,
-        progress=stages,
-    )
-    results.points += found
-    results.strips[BYTES].append(
-        Strip.of_file(name, path, found, compensate=compensate, threads=threads)
-    )
+@dataclass
+class _FileMeasuring:
+    """Measures prefixes of COGS files by bytes.
+
+    Parameters
+    ----------
+    given : EvaluationInput
+        Scene and evaluator.
+    lengths : sequence of ByteCount or None
+        Lengths of the prefixes; None for 32 KiB, doubled to the end.
+    results : _Results
+        Receives the figures and a film strip of each file.
+    compensate : bool
+        Whether prefix compensation is applied.
+    threads : int
+        Number of threads; 0 for every core this process may use.
+    stages : Stages
+        Receives the progress.
+    """
+
+    given: EvaluationInput
+    lengths: Sequence[ByteCount] | None
+    results: _Results
+    compensate: bool
+    threads: int
+    stages: Stages
+
+    def measure_files(self, paths: Sequence[Path]) -> None:
+        """Measure prefixes of existing files."""
+        self.stages("files", 0, len(paths))
+        for number, path in enumerate(paths, start=1):
+            self._measure(printable(display_name(path)), path)
+            self.stages("files", number, len(paths))
+
+    def measure_encodes(
+        self, measured: Sequence[Curve], quality: float, target_psnr: float | None
+    ) -> None:
+        """Encode the scene in the order of each curve, and measure prefixes of the files.
+
+        Parameters
+        ----------
+        measured : sequence of Curve
+            Orders to encode in.
+        quality : float
+            Nominal PSNR, dB.
+        target_psnr : float or None
+            PSNR to reach instead of `quality`, dB.
+        """
+        self.stages("files", 0, len(measured))
+        with scratch_folder() as folder:
+            for number, curve in enumerate(measured, start=1):
+                path = folder / f"{number}.cogs"
+                _encode(self.given, curve, path, quality, target_psnr, self.threads, self.stages)
+                self._measure(curve.label, path)
+                self.stages("files", number, len(measured))
+
+    def _measure(self, name: str, path: Path) -> None:
+        """Measure prefixes of a file."""
+        size = _size_of(path)
+        found = by_bytes(
+            self.given.evaluator,
+            name,
+            path,
+            None if self.lengths is None else [one.of(size) for one in self.lengths],
+            compensate=self.compensate,
+            threads=self.threads,
+            progress=self.stages,
+        )
+        self.results.points += found
+        strip = Strip.of_file(name, path, found, compensate=self.compensate, threads=self.threads)
+        self.results.strips[BYTES].append(strip)
 
 
 def _measure_codecs(
