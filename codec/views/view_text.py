@@ -236,7 +236,7 @@ def _number_text(number: float) -> str:
 
 
 def _numbers(text: str, expected: str) -> list[float]:
-    """Return the finite numbers of a text that commas separate."""
+    """Parse finite numbers separated by commas; an error ends with `expected`."""
     found = []
     for part in text.split(","):
         number = part.strip(" \t\n\r")

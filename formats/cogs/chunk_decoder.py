@@ -123,7 +123,7 @@ class ChunkDecoder(StoredFile):
         LimitError
             ``decoded-size``: the description exceeds the memory of `Limits`.
         """
-        index = self._pages.ends(last=False)
+        index = self._pages.for_description(pictures=False)
         if index.description < 0:
             return None
         root = ChunkDecoder(self._source, index, self._limits)
@@ -132,7 +132,7 @@ class ChunkDecoder(StoredFile):
         found = description_segment.unpack_description(payload, where, self._allowed)
         if not pictures:
             return found
-        index = self._pages.ends(last=True)
+        index = self._pages.for_description(pictures=True)
         last = ChunkDecoder(self._source, index, self._limits)
         # A partial file may lack the page that lists the pictures.
         if last.has_all_pages:

@@ -43,7 +43,7 @@ class Described:
     written_bytes : int
         Bytes written: of the file; or of the manifest and the new objects of a folder.
     description : Description or None
-        Description that the scene has now; None for none.
+        New description of the scene; None if it was removed.
     """
 
     path: Path
@@ -124,12 +124,12 @@ def describe(
 
 
 def _names_manifest(output: Path) -> bool:
-    """Whether an output is a folder or a manifest."""
+    """Whether an output path names a folder or a manifest."""
     return is_folder(output) or output.name.lower().endswith(MANIFEST_SUFFIX)
 
 
 def _target(path: Path, *, to_folder: bool) -> Path:
-    """Return the file or manifest to write."""
+    """Return the path to write: `path` itself, or for a folder the manifest in it."""
     is_manifest = path.name.lower().endswith(MANIFEST_SUFFIX)
     return path / MANIFEST_NAME if to_folder and not is_manifest else path
 
@@ -163,14 +163,14 @@ def described_source(
     up: str | ArrayLike | None = None,
     view: str | Camera | None = None,
 ) -> Source:
-    """Return the bytes of a file with another description, as a source over the file's own.
+    """Return a source of the bytes that a file would have with a new description.
 
     Parameters
     ----------
     file : CogsFile
-        Open file, whose other segments are read when their bytes are.
+        Open file. Its segments are read from it on demand; keep it open as long as the source.
     description : Description or None
-        New description, with the files of its pictures; None for none.
+        New description, with the files of its pictures; None removes the description.
     up, view
         As in `describe`.
 
@@ -189,7 +189,7 @@ def described_source(
         first_view=file.first_view(view=view, up=up),
     )
     pieces: list[_Piece] = []
-    for part in lay_out_index(root, _joined(file.segments, kept, segment_table(new))):
+    for part in lay_out_index(root, _concatenate_tables(file.segments, kept, segment_table(new))):
         pieces.append(_Piece(BytesSource(part.index), 0, len(part.index)))
         for row in part.rows:
             if row < len(kept):
@@ -202,8 +202,10 @@ def described_source(
     return _JoinedSource(file.name, pieces)
 
 
-def _joined(table: SegmentTable, rows: NDArray[np.int64], other: SegmentTable) -> SegmentTable:
-    """Return a segment table of some rows of one table and all rows of another."""
+def _concatenate_tables(
+    table: SegmentTable, rows: NDArray[np.int64], other: SegmentTable
+) -> SegmentTable:
+    """Return a segment table: selected rows of a table, then all rows of another table."""
     names = [field.name for field in fields(SegmentTable)]
     return SegmentTable(
         **{

@@ -135,7 +135,7 @@ class Description:
     georeference : Georeference, optional
         Position on Earth.
     poster : Picture, optional
-        Picture to show until the scene is there.
+        Picture to show while the scene loads.
     sky : Picture, optional
         Equirectangular picture behind the splats.
 

@@ -65,7 +65,7 @@ def read_description(path: StrPath, *, limits: Limits | None = None) -> Descript
 
 
 def read_object(path: Path, *, limits: Limits | None = None) -> dict[str, object]:
-    """Return the object of a JSON file of a description's size.
+    """Read the JSON object of a file that is at most as long as a description can be.
 
     Raises
     ------
@@ -142,7 +142,7 @@ def read_picture_file(path: Path) -> Picture:
 
 
 def _read_at_most(path: Path, most: int, code: str) -> bytes:
-    """Return the bytes of a file of at most `most` bytes."""
+    """Read a file; raise a FormatError with the reason `code` if it exceeds `most` bytes."""
     with storage_errors(path), open_for_read(path) as file:
         data = file.read(most + 1)
     if len(data) > most:
@@ -151,7 +151,17 @@ def _read_at_most(path: Path, most: int, code: str) -> bytes:
 
 
 def _stored(value: object, key: str, depth: int) -> Value:
-    """Return a JSON value with its numbers as the types that SPEC 5.13 has for a key."""
+    """Convert a JSON value to the types of SPEC 5.13; a value that no key can have is None.
+
+    Parameters
+    ----------
+    value : object
+        Value of the JSON object, at any depth.
+    key : str
+        Key of the value, which decides between integers and floats.
+    depth : int
+        Nesting depth of the value, at most `MAX_DEPTH`.
+    """
     if isinstance(value, dict) and depth <= MAX_DEPTH:
         return {str(name): _stored(inner, str(name), depth + 1) for name, inner in value.items()}
     if isinstance(value, list | tuple) and depth <= MAX_DEPTH:

@@ -103,8 +103,8 @@ class Index:
         """Return this index; `LazyIndex.whole` reads the missing pages first."""
         return self
 
-    def ends(self, *, last: bool) -> Index:
-        """Return this index; `LazyIndex.ends` reads the last page first if `last`."""
+    def for_description(self, *, pictures: bool) -> Index:
+        """Return this index; `LazyIndex.for_description` reads a page first for `pictures`."""
         return self
 
 

@@ -136,10 +136,16 @@ class LazyIndex:
             )
         return self._joined
 
-    def ends(self, *, last: bool) -> Index:
-        """Return an index of the root, and of the last page if `last`, with placeholder rows.
+    def for_description(self, *, pictures: bool) -> Index:
+        """Return an index with the row of the description and, on request, of its pictures.
 
-        The root lists the description, the last page its pictures (SPEC 5.13, 5.14).
+        The root lists the description, the last page its pictures (SPEC 5.13, 5.14). Rows of other
+        pages are placeholders.
+
+        Parameters
+        ----------
+        pictures : bool
+            Whether to read the last page.
 
         Raises
         ------
@@ -147,7 +153,7 @@ class LazyIndex:
             The page cannot be read, or breaks SPEC.
         """
         with self._lock:
-            return self._with({len(self.root.pages) - 1} if last else set())
+            return self._with({len(self.root.pages) - 1} if pictures else set())
 
     def whole(self) -> Index:
         """Read all missing pages and return the whole index."""

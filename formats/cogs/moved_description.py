@@ -73,7 +73,11 @@ def move_description(
 
 
 def _with_turned_sky(description: Description, axes: str, turn: F64) -> Description:
-    """Return a description whose sky turns with the scene."""
+    """Return a description with its sky rotated by `turn`; drop a sky that cannot be rotated.
+
+    A picture of the sky can be rotated, not mirrored: in left-handed axes it is dropped unless it
+    has a rotation of its own.
+    """
     sky = description.sky
     if sky is None or np.array_equal(turn, np.eye(3)):
         return description

@@ -605,7 +605,8 @@ def parse_camera(view: CheckedMap, name: str) -> Camera:
     Parameters
     ----------
     view : CheckedMap
-        Map with the keys of a camera. Keys read before are not read again; others are unknown keys.
+        Map with the keys of a camera. Keys of its own the caller has read before, such as ``name``;
+        any further key is unknown.
     name : str
         Name of the camera that is returned.
 

@@ -213,7 +213,7 @@ class StoredFile:
     @property
     def description_row(self) -> int | None:
         """Row of the description's segment in `segments`; None if the file has no description."""
-        row = self._pages.ends(last=False).description
+        row = self._pages.for_description(pictures=False).description
         return row if row >= 0 else None
 
     def first_view(

@@ -43,12 +43,12 @@ _DEPTH: Final = 1.0
 
 @dataclass(frozen=True, eq=False)
 class ViewerSettings:
-    """Settings of a scene.
+    """Parts of SuperSplat's settings that COGS stores, in the scene's axes.
 
     Parameters
     ----------
     description : Description
-        Background, camera path and annotations.
+        Description with a background, a camera path and annotations only.
     first_view : Camera or None
         Camera where the viewer starts.
     """
@@ -58,17 +58,17 @@ class ViewerSettings:
 
 
 def is_settings(value: Mapping[str, object]) -> bool:
-    """Whether a JSON object is settings of SuperSplat and not a description."""
+    """Whether a JSON object holds settings of SuperSplat rather than a description."""
     return "animTracks" in value or "tonemapping" in value or "cameras" in value
 
 
 def parse_settings(value: Mapping[str, object], where: str, axes: str, up: F64) -> ViewerSettings:
-    """Return the settings of a scene.
+    """Parse settings of the SuperSplat viewer into the axes of a scene.
 
     Parameters
     ----------
     value : mapping
-        JSON object.
+        Settings as a JSON object.
     where : str
         Name of the file in messages.
     axes : str
@@ -107,7 +107,7 @@ def _share(value: float) -> float:
 
 
 class _Reader:
-    """Reader of positions and views.
+    """Reader of positions and views of settings, into the axes of a scene.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class _Reader:
         return x, y, z
 
     def view(self, pose: JsonObject) -> Camera:
-        """Return the view of a pose."""
+        """Parse a pose of the settings: position, target and field of view."""
         numbers = [*pose.numbers("position", 3), *pose.numbers("target", 3), pose.number("fov")]
         return self._view(numbers, pose.where)
 

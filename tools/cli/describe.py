@@ -86,9 +86,9 @@ _POSTER_SIZE: Final = (1280, 720)
     "SuperSplat viewer are read as well.",
 )
 @click.option("--title", metavar="TEXT", help="Name of the scene.")
-@click.option("--text", metavar="TEXT", help="What the scene shows.")
+@click.option("--text", metavar="TEXT", help="Longer text about the scene.")
 @click.option("--licence", metavar="TEXT", help="Licence, such as CC-BY-4.0.")
-@click.option("--credits", metavar="TEXT", help="Whom to name.")
+@click.option("--credits", metavar="TEXT", help="People and projects to credit.")
 @click.option("--date", metavar="DATE", help="Date of the capture, such as 2026-05.")
 @click.option(
     "--metres-per-unit",
@@ -123,7 +123,7 @@ _POSTER_SIZE: Final = (1280, 720)
 @click.option(
     "--poster",
     metavar=f"FILE|{_FIRST_VIEW}",
-    help="Picture to show until the scene is there: a JPEG or WebP, or a render of the first view.",
+    help="Picture to show while the scene loads: a JPEG or WebP, or a render of the first view.",
 )
 @click.option(
     "--sky",

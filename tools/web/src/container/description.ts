@@ -209,6 +209,7 @@ function readGeoreference(fields: Fields): Georeference {
   return { crs, transform };
 }
 
+/** Read type, size and rotation of a picture, and refuse a sky of another shape than 2:1. */
 function readPicture(fields: Fields, isSky: boolean): PictureInfo {
   const type = fields.text("type");
   if (!isJpegOrWebp(type)) throw fields.outOfRange("type", "neither image/jpeg nor image/webp");

@@ -135,7 +135,7 @@ class Round {
     if (holdings.budgetSplats > 0) this.target = this.chooseTarget(holdings.budgetSplats);
   }
 
-  /** Return the chunks to hold within the budget, and note the others held (docs/streaming.md, 9). */
+  /** Return the chunks to hold within the budget; other chunks held become evictable (docs/streaming.md, 9). */
   private chooseTarget(budget: number): Set<number> {
     const worths = new Map<number, number>();
     const parents = new Map<number, number | undefined>();

@@ -89,6 +89,7 @@ export class Annotations {
     }
   }
 
+  /** Remove pins and card from the page. */
   remove(): void {
     this.looks++;
     for (const part of [this.card, ...this.pins]) part.remove();
