@@ -5,6 +5,7 @@ numba holds the interpreter's lock while it compiles, so threads would wait for 
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -22,6 +23,9 @@ _PROCESS: Final = "cogsplat.tools.workflow.kernel_process"
 # third of a second on average.
 _KERNELS_PER_PROCESS: Final = 4
 
+# Fractional parts of its multiples are far apart for neighbouring process numbers.
+_GOLDEN_RATIO: Final = 0.618034
+
 # Interval of progress reports while other processes compile, s.
 _REPORT_SECONDS: Final = 0.1
 
@@ -32,14 +36,14 @@ class CompileAhead:
     A context manager; the processes start on entry. `finish` compiles in this process as well and
     returns when all kernels are compiled. Leaving the context ends the processes. A kernel that is
     not compiled by then is compiled at its first call. Without a folder or a process, every kernel
-    is.
+    is. Several commands at a time share the work: each skips kernels that another has compiled.
 
     Parameters
     ----------
     kernels : sequence of DeclaredKernel
-        Kernels to compile. This process begins with the last and the others with the first.
-        Kernels that call the same inner kernels should be neighbours, because every process
-        compiles the inner kernels anew.
+        Kernels to compile, in a circle: from a place that depends on the process number, this
+        process goes backward and the others forward. Kernels that call the same inner kernels
+        should be neighbours, because every process compiles the inner kernels anew.
     processes : int
         Number of processes at most, including this one.
     """
@@ -47,6 +51,9 @@ class CompileAhead:
     def __init__(self, kernels: Sequence[DeclaredKernel], processes: int) -> None:
         kept = [kernel for kernel in kernels if kernel.folder is not None]
         self._waiting = deque(kernel for kernel in kept if not kernel.is_cached())
+        # Commands that start at the same time compile different kernels. An empty cache and two
+        # encodes of a batch: 43.8 s of processor time from one place, 31.2 s from places apart.
+        self._waiting.rotate(int(os.getpid() * _GOLDEN_RATIO % 1.0 * len(self._waiting)))
         self.total = len(self._waiting)
         """Number of kernels that were missing on entry."""
         self._done = 0
@@ -94,11 +101,15 @@ class CompileAhead:
             progress("compile", self.total, self.total)
 
     def _next_kernel(self, *, last: bool = False) -> DeclaredKernel | None:
-        """Remove and return the first or last kernel of the queue, None if it is empty."""
+        """Remove and return the first or last kernel that is still missing, None without any."""
         with self._lock:
-            if not self._waiting:
-                return None
-            return self._waiting.pop() if last else self._waiting.popleft()
+            while self._waiting:
+                kernel = self._waiting.pop() if last else self._waiting.popleft()
+                if not kernel.is_cached():
+                    return kernel
+                # Another command compiled it meanwhile.
+                self._done += 1
+            return None
 
     def _count_one(self) -> None:
         """Count a compiled kernel."""

@@ -65,6 +65,18 @@ def test_other_processes_take_their_share(
     assert not any(kernel.function.signatures for kernel in kernels)  # type: ignore[attr-defined]
 
 
+def test_a_kernel_that_another_command_compiles_meanwhile_is_skipped(
+    kernels: list[DeclaredKernel], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiled = []
+    with CompileAhead(kernels, 1) as ahead:
+        for kernel in kernels[:5]:
+            kernel.compile()
+        monkeypatch.setattr(DeclaredKernel, "compile", lambda kernel: compiled.append(kernel))
+        ahead.finish()
+    assert len(compiled) == 3
+
+
 def test_this_process_compiles_what_others_fail_to(
     kernels: list[DeclaredKernel], monkeypatch: pytest.MonkeyPatch
 ) -> None:
