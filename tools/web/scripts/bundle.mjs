@@ -37,7 +37,7 @@ async function programText(entryPoint) {
   return JSON.stringify(outputFiles[0].text.trim());
 }
 
-// Served beside a page as they are: the workers' programs are files.
+// For pages without a bundler: the workers' programs are files of their own.
 await build({
   ...modules,
   entryPoints: {

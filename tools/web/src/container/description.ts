@@ -67,7 +67,7 @@ export interface PictureInfo {
   readonly width: number;
   /** Pixels. */
   readonly height: number;
-  /** Of a sky: rotation from the space of the means to the picture's x right, y down, z middle, row by row. */
+  /** Rotation of a sky, row by row: from the space of the means to the picture's x right, y down, z middle. */
   readonly rotation: readonly number[] | undefined;
 }
 

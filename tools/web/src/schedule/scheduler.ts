@@ -2,7 +2,7 @@
  * Bytes in flight beyond one round trip, as seconds of the connection: requests never run dry, and few are made early.
  */
 const AHEAD_SECONDS = 0.25;
-/** Factor of the worth of chunks held, without which two of similar worth would be evicted for each other in turn. */
+/** Factor on the worth of chunks held. Without it, two chunks of similar worth would evict each other in turn. */
 const HELD_FACTOR = 2;
 /** Least ratio between the urgency of the best missing unit and of a unit stopped for it. */
 const ABORT_FACTOR = 16;
@@ -135,7 +135,7 @@ class Round {
     if (holdings.budgetSplats > 0) this.target = this.chooseTarget(holdings.budgetSplats);
   }
 
-  /** Return the chunks to hold within the budget; other chunks held become evictable (docs/streaming.md, 9). */
+  /** Return the chunks to hold within the budget; list the held chunks to evict (docs/streaming.md, 9). */
   private chooseTarget(budget: number): Set<number> {
     const worths = new Map<number, number>();
     const parents = new Map<number, number | undefined>();
@@ -256,9 +256,9 @@ class Round {
   }
 
   /**
-   * Evict chunks outside the target until so many splats fit.
+   * Evict chunks outside the target until `splats` more splats fit the budget.
    *
-   * @param splats - Splats of a chunk of the target; 0 to enforce a lowered budget.
+   * @param splats - Splats of the next chunk of the target; 0 to enforce a lowered budget.
    */
   makeRoom(splats: number): void {
     while (this.evictable.length > 0 && this.heldSplats + splats > this.holdings.budgetSplats) {

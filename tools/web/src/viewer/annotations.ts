@@ -3,7 +3,7 @@ import { distance, positionOf } from "./flight.js";
 import { element } from "./page_parts.js";
 import type { Projection, Stage } from "./stage.js";
 
-/** Share of the distance to a place in front of which the scene covers it. */
+/** Share of the distance to a place: splats nearer than this cover its pin. */
 const COVERED = 0.95;
 
 /** Buttons at places of the scene, each with a card of its text. */
@@ -14,7 +14,7 @@ export class Annotations {
   private readonly text = document.createElement("p");
   private readonly close = element("button", "close", "×");
   private open: number | undefined;
-  /** Number of the last look at what covers the pins, so that an outdated one ends. */
+  /** Number of the last check for covered pins; an earlier check that still runs ends. */
   private looks = 0;
 
   constructor(
@@ -61,7 +61,7 @@ export class Annotations {
     if (view !== undefined) stage.flyTo(view);
   }
 
-  /** Move the pins to where their places are in a picture; those behind the camera or outside are hidden. */
+  /** Move each pin to its place in the picture; hide a pin behind the camera or outside the picture. */
   drawn(projection: Projection | undefined): void {
     this.annotations.forEach(({ place }, i) => {
       const pin = this.pins[i]!;

@@ -354,7 +354,7 @@ function knownQuality(quality: number | undefined): number | undefined {
   return quality === undefined || quality === 0 ? undefined : quality;
 }
 
-/** The bytes present of a truncated file, as a file whose length is unknown; reads behind them fail with its error. */
+/** Present bytes of a truncated file, of unknown length; a read behind its end fails with its error. */
 class CutSource implements ByteSource {
   /** @param error - Error of the truncated file, at the offset of its end. */
   constructor(

@@ -26,7 +26,7 @@ const NEAR = "50%";
 /** Share of the window's width and height that an element covers which has the page's gestures. */
 const FILLS_WINDOW = 0.95;
 
-/** Program of the parts that are loaded when they are asked for. */
+/** Program of the extras, loaded on first use. */
 export interface ExtrasModule {
   readonly Extras: typeof Extras;
 }
@@ -93,7 +93,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
 
   /** Splats in memory at most, of all viewers of the page; `total` may be set. */
   static readonly budget = new PageBudget();
-  /** Loads the program of the parts that are needed when they are asked for. */
+  /** Loads the program of the extras on first use. */
   static loadExtras: () => Promise<ExtrasModule> = () => import("./viewer_extras.js");
 
   private readonly shadow = this.attachShadow({ mode: "open" });
@@ -491,7 +491,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     this.isTurning = true;
   }
 
-  /** Call a function with the extras, which are loaded before; a person is told where they cannot be. */
+  /** Load the extras and call a function with them; show a message if they cannot be loaded. */
   private async withExtras(act: (extras: Extras) => void): Promise<void> {
     const { scene } = this;
     try {
@@ -635,7 +635,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
   }
 }
 
-/** Return how the wheel zooms in a page that scrolls. */
+/** Return the hint for zooming by the wheel in a page that scrolls. */
 function wheelHint(): string {
   return `Click the scene, or hold ${/mac/i.test(navigator.userAgent) ? "⌘" : "Ctrl"}, to zoom with the wheel`;
 }

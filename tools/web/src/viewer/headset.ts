@@ -48,11 +48,11 @@ interface XrBrowser {
   readonly XRWebGLLayer: new (session: XrSession, gl: WebGL2RenderingContext) => XrLayer;
 }
 
-/** Where the headset's space lies in that of the scene's means. */
+/** Origin, axes and scale of the headset's space in the space of the means. */
 interface Placement {
   /** Origin of the headset's space. */
   origin: Vector;
-  /** Its right, up and back. */
+  /** Right, up and back of the headset's space. */
   axes: readonly [Vector, Vector, Vector];
   /** Scene units per metre. */
   readonly scale: number;
@@ -166,7 +166,7 @@ export class Headset {
   }
 }
 
-/** Return where a headset begins: level at a pose, which its wearer looks along. */
+/** Return the placement in which a headset starts: level, at the position and heading of a pose. */
 function placementOf(view: ViewerPose, up: Vector, metresPerUnit: number | undefined): Placement {
   const { rotation: r, translation: t, target } = view;
   const origin = [0, 1, 2].map((i) => -(r[i]! * t[0]! + r[3 + i]! * t[1]! + r[6 + i]! * t[2]!)) as Vector;
@@ -185,7 +185,7 @@ function levelRight(rotation: readonly number[], up: Vector): Vector {
   return scaled(level, 1 / Math.hypot(...level));
 }
 
-/** Return a direction of the headset's space in the scene. */
+/** Convert a direction from the headset's space to the space of the means. */
 function directionOf({ axes }: Placement, x: number, y: number, z: number): Vector {
   return add(add(scaled(axes[0], x), axes[1], y), axes[2], z);
 }

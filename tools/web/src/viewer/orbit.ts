@@ -15,13 +15,13 @@ export const RADIANS_PER_PIXEL = 0.005;
 
 /** Highest pitch of the camera, looking down or up: short of straight, where a level picture has no direction. */
 const STEEPEST = (85 * Math.PI) / 180;
-/** How far below the target the camera may come, or below the first view where that is lower. */
+/** Angle below the target that the camera may reach, or below the first view if that is lower, radians. */
 const BELOW = (10 * Math.PI) / 180;
 
 /** Size of the picture to which focal lengths refer, pixels; its width if known. */
 type Picture = { readonly height: number; readonly width?: number };
 
-/** What a camera starts from; a scene that is no `.cogs` file has no up and core box of its own. */
+/** Parts of a scene from which its camera starts; only `.cogs` files have `up` and `coreBox`. */
 export type OrbitScene = Pick<SceneInfo, "axes" | "box" | "firstView"> & Partial<Pick<SceneInfo, "up" | "coreBox">>;
 
 /** A camera that orbits, approaches and moves with a target, or flies. */

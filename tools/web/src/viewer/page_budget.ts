@@ -4,18 +4,18 @@ const SPLATS_PER_GIB = 1_500_000;
 const USUAL_GIB = 8;
 /** GiB of the phones that the budget of phones is for. */
 const GIB_OF_PHONES = 4;
-/** Budgets of devices with slower graphics, those of Spark 2 (sparkjs.dev): headsets, phones, other touch screens. */
+/** Budgets of devices with slower graphics, as in Spark 2 (sparkjs.dev): headsets, phones, touch screens. */
 const BUDGET_OF_HEADSETS = 500_000;
 const BUDGET_OF_PHONES = 1_000_000;
 const BUDGET_OF_TOUCH_SCREENS = 1_500_000;
 
 /** Request of a viewer. */
 export interface Wish {
-  /** Splats of the scene or, where a page limits them, the limit; Infinity before they are known. */
+  /** Splats of the scene, or the page's limit for the viewer; Infinity before the scene is open. */
   readonly splats: number;
   /** Area of the viewer, 0 out of sight. */
   readonly size: number;
-  /** Whether the page has chosen the number of splats, which is kept whatever others need. */
+  /** Whether the page has chosen the number of splats; other viewers do not reduce it. */
   readonly isChosen: boolean;
 }
 
@@ -59,7 +59,7 @@ export class PageBudget {
     if (this.members.delete(viewer)) this.divide();
   }
 
-  /** Divide by size among viewers in sight; those out of sight have what is left. */
+  /** Divide the budget by size among viewers in sight; viewers out of sight share the rest. */
   private divide(): void {
     const members = [...this.members.values()];
     let left = this.all;
@@ -67,7 +67,7 @@ export class PageBudget {
     const give = (group: Member[], size: (member: Member) => number): void => {
       const need = (member: Member): number => member.wish.splats / size(member);
       let sizes = group.reduce((sum, member) => sum + size(member), 0);
-      // What small scenes leave goes to large ones.
+      // Splats that small scenes leave go to large scenes.
       for (const member of group.sort((a, b) => (need(a) < need(b) ? -1 : 1))) {
         const share = Math.floor((left * size(member)) / sizes);
         sizes -= size(member);

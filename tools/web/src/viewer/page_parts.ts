@@ -1,4 +1,4 @@
-/** Make an element with a class, of texts and other elements; texts are shown as they are. */
+/** Make an element with a class from texts and elements; texts are never parsed as markup. */
 export function element<K extends keyof HTMLElementTagNameMap>(
   name: K,
   className: string,

@@ -58,11 +58,11 @@ export function pick(words: Uint32Array, rows: number, { origin, direction, pixe
 interface Crossing {
   /** Distance of its densest point on the ray. */
   readonly distance: number;
-  /** Share of the light that it takes, 0 to 1. */
+  /** Share of the light that it blocks, 0 to 1. */
   readonly opacity: number;
 }
 
-/** Evaluate a splat along a ray: where it is densest, and what it takes there. */
+/** Return the densest point of a splat on a ray, and its opacity there. */
 function crossing(words: Uint32Array, { origin, direction, pixel }: Ray, weight: number): Crossing {
   const { means, scales, quats } = unpackSplats({ count: 1, words, sh: [], ranges: DEFAULT_RANGES });
   const offset = origin.map((value, i) => value - means[i]!) as Vector;

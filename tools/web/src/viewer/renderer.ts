@@ -18,7 +18,7 @@ export interface View {
   readonly principal?: readonly [number, number];
 }
 
-/** Where a picture is drawn in place of the canvas: for one eye. */
+/** Framebuffer and rectangle for the picture of one eye, in place of the canvas. */
 export interface EyeTarget {
   readonly framebuffer: WebGLFramebuffer | null;
   /** Lower left corner and size, pixels. */

@@ -11,7 +11,7 @@ const REST_MILLISECONDS = 200;
 /** Moves the camera before each picture, given the s since the last one; false ends the motion, and so does a person. */
 export type Motion = (camera: OrbitCamera, seconds: number) => boolean;
 
-/** Where the camera starts, in place of the scene's first view. */
+/** First pose of the camera, in place of the scene's first view. */
 export interface Start {
   readonly view?: ViewText | undefined;
   readonly up?: Vector | undefined;
@@ -160,7 +160,7 @@ export class SceneCamera {
     this.reset();
   }
 
-  /** Move the camera by a motion, in place of any other. */
+  /** Move the camera by a motion; an earlier motion ends. */
   move(motion: Motion): void {
     this.endMotion(false);
     this.motion = motion;

@@ -46,7 +46,7 @@ export interface FeedHost {
   damaged(error: unknown): void;
 }
 
-/** Where the description of a scene and its pictures come from. */
+/** Source of a scene's description and pictures. */
 export interface DescriptionSource {
   /** Aborted when another scene is loaded. */
   readonly signal: AbortSignal;

@@ -37,7 +37,7 @@ export interface SceneViewHost
   restored(): void;
 }
 
-/** Share of the splats wanted below which a scene is loaded again for them. */
+/** Share of the splats within the budget below which a scene is loaded again, to hold more splats. */
 const TOO_FEW = 0.75;
 
 /** Shows a scene, and optionally a second one, on a canvas: loads it, moves the camera, draws on demand. */

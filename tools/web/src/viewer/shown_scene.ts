@@ -11,7 +11,7 @@ import { AllowedWorkers, type ViewerWorkers } from "./viewer_workers.js";
 /** A URL, a file, or another source of the bytes of a `.cogs` file. */
 export type SceneSource = string | Blob | ByteSource;
 
-/** How a scene is loaded. */
+/** Meter, workers, budget and fetch order of a scene to load. */
 export interface LoadOptions {
   /** Counts the bytes and limits their rate. */
   readonly meter: Meter;

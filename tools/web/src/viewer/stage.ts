@@ -2,7 +2,7 @@ import type { Vector } from "./orbit.js";
 import type { SceneView } from "./scene_view.js";
 import type { ViewerPose } from "./viewer_handle.js";
 
-/** What a viewer gives to its extras: its scene, its parts of the page, its messages. */
+/** Parts of a viewer that its extras use: scene, elements of the page, messages. */
 export interface Stage {
   readonly host: HTMLElement;
   /** Root element of the markup, with the classes of states. */
@@ -26,7 +26,7 @@ export interface Stage {
   flyTo(pose: ViewerPose): void;
 }
 
-/** Where points of the scene are in a picture. */
+/** Projection of points of the scene into a picture. */
 export interface Projection {
   /** Size of the canvas, CSS pixels. */
   readonly width: number;

@@ -116,7 +116,7 @@ function levelAxes(forward: Vector, up: Vector): Axes {
   return [right, cross(forward, right), forward];
 }
 
-/** Return the finite numbers of a text that commas separate; undefined if one of them is none. */
+/** Parse finite numbers separated by commas; undefined if a part is no finite number. */
 function numbersOf(text: string): number[] | undefined {
   const parts = text.split(",").map((part) => part.trim());
   const numbers = parts.map((part) => (NUMBER.test(part) ? Number(part) : Number.NaN));

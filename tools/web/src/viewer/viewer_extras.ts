@@ -39,7 +39,7 @@ const NO_DESCRIPTION: Description = {
 export type StageParts = Omit<Stage, "pick" | "projection" | "flyTo" | "closePanels"> &
   Omit<PanelHost, "measure" | "exportSettings" | "importSettings">;
 
-/** Focus, measuring and other parts of one viewer that its first picture does not need. */
+/** Parts of a viewer that its first picture does not need, such as focus and measuring. */
 export class Extras {
   private readonly stage: Stage;
   private readonly strip: FilmStrip;
@@ -179,7 +179,7 @@ export class Extras {
     URL.revokeObjectURL(link.href);
   }
 
-  /** Show SuperSplat's settings in place of these parts of the description. */
+  /** Show background, path and annotations of SuperSplat's settings in place of the description's. */
   private async importSettings(file: File): Promise<void> {
     const { scene, hint } = this.stage;
     if (scene.camera.up === undefined) return;

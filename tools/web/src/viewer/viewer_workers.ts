@@ -11,7 +11,7 @@ import {
 export interface ViewerWorkers extends WorkerWay {
   /** Make a worker that sorts rows or reads a PLY: the program `viewer_worker.js`. */
   viewer(): Worker;
-  /** Workers to try where these cannot be started. */
+  /** Workers to try if the first kind cannot be started. */
   readonly otherwise?: ViewerWorkers;
 }
 

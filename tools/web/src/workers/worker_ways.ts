@@ -7,8 +7,8 @@ declare const DECODER_TEXT: string | undefined;
 /**
  * Return the ways to start decoding workers without any setting of a bundler.
  *
- * The text in this module works in every bundler. A policy `worker-src 'self'` refuses it, but allows `worker.js`, which
- * Vite and webpack find by the form of the call, and which otherwise must lie beside this module.
+ * The text in this module works in every bundler. A policy `worker-src 'self'` refuses the text, but allows `worker.js`.
+ * Vite and webpack find `worker.js` by the form of the call; otherwise it must be in the folder of this module.
  */
 export function decoderWays(): WorkerWay[] {
   if (typeof Worker === "undefined") return [];
@@ -27,7 +27,7 @@ export function decoderText(program: string): string {
   return `self.cogsplatKernels="${WASM_DIGITS}";${program}`;
 }
 
-/** Return where `worker.js` is expected, for messages; bundlers may have replaced this module's address by a file's. */
+/** Return the expected place of `worker.js` for messages; a bundler may have replaced this module's address. */
 export function fileAddress(): string {
   return `worker.js beside ${import.meta.url.startsWith("http") ? import.meta.url : location.href}`;
 }
