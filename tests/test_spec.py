@@ -29,6 +29,7 @@ from cogsplat.formats.cogs import (
     chunk_decoder,
     decoded_rows,
     description_segment,
+    folder_map,
     layout,
     root,
 )
@@ -251,6 +252,7 @@ def test_limits_are_the_constants():
     assert {what: number(most) for what, most, _ in rows} == {
         "end of the root, bytes": layout.MAX_ROOT_END,
         "file, bytes": layout.MAX_FILE_BYTES,
+        "manifest of a folder, bytes": folder_map.MAX_MANIFEST_BYTES,
         "splats of a file": layout.MAX_SPLATS,
         "splats of a chunk": payload_limits.MAX_CHUNK_SPLATS,
         "segments of a file": layout.MAX_SEGMENTS,

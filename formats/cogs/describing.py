@@ -64,8 +64,8 @@ def describe(
 ) -> Described:
     """Store another description in a COGS file or folder, without encoding it again.
 
-    All other segments keep their bytes. A folder gets one small object for the description, one for
-    each new picture, and a new manifest.
+    All other segments keep their bytes. A folder gets a new manifest, which holds the description,
+    and an object for each new picture.
 
     Parameters
     ----------

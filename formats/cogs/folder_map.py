@@ -8,8 +8,7 @@ from __future__ import annotations
 import struct
 import zlib
 from bisect import bisect_right
-from dataclasses import dataclass
-from itertools import accumulate
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -29,6 +28,10 @@ MANIFEST_NAME: Final = "manifest.cogsm"
 MANIFEST_SUFFIX: Final = ".cogsm"
 
 
+MAX_MANIFEST_BYTES: Final = layout.FIRST_READ
+"""Maximum length of a manifest, bytes: one request reads it whole (SPEC 3.4)."""
+
+
 @dataclass(frozen=True)
 class ObjectRange:
     """Byte range of one object of a folder, or of its manifest.
@@ -41,29 +44,39 @@ class ObjectRange:
         Range within the object, bytes.
     object_bytes : int
         Length of the object, bytes.
+    data : bytes, optional
+        Bytes of the range where the map has them: of the manifest, and of the pages added.
     """
 
     name: str
     offset: int
     length: int
     object_bytes: int
+    data: bytes | None = None
+
+    def part(self, first: int, end: int) -> ObjectRange:
+        """Return the part of the range from `first` to before `end`, counted from its start."""
+        data = None if self.data is None else self.data[first:end]
+        return ObjectRange(self.name, self.offset + first, end - first, self.object_bytes, data)
 
 
-@dataclass(frozen=True)
-class PageRange:
-    """Byte range of an index page and its table of places within the manifest.
+@dataclass(frozen=True, eq=False)
+class PlacedSegments:
+    """Segments of one index that objects hold.
 
     Parameters
     ----------
-    page : int
-        Page number.
-    offset, length : int
-        Range within the manifest, bytes.
+    offsets : (s,) int64
+        Offset of each segment in the file, bytes.
+    hashes : (s, 16) uint8
+        First 16 bytes of each segment's SHA-256.
+    places : PlaceTable
+        Object and offset of each segment.
     """
 
-    page: int
-    offset: int
-    length: int
+    offsets: NDArray[np.int64]
+    hashes: NDArray[np.uint8]
+    places: PlaceTable
 
 
 @dataclass(frozen=True)
@@ -159,24 +172,19 @@ class FolderMap:
 
     Parameters
     ----------
-    manifest_head : bytes
-        First bytes of the manifest, at least up to the end of the root's table of places; 64 KiB
-        always suffice (SPEC 8.8).
+    manifest : bytes
+        Whole manifest; further bytes are ignored.
     name : str
         Name of the manifest in messages.
 
     Attributes
     ----------
-    preamble : bytes
-        Preamble of the file, 64 bytes, which differs from the manifest's in magic and CRC.
     file_length : int
         Length of the file, bytes.
     manifest_bytes : int
         Length of the manifest, bytes.
     root_end : int
         End of the root in the file and in the manifest, byte offset.
-    head_end : int
-        End of the root's table of places in the manifest, byte offset.
 
     Raises
     ------
@@ -185,20 +193,20 @@ class FolderMap:
         ``places-crc``, ``places-range``; the codes of SPEC 4 and 5 for the root.
     """
 
-    def __init__(self, manifest_head: bytes, name: str) -> None:
+    def __init__(self, manifest: bytes, name: str) -> None:
         self.name = name
-        self.preamble = file_preamble(manifest_head, name)
-        stated = layout.unpack_preamble(self.preamble, name)
+        preamble = file_preamble(manifest, name)
+        stated = layout.unpack_preamble(preamble, name)
         self.file_length = stated.file_length
         self.root_end = layout.PREAMBLE_BYTES + stated.root_length
-        if len(manifest_head) < self.root_end:
+        if len(manifest) < self.root_end:
             raise TruncatedError(
                 "root-truncated",
-                f"{name}: {len(manifest_head)} bytes, expected a root up to byte {self.root_end}",
+                f"{name}: {len(manifest)} bytes, expected a root up to byte {self.root_end}",
                 clause="3.4",
                 needed=self.root_end,
             )
-        data = manifest_head[layout.PREAMBLE_BYTES : self.root_end]
+        data = manifest[layout.PREAMBLE_BYTES : self.root_end]
         if zlib.crc32(data) != stated.root_crc:
             raise FormatError(
                 "root-crc",
@@ -208,22 +216,40 @@ class FolderMap:
             )
         where = f"{name}: root"
         self._root = cogs_root.parse_root(canonical_msgpack.unpack(data, where), where)
-        table = self._root.segments
-        self.head_end = self.root_end + places_bytes(len(table))
-        if len(manifest_head) < self.head_end:
-            raise self._truncated_error(len(manifest_head), self.head_end)
-        found = unpack_places(manifest_head[self.root_end : self.head_end], table.length, where)
+        table, pages = self._root.segments, self._root.pages
+        places_end = self.root_end + places_bytes(len(table) + len(pages))
+        if len(manifest) < places_end:
+            raise self._truncated_error(len(manifest), places_end)
+        # The table of the root also has the places of the pages, each with its own table behind it.
+        page_lengths = [page.length + places_bytes(page.segments) for page in pages]
+        lengths = np.concatenate([table.length.astype(np.int64), np.array(page_lengths, np.int64)])
+        places = unpack_places(manifest[self.root_end : places_end], lengths, where, len(table))
+        inside = places.sizes[: len(table)] == 0
+        self.manifest_bytes = places_end + int(lengths[: len(table)][inside].sum())
+        if self.manifest_bytes > MAX_MANIFEST_BYTES:
+            raise FormatError(
+                "places-range",
+                f"{name}: a manifest of {self.manifest_bytes} bytes, expected at most "
+                f"{MAX_MANIFEST_BYTES}",
+                clause="3.4",
+                offset=places_end,
+            )
+        if len(manifest) < self.manifest_bytes:
+            raise self._truncated_error(len(manifest), self.manifest_bytes)
         self._extents = index_extents(self.root_end, self._root)
         self._starts = [extent.start for extent in self._extents]
-        pages = [page.length + places_bytes(page.segments) for page in self._root.pages]
-        # Byte offset of each page in the manifest, then the end of the last page.
-        self._page_offsets = list(accumulate(pages, initial=self.head_end))
-        self._tables = {0: _Segments(table, found, self._extents[0].index_end)}
-
-    @property
-    def manifest_bytes(self) -> int:
-        """Length of the manifest: preamble, root, pages and their tables of places; bytes."""
-        return self._page_offsets[-1]
+        whole = preamble + manifest[layout.PREAMBLE_BYTES : self.manifest_bytes]
+        self._manifest = ObjectRange("", 0, len(whole), len(whole), whole)
+        self._page_places = places.rows(slice(len(table), None))
+        self._page_lengths = page_lengths
+        # Each index that is known, with its segments: the root has number 0, page i number i + 1.
+        first = _Segments(
+            table,
+            places.rows(slice(len(table))),
+            self._extents[0].index_end,
+            self._manifest.part(places_end, len(whole)),
+        )
+        self._indexes = {0: (self._manifest.part(0, self.root_end), first)}
 
     def check_manifest_size(self, size: int) -> None:
         """Refuse a manifest whose length contradicts its root.
@@ -245,27 +271,15 @@ class FolderMap:
                 offset=self.manifest_bytes,
             )
 
-    def pages_for(self, offset: int, length: int) -> list[PageRange]:
+    def pages_for(self, offset: int, length: int) -> list[int]:
         """Return the pages to add before `object_ranges` can map a range of the file."""
         return [
-            self.page_range(number - 1)
-            for number, extent in self._within(offset, length)
-            if number not in self._tables and extent.index_end < offset + length
+            number - 1 for number, _ in self._within(offset, length) if number not in self._indexes
         ]
 
-    def page_range(self, page: int) -> PageRange:
-        """Return the range of a page and its table of places in the manifest."""
-        start, end = self._page_offsets[page : page + 2]
-        return PageRange(page, start, end - start)
-
-    def page_at(self, offset: int) -> int | None:
-        """Return the page at a byte offset of the manifest; None for the root and its places."""
-        page = bisect_right(self._page_offsets, offset) - 1
-        return None if page < 0 else page
-
-    def has_page(self, page: int) -> bool:
-        """Whether a page was added."""
-        return page + 1 in self._tables
+    def page_range(self, page: int) -> ObjectRange:
+        """Return the range of a page and its table of places."""
+        return _placed_range(self._page_places, page, 0, self._page_lengths[page])
 
     def add_page(self, page: int, data: bytes) -> None:
         """Add an index page and its table of places, which gives each segment's object and offset.
@@ -275,7 +289,7 @@ class FolderMap:
         page : int
             Page number.
         data : bytes
-            Bytes of its range in the manifest; see `page_range`.
+            Bytes of `page_range`.
 
         Raises
         ------
@@ -286,37 +300,41 @@ class FolderMap:
         where = f"{self.name}: index page {page}"
         entry = self._root.pages[page]
         index = data[: entry.length]
+        extent = self._extents[page + 1]
         if zlib.crc32(index) != entry.crc:
             raise FormatError(
-                "page-crc",
-                f"{where}: its CRC does not match",
-                clause="5.6",
-                offset=self._page_offsets[page],
+                "page-crc", f"{where}: its CRC does not match", clause="5.6", offset=extent.start
             )
         table, _ = cogs_root.parse_page(canonical_msgpack.unpack(index, where), entry, where)
-        found = unpack_places(data[entry.length :], table.length, where)
-        self._tables[page + 1] = _Segments(table, found, self._extents[page + 1].index_end)
+        places = unpack_places(data[entry.length :], table.length.astype(np.int64), where)
+        stored = replace(self.page_range(page), data=data).part(0, entry.length)
+        self._indexes[page + 1] = stored, _Segments(table, places, extent.index_end)
 
-    def tables(self) -> list[tuple[SegmentTable, PlaceTable]]:
-        """Return each index's segment table and table of places: the root, then all pages in order.
+    def placed_segments(self) -> list[PlacedSegments]:
+        """Return the segments of the root, then of each page, that objects hold.
 
         All pages must have been added.
         """
-        every = (self._tables[number] for number in range(len(self._extents)))
-        return [(segments.table, segments.places) for segments in every]
+        return [self._indexes[number][1].placed() for number in range(len(self._extents))]
+
+    def page_objects(self) -> dict[str, int]:
+        """Return the offset in the file of the first page in each object of pages, by name."""
+        found: dict[str, int] = {}
+        for page, extent in enumerate(self._extents[1:]):
+            found.setdefault(self.page_range(page).name, extent.start)
+        return found
 
     def objects(self) -> dict[str, int]:
         """Return the length of each object by name, bytes, after all pages were added."""
+        tables = [self._page_places, *(segments.places for segments in self.placed_segments())]
         return {
             object_name(key.tobytes()): int(size)
-            for _, found in self.tables()
-            for key, size in zip(found.objects, found.sizes, strict=True)
+            for table in tables
+            for key, size in zip(table.objects, table.sizes, strict=True)
         }
 
     def object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
         """Return the ranges of manifest and objects that make up a range of the file, in order.
-
-        The manifest's first 64 bytes stand for the file's: the caller replaces them by `preamble`.
 
         Parameters
         ----------
@@ -343,13 +361,13 @@ class FolderMap:
                 clause="5.1",
             )
         for number, extent in self._within(offset, length):
+            index, segments = self._indexes[number]
             first, last = max(offset, extent.start), min(end, extent.index_end)
             if first < last:
-                at = first - extent.start + (self._page_offsets[number - 1] if number else 0)
-                found.append(ObjectRange("", at, last - first, self.manifest_bytes))
+                found.append(index.part(first - extent.start, last - extent.start))
             first, last = max(offset, extent.index_end), min(end, extent.end)
             if first < last:
-                found += self._tables[number].object_ranges(first, last)
+                found += segments.object_ranges(first, last)
         return found
 
     def _truncated_error(self, size: int, expected: int) -> TruncatedError:
@@ -374,12 +392,39 @@ class FolderMap:
 
 
 class _Segments:
-    """Segments of one index with their positions in the file and in objects."""
+    """Segments of one index with their positions in the file, in objects and in the manifest.
 
-    def __init__(self, table: SegmentTable, found: PlaceTable, start: int) -> None:
-        self.table, self.places = table, found
+    Parameters
+    ----------
+    table : SegmentTable
+        Segments of the index.
+    places : PlaceTable
+        Their places; a segment with an object of size 0 is in the manifest.
+    start : int
+        Offset of the first segment in the file, bytes.
+    inside : ObjectRange, optional
+        Range of the manifest with its segments, one behind the other.
+    """
+
+    def __init__(
+        self,
+        table: SegmentTable,
+        places: PlaceTable,
+        start: int,
+        inside: ObjectRange | None = None,
+    ) -> None:
+        self._table, self._places, self._inside = table, places, inside
         self._lengths: NDArray[np.int64] = table.length.astype(np.int64)
         self._ends: NDArray[np.int64] = start + np.cumsum(self._lengths)
+        in_manifest = np.where(places.sizes == 0, self._lengths, 0)
+        # Offset of each segment within `inside`, bytes; unused for segments in objects.
+        self._inside_offsets = np.cumsum(in_manifest) - in_manifest
+
+    def placed(self) -> PlacedSegments:
+        """Return the segments that objects hold."""
+        rows = np.flatnonzero(self._places.sizes)
+        starts = self._ends[rows] - self._lengths[rows]
+        return PlacedSegments(starts, self._table.hash[rows], self._places.rows(rows))
 
     def object_ranges(self, first: int, last: int) -> list[ObjectRange]:
         """Return the object ranges with the bytes of the file from `first` to before `last`."""
@@ -388,8 +433,17 @@ class _Segments:
         while first < last:
             start = int(self._ends[row] - self._lengths[row])
             stop = min(int(self._ends[row]), last)
-            offset = int(self.places.offsets[row]) + first - start
-            name = object_name(self.places.objects[row].tobytes())
-            found.append(ObjectRange(name, offset, stop - first, int(self.places.sizes[row])))
+            if self._inside is not None and not self._places.sizes[row]:
+                at = int(self._inside_offsets[row]) - start
+                found.append(self._inside.part(at + first, at + stop))
+            else:
+                found.append(_placed_range(self._places, row, first - start, stop - start))
             first, row = stop, row + 1
         return found
+
+
+def _placed_range(places: PlaceTable, row: int, first: int, end: int) -> ObjectRange:
+    """Return the bytes from `first` to before `end` of a segment or page in its object."""
+    name = object_name(places.objects[row].tobytes())
+    offset = int(places.offsets[row]) + first
+    return ObjectRange(name, offset, end - first, int(places.sizes[row]))

@@ -1,4 +1,7 @@
-"""Table of places: position of each segment of an index in a folder's objects (SPEC 3.4)."""
+"""Table of places: position of each segment of an index in a folder's objects (SPEC 3.4).
+
+The root's table also has the position of each index page.
+"""
 
 from __future__ import annotations
 
@@ -67,23 +70,25 @@ def check_object(name: str, data: bytes, where: str) -> None:
         )
 
 
-def places_bytes(segments: int) -> int:
-    """Return the length of a table of places for a number of segments, bytes."""
-    return _ROW_BYTES * segments + _CRC_BYTES
+def places_bytes(rows: int) -> int:
+    """Return the length of a table of places of a number of rows, bytes."""
+    return _ROW_BYTES * rows + _CRC_BYTES
 
 
 @dataclass(frozen=True, eq=False)
 class PlaceTable:
     """Table of places: object and offset of each segment of an index, in segment-table order.
 
+    The root's table has a row for each page behind them.
+
     Parameters
     ----------
     objects : (s, 16) uint8
-        First 16 bytes of the SHA-256 of the segment's object.
+        First 16 bytes of the SHA-256 of the object; zeros for a segment in the manifest.
     sizes : (s,) uint32
-        Length of the object, bytes.
+        Length of the object, bytes; 0 for a segment in the manifest.
     offsets : (s,) uint32
-        Offset of the segment within the object, bytes.
+        Offset of the segment or page within the object, bytes.
     """
 
     objects: NDArray[np.uint8]
@@ -93,8 +98,8 @@ class PlaceTable:
     def __len__(self) -> int:
         return len(self.sizes)
 
-    def rows(self, part: slice) -> PlaceTable:
-        """Return a slice of the table, without copying."""
+    def rows(self, part: slice | NDArray[np.int64]) -> PlaceTable:
+        """Return some rows of the table; a slice is not copied."""
         return PlaceTable(self.objects[part], self.sizes[part], self.offsets[part])
 
 
@@ -108,22 +113,26 @@ def pack_places(places: PlaceTable) -> bytes:
     return data + struct.pack("<I", zlib.crc32(data))
 
 
-def unpack_places(data: bytes, lengths: NDArray[np.uint32], where: str) -> PlaceTable:
+def unpack_places(
+    data: bytes, lengths: NDArray[np.int64], where: str, in_manifest: int = 0
+) -> PlaceTable:
     """Decode and check a table of places.
 
     Parameters
     ----------
     data : bytes
         Encoded table, of the length `places_bytes`.
-    lengths : (s,) uint32
-        Lengths of the segments, bytes.
+    lengths : (s,) int64
+        Lengths of the segments and pages, bytes.
     where : str
         Name of the index in messages.
+    in_manifest : int
+        Number of first rows whose segments may be in the manifest.
 
     Raises
     ------
     FormatError
-        ``places-crc``; ``places-range``: a segment ends behind the end of its object.
+        ``places-crc``; ``places-range``: a segment or page ends behind the end of its object.
     """
     body, crc = data[:-_CRC_BYTES], data[-_CRC_BYTES:]
     if zlib.crc32(body) != int.from_bytes(crc, "little"):
@@ -141,12 +150,14 @@ def unpack_places(data: bytes, lengths: NDArray[np.uint32], where: str) -> Place
         columns[count:].astype(np.uint32),
     )
     ends = places.offsets.astype(np.int64) + lengths
-    wrong = np.flatnonzero(ends > places.sizes)
+    is_zero = (places.sizes == 0) & (places.offsets == 0) & ~places.objects.any(axis=1)
+    is_inside = is_zero & (np.arange(count) < in_manifest)
+    wrong = np.flatnonzero((ends > places.sizes) & ~is_inside)
     if len(wrong):
         row = int(wrong[0])
         raise FormatError(
             "places-range",
-            f"{where}: segment {row} ends at byte {int(ends[row])} of an object of "
+            f"{where}: segment or page {row} ends at byte {int(ends[row])} of an object of "
             f"{int(places.sizes[row])} bytes, expected an end within the object",
             clause="3.4",
         )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import stat
-import threading
+from collections.abc import Iterable
+from contextlib import closing
 from functools import cached_property
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from cogsplat.formats.storage.regular_files import open_regular
 from cogsplat.formats.storage.source import FileSource, require_within
 
 from . import layout
-from .folder_map import MANIFEST_NAME, FolderMap, ObjectRange, is_manifest
+from .folder_map import MANIFEST_NAME, MAX_MANIFEST_BYTES, FolderMap, ObjectRange, is_manifest
 from .folder_places import SEGMENT_FOLDER
 from .object_source import ObjectSource
 
@@ -68,15 +69,10 @@ class FolderSource(ObjectSource):
         manifest = manifest_path(path)
         self.name = str(path)
         self._folder = manifest.parent
-        self._manifest = FileSource(manifest)
-        try:
-            head = self._manifest.read(0, min(layout.FIRST_READ, self._manifest.size))
-            super().__init__(FolderMap(head, self._manifest.name))
-            self._map.check_manifest_size(self._manifest.size)
-        except BaseException:
-            self._manifest.close()
-            raise
-        self._lock = threading.Lock()
+        with closing(FileSource(manifest)) as file:
+            head = file.read(0, min(MAX_MANIFEST_BYTES, file.size))
+            super().__init__(FolderMap(head, file.name))
+            self._map.check_manifest_size(file.size)
 
     @property
     def stored_bytes(self) -> int:
@@ -103,14 +99,15 @@ class FolderSource(ObjectSource):
 
     def holds(self, offset: int, length: int) -> bool:
         """Whether all objects of a range exist; the folder is listed once, at the first call."""
-        return all(
-            not piece.name or piece.name in self._objects
-            for piece in self._object_ranges(offset, length)
-        )
+        pages = (self._map.page_range(page) for page in self._map.pages_for(offset, length))
+        return self._has_objects(pages) and self._has_objects(self._object_ranges(offset, length))
 
     def close(self) -> None:
-        """Close the manifest."""
-        self._manifest.close()
+        """Do nothing: no file stays open between reads."""
+
+    def _has_objects(self, pieces: Iterable[ObjectRange]) -> bool:
+        """Whether the objects of some ranges exist."""
+        return all(piece.data is not None or piece.name in self._objects for piece in pieces)
 
     @cached_property
     def _objects(self) -> dict[str, int]:
@@ -125,27 +122,6 @@ class FolderSource(ObjectSource):
                 else 0
                 for entry in entries
             }
-
-    def _object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
-        """Return the ranges of objects that make up a range of the file.
-
-        First reads those index pages of the range that are not yet in the map.
-        """
-        with self._lock:
-            for page in self._map.pages_for(offset, length):
-                self._map.add_page(page.page, self._manifest.read(page.offset, page.length))
-            return self._map.object_ranges(offset, length)
-
-    def _bytes_of(self, piece: ObjectRange) -> bytes:
-        """Read a range of the manifest or of an object."""
-        if piece.name:
-            return self._object_bytes(piece)
-        data = self._manifest.read(piece.offset, piece.length)
-        if piece.offset < layout.PREAMBLE_BYTES:
-            # The manifest's preamble is replaced by the file's.
-            own = self._map.preamble[piece.offset : piece.offset + piece.length]
-            data = own + data[len(own) :]
-        return data
 
     def _object_bytes(self, piece: ObjectRange) -> bytes:
         """Read a range of an object; refuse an object of another length than in the manifest."""

@@ -49,8 +49,8 @@ class FolderTransport:
         Transport for the manifest.
     folder : FolderMap
         Map of the folder.
-    head : bytes
-        First bytes of the manifest, received before.
+    received : bytes
+        Whole manifest, received before.
 
     Attributes
     ----------
@@ -58,10 +58,10 @@ class FolderTransport:
         Requests and received bytes of all objects; see `Traffic`.
     """
 
-    def __init__(self, manifest: SiblingTransport, folder: FolderMap, head: bytes) -> None:
+    def __init__(self, manifest: SiblingTransport, folder: FolderMap, received: bytes) -> None:
         self._manifest = manifest
         self._map = folder
-        self._head = head
+        self._received = received
         self._guard = threading.Lock()
         self._numbers: dict[str, int] = {"": 0}
         self._sizes = {0: folder.manifest_bytes}
@@ -136,9 +136,10 @@ class FolderTransport:
 
     def _here(self, number: int, stop: int, *, bypass_caches: bool) -> bytes | None:
         """Return the received bytes of an object if `stop` lies within; None otherwise."""
-        if number == 0 and stop <= len(self._head):
-            return self._head
-        return None if bypass_caches else self._kept.get(number)
+        if bypass_caches:
+            return None
+        is_manifest = number == 0 and stop <= len(self._received)
+        return self._received if is_manifest else self._kept.get(number)
 
     async def _parts(
         self, number: int, answer: RangeResponse, start: int, stop: int

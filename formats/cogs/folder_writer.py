@@ -17,10 +17,20 @@ from cogsplat.formats.storage.magic import MANIFEST_MAGIC
 from . import layout
 from .folder_map import MANIFEST_NAME, MANIFEST_SUFFIX, index_extents, with_magic
 from .folder_places import SEGMENT_FOLDER, PlaceTable, key_of, object_name, pack_places
-from .object_groups import SegmentPlace, StoredSegments, group_segments, has_object
+from .layout import SegmentKind
+from .object_groups import (
+    IN_MANIFEST,
+    SegmentPlace,
+    StoredSegments,
+    group_segments,
+    has_object,
+)
 from .reader import CogsFile
 from .root import HASH_BYTES
 from .verification import read_verified
+
+# Longest description that the manifest holds, bytes.
+_MOST_INSIDE: Final = 16384
 
 # Lengths of objects have 32 bits (SPEC 3.4).
 _MAX_OBJECT_BYTES: Final = (1 << 32) - 1
@@ -52,8 +62,24 @@ class Unpacked:
     shared: int
 
 
-def build_manifest(file: CogsFile, found: Sequence[SegmentPlace]) -> bytes:
-    """Return the manifest of a file: preamble, root and pages, with their tables of places.
+@dataclass(frozen=True)
+class FolderIndex:
+    """Manifest of a folder, and the objects of its index pages.
+
+    Parameters
+    ----------
+    manifest : bytes
+        Preamble, root, places of the root's segments and pages, and the segments in the manifest.
+    pages : sequence of bytes
+        Each page with its table of places.
+    """
+
+    manifest: bytes
+    pages: Sequence[bytes]
+
+
+def build_index(file: CogsFile, found: Sequence[SegmentPlace]) -> FolderIndex:
+    """Return the manifest of a file and the objects of its index pages.
 
     Parameters
     ----------
@@ -69,20 +95,29 @@ def build_manifest(file: CogsFile, found: Sequence[SegmentPlace]) -> bytes:
     """
     first = file.read_bytes(0, layout.PREAMBLE_BYTES)
     root_end = layout.PREAMBLE_BYTES + layout.unpack_preamble(first, file.name).root_length
-    parts = [with_magic(first, MANIFEST_MAGIC)]
+    counts = [page.segments for page in file.root.pages]
+    row = len(file.root.segments)
+    rest, pages, places = found[row:], [], list(found[:row])
+    for extent, count in zip(index_extents(root_end, file.root)[1:], counts, strict=True):
+        index = _read_exactly(file, extent.start, extent.index_end - extent.start)
+        data = index + _packed(rest[:count])
+        places.append(SegmentPlace(key_of(data), len(data), 0))
+        pages.append(data)
+        rest = rest[count:]
+    inside = [bytes(read_verified(file, at)) for at in range(row) if places[at] == IN_MANIFEST]
+    root = _read_exactly(file, layout.PREAMBLE_BYTES, root_end - layout.PREAMBLE_BYTES)
+    head = with_magic(first, MANIFEST_MAGIC)
+    return FolderIndex(b"".join([head, root, _packed(places), *inside]), pages)
+
+
+def _packed(places: Sequence[SegmentPlace]) -> bytes:
+    """Return a table of places."""
     table = PlaceTable(
-        np.frombuffer(b"".join(place.key for place in found), np.uint8).reshape(-1, HASH_BYTES),
-        np.array([place.size for place in found], np.uint32),
-        np.array([place.offset for place in found], np.uint32),
+        np.frombuffer(b"".join(place.key for place in places), np.uint8).reshape(-1, HASH_BYTES),
+        np.array([place.size for place in places], np.uint32),
+        np.array([place.offset for place in places], np.uint32),
     )
-    counts = [len(file.root.segments), *(page.segments for page in file.root.pages)]
-    row = 0
-    for extent, count in zip(index_extents(root_end, file.root), counts, strict=True):
-        start = max(extent.start, layout.PREAMBLE_BYTES)
-        parts.append(_read_exactly(file, start, extent.index_end - start))
-        parts.append(pack_places(table.rows(slice(row, row + count))))
-        row += count
-    return b"".join(parts)
+    return pack_places(table)
 
 
 def unpack_cogs(
@@ -126,8 +161,9 @@ def unpack_cogs(
 
     Notes
     -----
-    The segments of a chunk form one object, and those of all codebooks another. A segment that
-    another manifest of the folder lists stays in its existing object. Existing objects are compared
+    The segments of a chunk form one object, those of all codebooks another, each index page with
+    its places one more. The description is in the manifest. A segment that another manifest of the
+    folder lists stays in its existing object. Existing objects are compared
     with their hash, and damaged or half-written ones replaced. Another manifest that cannot be read
     gives a `CogsplatWarning`.
     """
@@ -144,48 +180,71 @@ def unpack_cogs(
         for key, length in zip(file.segments.hash, file.segments.length, strict=True)
     ]
     # Fails for missing pages before anything is written.
-    build_manifest(file, found)
+    build_index(file, found)
     stored = StoredSegments(folder)
     present = [row for row in range(len(found)) if file.is_present(row)]
     there = set(present)
     written: dict[bytes, int] = {}
     used: set[bytes] = set()
+
+    def keep_object(data: bytes) -> bytes:
+        """Write an object that the folder lacks; return its key."""
+        key = key_of(data)
+        if key not in used and not has_object(folder, key, len(data)):
+            _write_object(folder / object_name(key), data)
+            written[key] = len(data)
+        used.add(key)
+        return key
+
     done = 0
     for rows in group_segments(file.segments):
         group = [row for row in rows if row in there]
         new = []
-        for row in group:
-            place = stored.place_of(found[row].key)
-            if place is None:
+        places = stored.places_of([found[row].key for row in group])
+        for row, place in zip(group, places, strict=True):
+            if _belongs_in_manifest(file, row):
+                found[row] = IN_MANIFEST
+            elif place is None:
                 new.append(row)
             else:
                 found[row] = place
                 used.add(place.key)
         for part in _split_objects(file, new):
             data = b"".join(bytes(read_verified(file, row)) for row in part)
-            key, offset = key_of(data), 0
+            key, offset = keep_object(data), 0
             for row in part:
                 found[row] = SegmentPlace(key, len(data), offset)
                 offset += int(file.segments.length[row])
-            if key not in used and not has_object(folder, key, len(data)):
-                _write_object(folder / object_name(key), data)
-                written[key] = len(data)
-            used.add(key)
         done += len(group)
         if group:
             progress("unpack", done, len(present))
+    index = build_index(file, found)
+    for page in index.pages:
+        keep_object(page)
     sync_all([folder / object_name(key) for key in written])
-    manifest = build_manifest(file, found)
     # Written last, so that a manifest never lists a missing object.
     with atomic_write(folder / name, force=force) as out:
-        out.write(manifest)
+        out.write(index.manifest)
     return Unpacked(
         folder / name,
-        len(manifest),
+        len(index.manifest),
         len(present),
         len(written),
         sum(written.values()),
         len(used) - len(written),
+    )
+
+
+def _belongs_in_manifest(file: CogsFile, row: int) -> bool:
+    """Whether a segment is stored in the manifest: the description, so that a title changes alone.
+
+    With the limit the manifest stays below `MAX_MANIFEST_BYTES`: a root of 16 KiB lists at most 494
+    segments and 128 pages, so its table of places takes at most 15 KB.
+    """
+    return (
+        row < len(file.root.segments)
+        and file.segments.kind[row] == SegmentKind.DESCRIPTION
+        and int(file.segments.length[row]) <= _MOST_INSIDE
     )
 
 

@@ -13,7 +13,13 @@ from typing import Final
 import numpy as np
 
 from cogsplat.codec.errors import FormatError, TruncatedError
-from cogsplat.formats.storage.source import RemoteSource, Source, first_request_bytes, prefetching
+from cogsplat.formats.storage.source import (
+    RemoteSource,
+    Source,
+    first_request_bytes,
+    has_range,
+    prefetching,
+)
 
 from . import canonical_msgpack, layout
 from . import root as cogs_root
@@ -145,7 +151,7 @@ def read_index(source: Source, *, partial: bool) -> Index:
         for number, (entry, position) in entries:
             if position + entry.length > extent.file_length:
                 raise _end_error(source, position + entry.length, extent.file_length)
-            if position + entry.length > source.size:
+            if partial and not has_range(source, position, entry.length):
                 break
             pages[number] = read_page(source, extent.root, number, position)
     if len(pages) == len(positions):

@@ -1,11 +1,11 @@
-"""Missing segments within a source's size, such as missing objects of a folder (SPEC 3.4)."""
+"""Missing parts within a source's size, such as missing objects of a folder (SPEC 3.4)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 from cogsplat.codec.errors import TruncatedError
-from cogsplat.formats.storage.source import Source, has_range
+from cogsplat.formats.storage.source import Source, first_request_bytes, has_range
 
 from .index import Index
 from .lazy_index import LazyIndex
@@ -14,9 +14,29 @@ from .lazy_index import LazyIndex
 def missing_segment_bytes(source: Source, index: Index | LazyIndex) -> int:
     """Return the total size of the segments that a source with gaps lacks, bytes.
 
-    Segments behind the end of the source are not counted. 0 for a file, which has no gaps.
+    From a missing index page on, the rest of the source counts as missing. Bytes behind the end of
+    the source are not counted. 0 for a file, which has no gaps.
     """
-    return sum(int(index.whole().segments.length[row]) for row in _gaps(source, index))
+    missing = sum(int(index.whole().segments.length[row]) for row in _gaps(source, index))
+    return missing + _bytes_from_missing_page(source, index)
+
+
+def _bytes_from_missing_page(source: Source, index: Index | LazyIndex) -> int:
+    """Return the bytes of a source from its first missing index page on; 0 if none is missing."""
+    if not hasattr(source, "holds"):
+        return 0
+    tables = index.whole()
+    known, rows = len(tables.segments), len(index.root.segments)
+    start = first_request_bytes(source, 0)
+    if known:
+        start = int(tables.offsets[-1]) + int(tables.segments.length[-1])
+    for page in index.root.pages:
+        rows += page.segments
+        if known < rows:
+            is_gap = start + page.length <= source.size
+            is_gap = is_gap and not has_range(source, start, page.length)
+            return source.size - start if is_gap else 0
+    return 0
 
 
 def require_all_segments(source: Source, index: Index | LazyIndex) -> None:

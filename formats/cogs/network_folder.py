@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
-from typing import Final
 
 from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.formats.network.open_url import transport_of
@@ -15,13 +13,9 @@ from cogsplat.formats.network.traffic import Traffic
 from cogsplat.formats.network.urls import redacted
 from cogsplat.formats.storage.source import Cancel, require_within
 
-from . import layout
 from .folder_map import FolderMap, ObjectRange
 from .folder_transport import FolderTransport, address_of
 from .object_source import ObjectSource
-
-# Number of index pages kept in memory.
-_PAGES_KEPT: Final = 8
 
 
 class NetworkFolder(ObjectSource):
@@ -31,8 +25,8 @@ class NetworkFolder(ObjectSource):
     ----------
     url : str
         URL of the manifest.
-    head : bytes
-        First bytes of the manifest, at least up to the end of the root's table of places.
+    manifest : bytes
+        Whole manifest.
     options : NetworkOptions, optional
         Timeouts, retries, request sizes and cache.
     bypass_caches : bool
@@ -66,7 +60,7 @@ class NetworkFolder(ObjectSource):
     def __init__(
         self,
         url: str,
-        head: bytes,
+        manifest: bytes,
         options: NetworkOptions | None = None,
         *,
         bypass_caches: bool = False,
@@ -74,21 +68,18 @@ class NetworkFolder(ObjectSource):
     ) -> None:
         options = options or NetworkOptions()
         self.name = redacted(url)
-        super().__init__(FolderMap(head, self.name))
-        if manifest_bytes is not None:
-            self._map.check_manifest_size(manifest_bytes)
-        self._head = head[: self._map.manifest_bytes]
-        self._objects = FolderTransport(transport_of(url, options), self._map, self._head)
+        super().__init__(FolderMap(manifest, self.name))
+        self._map.check_manifest_size(len(manifest) if manifest_bytes is None else manifest_bytes)
+        self._manifest_bytes = len(manifest)
+        self._objects = FolderTransport(transport_of(url, options), self._map, manifest)
         self._ranges = RangeSource(
             self._objects,
             self.name,
             options,
             bypass_caches=bypass_caches,
-            beginning_bytes=len(self._head),
+            beginning_bytes=len(manifest),
         )
         self.cache = self._ranges.cache
-        self._lock = threading.Lock()
-        self._pages: dict[int, bytes] = {}
 
     def __enter__(self) -> NetworkFolder:
         return self
@@ -98,12 +89,12 @@ class NetworkFolder(ObjectSource):
 
     @property
     def traffic(self) -> Traffic:
-        """Requests and received bytes of all objects, including the request for `head`."""
+        """Requests and received bytes of all objects, including the manifest."""
         found, objects = self._ranges.traffic, self._objects
         return replace(
             found,
             requests=1 + objects.requests,
-            received_bytes=len(self._head) + objects.received_bytes,
+            received_bytes=self._manifest_bytes + objects.received_bytes,
         )
 
     def read(self, offset: int, length: int) -> bytes:
@@ -122,7 +113,7 @@ class NetworkFolder(ObjectSource):
         """
         pieces = self._object_ranges(offset, length)
         ahead = (
-            self._ranges.prefetch([self._range_of(x) for x in pieces if not self._is_here(x)])
+            self._ranges.prefetch([self._range_of(x) for x in pieces if x.data is None])
             if len(pieces) > 1
             else nullcontext()
         )
@@ -133,18 +124,13 @@ class NetworkFolder(ObjectSource):
     def arrived(self, offset: int, length: int) -> bool:
         """Whether a prefetched range was received."""
         return all(
-            self._is_here(piece) or self._ranges.arrived(*self._range_of(piece))
+            piece.data is not None or self._ranges.arrived(*self._range_of(piece))
             for piece in self._object_ranges(offset, length)
         )
 
     def reread(self, offset: int, length: int) -> bytes:
-        """Request damaged bytes of segments again, bypassing HTTP caches.
-
-        Raises as `read`, and ValueError for a range with bytes of the manifest.
-        """
+        """Request damaged bytes of segments again, bypassing HTTP caches; raises as `read`."""
         pieces = self._object_ranges(offset, length)
-        if not all(piece.name for piece in pieces):
-            raise ValueError(f"{length} bytes at byte {offset}, expected a range of segments")
         return b"".join(self._ranges.reread(*self._range_of(piece)) for piece in pieces)
 
     def prefetch(
@@ -159,7 +145,7 @@ class NetworkFolder(ObjectSource):
             for offset, length in ranges
             if offset + length <= self.size
             for piece in self._object_ranges(offset, length)
-            if not self._is_here(piece)
+            if piece.data is None
         ]
         if any_order:
             turn: dict[str, int] = {}
@@ -179,57 +165,14 @@ class NetworkFolder(ObjectSource):
         """
         require_within(self, offset, length)
         with self._lock:
-            pages = self._map.pages_for(offset, length)
-            if pages:
-                with self._ranges.prefetch([(page.offset, page.length) for page in pages]):
-                    for page in pages:
-                        self._page(page.page)
-            return self._map.object_ranges(offset, length)
-
-    def _is_here(self, piece: ObjectRange) -> bool:
-        """Whether a range of the manifest is in memory, in its head or in a kept page."""
-        if piece.name:
-            return False
-        page = self._map.page_at(piece.offset)
-        return piece.offset + piece.length <= len(self._head) or page in self._pages
-
-    def _bytes_of(self, piece: ObjectRange) -> bytes:
-        """Read a range of the manifest or of an object."""
-        if piece.name:
-            return self._object_bytes(piece)
-        page = self._map.page_at(piece.offset)
-        if page is None:
-            # The manifest's preamble is replaced by the file's.
-            data = self._map.preamble + self._head[layout.PREAMBLE_BYTES :]
-            return data[piece.offset : piece.offset + piece.length]
-        with self._lock:
-            start = piece.offset - self._map.page_range(page).offset
-            return self._page(page)[start : start + piece.length]
+            pages = [self._map.page_range(page) for page in self._map.pages_for(offset, length)]
+            with self._ranges.prefetch([self._range_of(page) for page in pages]):
+                return super()._object_ranges(offset, length)
 
     def _object_bytes(self, piece: ObjectRange) -> bytes:
         """Read a range of an object."""
         return self._ranges.read(*self._range_of(piece))
 
-    def _page(self, page: int) -> bytes:
-        """Return the bytes of a page and its table of places; add a new page to the map."""
-        data = self._pages.get(page)
-        if data is None:
-            place = self._map.page_range(page)
-            data = self._ranges.read(place.offset, place.length)
-            if not self._map.has_page(page):
-                self._map.add_page(page, data)
-            self._pages[page] = data
-            while len(self._pages) > _PAGES_KEPT:
-                del self._pages[next(iter(self._pages))]
-        return data
-
     def _range_of(self, piece: ObjectRange) -> tuple[int, int]:
-        """Return the address (see `address_of`) and length to request for a range.
-
-        A range within an index page becomes the whole page.
-        """
-        page = None if piece.name else self._map.page_at(piece.offset)
-        if page is not None:
-            place = self._map.page_range(page)
-            return place.offset, place.length
+        """Return the address (see `address_of`) and length to request for a range."""
         return address_of(self._objects.number_of(piece), piece.offset), piece.length

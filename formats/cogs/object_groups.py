@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -14,7 +15,7 @@ from .folder_map import MANIFEST_SUFFIX
 from .folder_places import key_of, object_name
 from .folder_source import FolderSource
 from .layout import CODEBOOK_KINDS, SegmentKind
-from .root import SegmentTable
+from .root import HASH_BYTES, SegmentTable
 
 # Segment kinds that belong to one chunk.
 _CHUNK_KINDS: Final = (
@@ -43,6 +44,10 @@ class SegmentPlace:
     key: bytes
     size: int
     offset: int
+
+
+IN_MANIFEST: Final = SegmentPlace(bytes(HASH_BYTES), 0, 0)
+"""Place of a segment in the manifest itself (SPEC 3.4)."""
 
 
 def group_segments(table: SegmentTable) -> list[list[int]]:
@@ -85,24 +90,43 @@ class StoredSegments:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._places: dict[bytes, SegmentPlace] = {}
+        # Places of each segment by its hash, then by the object's key.
+        self._places: dict[bytes, dict[bytes, SegmentPlace]] = {}
         self._intact: dict[str, bool] = {}
         with storage_errors(folder):
             manifests = sorted(folder.glob(f"*{MANIFEST_SUFFIX}"))
         for manifest in manifests:
             self._add(manifest)
 
-    def place_of(self, key: bytes) -> SegmentPlace | None:
-        """Return the position of a segment, by its hash, in an undamaged object; None for none."""
-        place = self._places.get(key)
-        return place if place is not None and self._is_intact(place) else None
+    def places_of(self, keys: Sequence[bytes]) -> list[SegmentPlace | None]:
+        """Return the position of each segment of a group in undamaged objects; None for none.
+
+        Where objects have equal segments, the object with the most of the group is chosen. So a
+        folder that is written again keeps its places, and its pages their bytes.
+
+        Parameters
+        ----------
+        keys : sequence of bytes
+            Hash of each segment of the group.
+        """
+        known = [self._places[key] for key in keys if key in self._places]
+        if not known:
+            return [None] * len(keys)
+        fewest = min(known, key=len)
+        best = max(fewest, key=lambda each: sum(each in places for places in known))
+        return [self._intact_place(self._places.get(key, {}), best) for key in keys]
+
+    def _intact_place(self, places: dict[bytes, SegmentPlace], best: bytes) -> SegmentPlace | None:
+        """Return the place in the object `best`, else in any object that is undamaged."""
+        first = [places[best]] if best in places else []
+        return next((place for place in (*first, *places.values()) if self._is_intact(place)), None)
 
     def _add(self, manifest: Path) -> None:
         """Add the segments of a manifest; warn and skip a manifest that cannot be read."""
         try:
             source = FolderSource(manifest)
             try:
-                tables = source.tables()
+                indexes = source.placed_segments()
             finally:
                 source.close()
         except CogsplatError as error:
@@ -112,12 +136,13 @@ class StoredSegments:
                 stacklevel=4,
             )
             return
-        for table, places in tables:
+        for segments in indexes:
+            places = segments.places
             for row in range(len(places)):
                 place = SegmentPlace(
                     places.objects[row].tobytes(), int(places.sizes[row]), int(places.offsets[row])
                 )
-                self._places.setdefault(table.hash[row].tobytes(), place)
+                self._places.setdefault(segments.hashes[row].tobytes(), {})[place.key] = place
 
     def _is_intact(self, place: SegmentPlace) -> bool:
         """Whether the object of a segment is undamaged; checked once per object."""

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
 
-from .folder_map import FolderMap, ObjectRange
-from .folder_places import PlaceTable
-from .root import SegmentTable
+from .folder_map import FolderMap, ObjectRange, PlacedSegments
 
 
 class ObjectSource(ABC):
@@ -22,6 +21,7 @@ class ObjectSource(ABC):
 
     def __init__(self, folder_map: FolderMap) -> None:
         self._map = folder_map
+        self._lock = threading.RLock()
 
     @property
     def size(self) -> int:
@@ -33,16 +33,17 @@ class ObjectSource(ABC):
         """End of the root, byte offset: reads up to here need no object."""
         return self._map.root_end
 
-    def tables(self) -> list[tuple[SegmentTable, PlaceTable]]:
-        """Return the segment table and the table of places of the root and of each page.
-
-        Raises as `read`.
-        """
+    def placed_segments(self) -> list[PlacedSegments]:
+        """Return the segments of the root and of each page that objects hold; raises as `read`."""
         self._object_ranges(0, self.size)
-        return self._map.tables()
+        return self._map.placed_segments()
+
+    def page_objects(self) -> Mapping[str, int]:
+        """Return the offset in the file of the first page in each object of pages, by name."""
+        return self._map.page_objects()
 
     def objects(self) -> Mapping[str, int]:
-        """Return the length of each object of the manifest, bytes, by name; raises as `read`."""
+        """Return the length of each object of the folder, bytes, by name; raises as `read`."""
         return self._named
 
     def read_object(self, name: str) -> bytes:
@@ -56,13 +57,20 @@ class ObjectSource(ABC):
         self._object_ranges(0, self.size)
         return self._map.objects()
 
-    @abstractmethod
     def _object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
         """Return the ranges of objects that make up a range of the file.
 
         First reads those index pages of the range that are not yet in the map.
         """
+        with self._lock:
+            for page in self._map.pages_for(offset, length):
+                self._map.add_page(page, self._object_bytes(self._map.page_range(page)))
+            return self._map.object_ranges(offset, length)
+
+    def _bytes_of(self, piece: ObjectRange) -> bytes:
+        """Return the bytes of a range, from the map or from its object."""
+        return self._object_bytes(piece) if piece.data is None else piece.data
 
     @abstractmethod
     def _object_bytes(self, piece: ObjectRange) -> bytes:
-        """Return the bytes of a range of an object."""
+        """Read the bytes of a range of an object."""

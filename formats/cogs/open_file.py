@@ -15,7 +15,7 @@ from cogsplat.formats.network.urls import is_url, redacted, split_url
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import FileSource, Readable, Source, as_source
 
-from .folder_map import MANIFEST_NAME, FolderMap, is_manifest
+from .folder_map import MANIFEST_NAME, MAX_MANIFEST_BYTES, FolderMap, is_manifest
 from .folder_source import FolderSource, names_folder
 from .layout import FIRST_READ, PREAMBLE_BYTES, unpack_preamble
 from .network_folder import NetworkFolder
@@ -88,7 +88,7 @@ def _open_network_source(
                 source.fetch_all()
             return source
         size = source.size
-        head = source.read(0, min(FIRST_READ, size))
+        head = source.read(0, min(MAX_MANIFEST_BYTES, size))
     except BaseException:
         source.close()
         raise
@@ -107,7 +107,7 @@ def _length_of_file(head: bytes, where: str) -> int | None:
     """
     if not is_manifest(head):
         return unpack_preamble(head, where).file_length
-    # The length of a manifest follows from its root.
+    # The length of a manifest follows from its root; no manifest is longer than the first read.
     return FolderMap(head, where).manifest_bytes if len(head) == FIRST_READ else None
 
 

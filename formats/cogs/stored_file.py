@@ -311,25 +311,26 @@ class StoredFile:
         return memoryview(data)
 
     def objects(self) -> dict[str, int]:
-        """Return the row of the first segment in each object of a folder, by object name.
+        """Return the offset in the file of the first part that each object of a folder holds.
 
-        Empty for a file. An object of a single segment is left out: its name is the hash of the
-        segment.
+        By object name; empty for a file. An object of a single segment is left out: its name is the
+        hash of the segment.
 
         Raises
         ------
         CogsplatError
-            A page of the manifest cannot be read, or breaks SPEC.
+            A page of the folder cannot be read, or breaks SPEC.
         """
         if not isinstance(self._source, ObjectSource):
             return {}
         found: dict[str, int] = {}
-        row = 0
-        for table, places in self._source.tables():
-            same = (places.objects == table.hash).all(axis=1)
-            for at in np.flatnonzero(~same).tolist():
-                found.setdefault(object_name(places.objects[at].tobytes()), row + at)
-            row += len(places)
+        for segments in self._source.placed_segments():
+            same = (segments.places.objects == segments.hashes).all(axis=1)
+            for row in np.flatnonzero(~same).tolist():
+                name = object_name(segments.places.objects[row].tobytes())
+                found.setdefault(name, int(segments.offsets[row]))
+        for name, offset in self._source.page_objects().items():
+            found.setdefault(name, offset)
         return found
 
     def read_object(self, name: str) -> bytes:

@@ -62,8 +62,8 @@ def _checks(file: ChunkDecoder) -> Iterator[Check]:
     yield Check("decoded size", 0, file.require_size)
     for row in range(len(file.segments)):
         yield Check(f"segment {row}", int(file.offsets[row]), partial(read_verified, file, row))
-    for name, row in file.objects().items():
-        yield Check(name, int(file.offsets[row]), partial(_check_object, file, name))
+    for name, offset in file.objects().items():
+        yield Check(name, offset, partial(_check_object, file, name))
     for book in range(len(file.root.codebooks)):
         # Codebooks that no chunk needs are checked as well.
         kinds = (SegmentKind.SHAPE_CODEBOOK, SegmentKind.COLOUR_BAND1)

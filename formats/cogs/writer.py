@@ -251,15 +251,17 @@ def _split(root: Root, table: SegmentTable) -> list[_Group]:
     pictures = [row for row, kind in enumerate(kinds) if kind == SegmentKind.PICTURE]
     apart = {*descriptions, *pictures}
     others = [row for row in range(len(kinds)) if row not in apart]
-    room = layout.MAX_ROOT_END - fixed - _TABLE_OVERHEAD - _SEGMENT_ROW * len(apart)
+    room = layout.MAX_ROOT_END - fixed - _TABLE_OVERHEAD
     chunk_row = _CHUNK_ROW + (_UNTIL if root.chunks.until.any() else 0)
     weights = {
         row: _SEGMENT_ROW + (chunk_row if kinds[row] == SegmentKind.HEAD else 0) for row in others
     }
     total = sum(weights.values())
-    if total <= room:
+    if total <= room - _SEGMENT_ROW * len(apart):
         return [_Group([*others, *descriptions, *pictures], slice(0, len(root.chunks)))]
     page = max(_PAGE_TARGET, total // _PAGES_TARGET) - _TABLE_OVERHEAD
+    # Room for a description, so that a first title changes no page.
+    room -= _SEGMENT_ROW * max(1, len(descriptions))
     limit = room - _PAGE_ENTRY * (total // (page - _SEGMENT_ROW - chunk_row) + 1)
     groups: list[_Group] = []
     rows: list[int] = []

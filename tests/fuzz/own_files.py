@@ -153,7 +153,7 @@ def _vector_objects() -> dict[str, bytes]:
     return found
 
 
-MANIFEST_VECTORS = ("pages", "chunks", "vq")
+MANIFEST_VECTORS = ("pages", "chunks", "vq", "description")
 
 
 def vector_manifest(vector: str, folder: Path) -> bytes:

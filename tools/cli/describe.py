@@ -162,7 +162,7 @@ def describe(
 
     Without options, the description is printed. With options, it is changed, and written into OUT,
     or with --force into SCENE itself. Nothing is encoded: all other segments keep their bytes. A
-    folder gets a small object and a new manifest. OUT.json gets the description as settings of the
+    folder gets a new manifest alone. OUT.json gets the description as settings of the
     SuperSplat viewer.
     """
     values = {key: value for key, value in given.items() if value is not None}

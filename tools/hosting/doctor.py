@@ -147,8 +147,9 @@ def _length_and_object_findings(
     manifest = FolderMap(head, probed.url)
     found = list(length_findings(probed, manifest.manifest_bytes))
     start = manifest.root_end
-    if start < manifest.file_length and not manifest.pages_for(start, 1):
-        for piece in manifest.object_ranges(start, 1)[:_CHECKED_OBJECTS]:
+    if start < manifest.file_length:
+        pages = [manifest.page_range(page) for page in manifest.pages_for(start, 1)]
+        for piece in (pages or manifest.object_ranges(start, 1))[:_CHECKED_OBJECTS]:
             if piece.name and piece.object_bytes <= _MAX_CHECKED_BYTES:
                 size = piece.object_bytes
                 response = prober.fetch_object(probed.first.url, piece.name, size + 1)

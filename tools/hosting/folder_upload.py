@@ -220,7 +220,7 @@ def find_unused(bucket: Bucket, *, older_than: timedelta) -> UnusedObjects:
             raise StorageError(
                 "bucket-failed", f"{bucket.name}/{name}: was deleted, expected it to remain"
             )
-        referenced |= _object_names(data, f"{bucket.name}/{name}")
+        referenced |= _object_names(data, bucket, f"{bucket.name}/{name}")
     unused = [entry for entry in objects if entry.name not in referenced]
     latest = datetime.now(UTC) - older_than
     old = [entry for entry in unused if entry.modified <= latest]
@@ -265,13 +265,15 @@ def delete_unused(unused: UnusedObjects, bucket: Bucket, *, older_than: timedelt
     return replace(still, sizes=sizes)
 
 
-def _object_names(manifest: bytes, where: str) -> set[str]:
-    """Return the names of the objects that a manifest references."""
+def _object_names(manifest: bytes, bucket: Bucket, where: str) -> set[str]:
+    """Return the names of the objects that a manifest of a bucket references."""
     try:
         folder = FolderMap(manifest, where)
         folder.check_manifest_size(len(manifest))
         for page in folder.pages_for(0, folder.file_length):
-            folder.add_page(page.page, manifest[page.offset : page.offset + page.length])
+            place = folder.page_range(page)
+            data = bucket.read(place.name) or b""
+            folder.add_page(page, data[place.offset : place.offset + place.length])
         return set(folder.objects())
     except CogsplatError as error:
         raise DataError(

@@ -1,6 +1,7 @@
 """Descriptions that change in a file or folder, while all else keeps its bytes."""
 
 import shutil
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,10 @@ from pictures import picture
 import cogsplat
 from cogsplat import Description, Picture
 from cogsplat.codec.errors import CogsplatError, DataError
+from cogsplat.codec.segments.attributes import AttributeType, pack_attributes
 from cogsplat.formats.cogs.layout import SegmentKind
+from cogsplat.formats.cogs.root import ChunkTable
+from cogsplat.formats.cogs.writer import Segment, write_cogs
 
 VECTORS = Path(__file__).resolve().parents[2] / "vectors" / "valid"
 
@@ -57,22 +61,55 @@ def test_a_removed_description_leaves_the_file_that_was(tmp_path):
     assert (tmp_path / "new.cogs").read_bytes() == (tmp_path / "plain.cogs").read_bytes()
 
 
-def test_a_title_in_a_folder_is_one_small_object(tmp_path):
+def objects_of(folder):
+    return {path.name: path.stat().st_mtime_ns for path in (folder / "segments").iterdir()}
+
+
+def test_a_title_in_a_folder_is_a_new_manifest_alone(tmp_path):
     folder = tmp_path / "scene"
     cogsplat.unpack(VECTORS / "pictures-pages.cogs", folder)
-    before = {path.name: path.stat().st_mtime_ns for path in (folder / "segments").iterdir()}
+    before = objects_of(folder)
     with cogsplat.open(folder) as file:
         old = file.description()
     done = cogsplat.describe(folder, Description(title="New", poster=old.poster, sky=old.sky),
                              force=True)  # fmt: skip
-    added = {path.name: path for path in (folder / "segments").iterdir()
-             if path.name not in before}  # fmt: skip
-    (new,) = added.values()
-    assert done.written_bytes == new.stat().st_size + (folder / "manifest.cogsm").stat().st_size
-    assert all((folder / "segments" / name).stat().st_mtime_ns == at for name, at in before.items())
+    assert objects_of(folder) == before
+    assert done.written_bytes == (folder / "manifest.cogsm").stat().st_size
     with cogsplat.open(folder) as file:
         file.verify()
         assert file.description(pictures=True).title == "New"
+
+
+def test_a_first_title_and_another_up_change_no_page(tmp_path):
+    folder = tmp_path / "scene"
+    # Enough chunks for pages; their heads are equal, their objects are not.
+    with cogsplat.open(VECTORS / "one-splat.cogs") as file:
+        head, rows = bytes(file.read_segment(0)), np.zeros(600, np.int64)
+        table = {each.name: getattr(file.chunks, each.name)[rows] for each in fields(ChunkTable)}
+        root = replace(file.root, splats=600, chunks=ChunkTable(**table), up=np.array([0, 1.0, 0]),
+                       attributes=[AttributeType("n", "u4")])  # fmt: skip
+    segments = []
+    for n in range(600):
+        label = pack_attributes({"n": np.array([n], np.uint32)})
+        segments += [Segment(SegmentKind.HEAD, n, head), Segment(SegmentKind.ATTRIBUTES, n, label)]
+    write_cogs(root, segments, tmp_path / "scene.cogs")
+    cogsplat.unpack(tmp_path / "scene.cogs", folder)
+    before = objects_of(folder)
+    assert len(before) > 600
+    cogsplat.describe(folder, Description(title="First"), force=True)
+    cogsplat.describe(folder, Description(title="Second"), up="-y", force=True)
+    assert objects_of(folder) == before
+
+
+def test_a_long_description_is_an_object(tmp_path):
+    folder = tmp_path / "scene"
+    cogsplat.unpack(VECTORS / "one-splat.cogs", folder)
+    before = objects_of(folder)
+    done = cogsplat.describe(folder, Description(text="x" * 16_384), force=True)
+    (new,) = objects_of(folder).keys() - before.keys()
+    size = (folder / "segments" / new).stat().st_size
+    assert done.written_bytes == size + (folder / "manifest.cogsm").stat().st_size
+    assert (folder / "manifest.cogsm").stat().st_size < 1000
 
 
 def test_a_folder_gets_a_second_manifest(tmp_path):

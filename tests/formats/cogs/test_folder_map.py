@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+import cogsplat
 from cogsplat.codec.errors import FormatError
 from cogsplat.formats.cogs.folder_map import (
     FolderMap,
@@ -17,7 +18,15 @@ from cogsplat.tools.lab.conformance.folder_vectors import MANIFEST, folder_of_fi
 
 VALID = Path(__file__).resolve().parents[2] / "vectors" / "valid"
 FOLDERS = VALID.parent / "folders"
-FILES = ["empty", "one-splat", "pages", "pages-only", "attributes-pages", "compensation-pages"]
+FILES = [
+    "empty",
+    "one-splat",
+    "pages",
+    "pages-only",
+    "attributes-pages",
+    "compensation-pages",
+    "pictures-pages",
+]
 
 
 def mapped(name: str) -> tuple[bytes, dict[str, bytes], FolderMap]:
@@ -28,16 +37,18 @@ def mapped(name: str) -> tuple[bytes, dict[str, bytes], FolderMap]:
 
 def read(folder: FolderMap, objects: dict[str, bytes], offset: int, length: int) -> bytes:
     """Read a range of the file as a reader does that knows nothing but the map."""
-    manifest = folder.preamble + objects[MANIFEST][64:]
+
+    def bytes_of(piece: ObjectRange) -> bytes:
+        if piece.data is not None:
+            assert len(piece.data) == piece.length
+            return piece.data
+        assert len(objects[piece.name]) == piece.object_bytes
+        return objects[piece.name][piece.offset : piece.offset + piece.length]
+
     for page in folder.pages_for(offset, length):
-        folder.add_page(page.page, manifest[page.offset : page.offset + page.length])
+        folder.add_page(page, bytes_of(folder.page_range(page)))
     assert folder.pages_for(offset, length) == []
-    parts = []
-    for piece in folder.object_ranges(offset, length):
-        content = objects[piece.name] if piece.name else manifest
-        assert len(content) == piece.object_bytes
-        parts.append(content[piece.offset : piece.offset + piece.length])
-    return b"".join(parts)
+    return b"".join(bytes_of(piece) for piece in folder.object_ranges(offset, length))
 
 
 @pytest.mark.parametrize("name", FILES)
@@ -58,17 +69,28 @@ def test_any_range_is_that_of_the_file(name: str) -> None:
 
 def test_only_the_pages_of_a_range_are_asked_for() -> None:
     data, objects, folder = mapped("pages")
-    both = folder.pages_for(0, len(data))
-    assert [page.page for page in both] == [0, 1, 2]
-    assert sum(page.length for page in both) == folder.manifest_bytes - folder.head_end
-    assert [folder.page_at(page.offset) for page in both] == [0, 1, 2]
-    assert [folder.page_at(page.offset - 1) for page in both] == [None, 0, 1]
-    # The root's own segments, and the bytes of the pages themselves, need none.
+    assert folder.pages_for(0, len(data)) == [0, 1, 2]
+    sizes = [folder.page_range(page).length for page in range(3)]
+    assert sizes == [len(objects[folder.page_range(page).name]) for page in range(3)]
+    # The root's own segments need none.
     assert folder.pages_for(0, folder.root_end + 1) == []
-    assert [page.page for page in folder.pages_for(len(data) - 1, 1)] == [2]
+    assert folder.pages_for(len(data) - 1, 1) == [2]
     read(folder, objects, len(data) - 1, 1)
-    assert [page.page for page in folder.pages_for(0, len(data))] == [0, 1]
-    assert [folder.has_page(page) for page in range(3)] == [False, False, True]
+    assert folder.pages_for(0, len(data)) == [0, 1]
+
+
+def test_a_manifest_holds_the_description_and_no_object_does() -> None:
+    data, objects, folder = mapped("pictures-pages")
+    read(folder, objects, 0, len(data))
+    with cogsplat.open(data) as file:
+        assert file.description_row is not None
+        start, key = int(file.offsets[file.description_row]), file.description_row
+        length = int(file.segments.length[key])
+    (piece,) = folder.object_ranges(start, length)
+    assert (piece.name, piece.data) == ("", data[start : start + length])
+    assert piece.offset + length == folder.manifest_bytes == len(objects[MANIFEST])
+    assert objects[MANIFEST][piece.offset :] == piece.data
+    assert folder.objects().keys() | {MANIFEST} == objects.keys()
 
 
 def test_pieces_name_objects_and_what_lies_in_them() -> None:
@@ -104,9 +126,10 @@ def test_a_manifest_of_another_length_is_refused(change: int, code: str) -> None
     assert refused.value.code == code
 
 
-def test_a_manifest_of_no_more_than_the_root_is_too_short() -> None:
-    _, objects, folder = mapped("pages")
-    with pytest.raises(FormatError) as refused:
-        FolderMap(objects[MANIFEST][: folder.head_end - 1], "pages")
-    assert refused.value.code == "file-truncated"
-    assert FolderMap(objects[MANIFEST][: folder.head_end], "pages").file_length > 0
+@pytest.mark.parametrize("name", ["pages", "pictures-pages"])
+def test_a_manifest_that_lacks_a_byte_is_too_short(name: str) -> None:
+    _, objects, folder = mapped(name)
+    for size in (folder.manifest_bytes - 1, folder.root_end + 1):
+        with pytest.raises(FormatError) as refused:
+            FolderMap(objects[MANIFEST][:size], name)
+        assert refused.value.code == "file-truncated"

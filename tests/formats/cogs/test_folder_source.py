@@ -18,6 +18,8 @@ from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import BytesSource, PrefixSource, has_range
 from cogsplat.tools.lab.conformance.folder_vectors import folder_of_file
 
+VECTORS = Path(__file__).resolve().parents[2] / "vectors"
+
 links = pytest.mark.skipif(os.name != "posix", reason="links need rights on Windows")
 
 
@@ -109,6 +111,24 @@ def test_an_object_that_is_missing_leaves_a_part(folder: Path, data: bytes) -> N
         assert refused.value.code == "segment-missing"
     assert faults(folder) == ["segment-missing"]
     assert faults(folder, partial=True) == []
+
+
+def test_a_page_that_is_missing_leaves_the_chunks_before_it(tmp_path: Path) -> None:
+    shutil.copytree(VECTORS / "folders" / "pages", tmp_path / "pages")
+    with closing(FolderSource(tmp_path / "pages")) as source:
+        name, cut = sorted(source.page_objects().items(), key=lambda entry: entry[1])[1]
+        size = source.size
+    (tmp_path / "pages" / name).unlink()
+    with pytest.raises(TruncatedError, match=name) as refused:
+        cogsplat.open(tmp_path / "pages")
+    assert refused.value.code == "segment-missing"
+    with (
+        cogsplat.open(tmp_path / "pages", partial=True) as file,
+        cogsplat.open(VECTORS / "valid" / "pages.cogs", size_bytes=cut) as expected,
+    ):
+        assert file.missing_bytes == expected.missing_bytes == size - cut
+        assert file.complete_chunks() == expected.complete_chunks() > 0
+        assert_same(file.decode(), expected.decode())
 
 
 def test_the_first_bytes_of_a_folder_are_those_of_the_file(folder: Path, data: bytes) -> None:

@@ -17,6 +17,7 @@ from fault_server import (
 
 import cogsplat
 from cogsplat.codec.errors import CogsplatError, FormatError, TruncatedError
+from cogsplat.formats.cogs.description_json import to_json
 from cogsplat.formats.cogs.folder_map import FolderMap
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.network_folder import NetworkFolder
@@ -24,7 +25,9 @@ from cogsplat.formats.cogs.open_file import open_source
 from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.tools.lab.conformance.folder_vectors import MANIFEST, folder_of_file
 
-PAGED = Path(__file__).resolve().parents[2] / "vectors" / "valid" / "pages.cogs"
+VALID = Path(__file__).resolve().parents[2] / "vectors" / "valid"
+PAGED = VALID / "pages.cogs"
+DESCRIBED = VALID / "description.cogs"
 QUICK = NetworkOptions(pause_seconds=0.001, retries=2)
 
 
@@ -83,36 +86,30 @@ def test_one_chunk_takes_the_objects_that_it_needs(data: bytes) -> None:
     assert traffic.received_bytes < sum(map(len, folder_of_file(data).values())) / 2
 
 
-def test_large_manifests_are_read_by_ranges_or_whole() -> None:
-    data = PAGED.read_bytes()
-    objects = folder_of_file(data)
-    head_end = FolderMap(objects[MANIFEST], "pages").head_end
+def test_manifests_of_another_length_are_refused() -> None:
+    objects = folder_of_file(PAGED.read_bytes())
     for answered in (right, no_ranges):
-        with serving(FaultServer(b"", always=of_folder(objects, answered))) as server:
-            url = server.url(f"scene/{MANIFEST}")
-            # As if the first request had brought the root and its places alone.
-            with NetworkFolder(url, objects[MANIFEST][:head_end], QUICK) as source:
-                assert source.first_request_bytes < head_end
-                assert source.read(0, source.size) == data
-            cut = objects | {MANIFEST: objects[MANIFEST][:-1]}
-            server.always = of_folder(cut, answered)
+        for change, code in ((-1, "file-truncated"), (1, "file-trailing")):
+            manifest = (objects[MANIFEST] + b"x")[: len(objects[MANIFEST]) + change]
             with (
-                NetworkFolder(url, objects[MANIFEST][:head_end], QUICK) as source,
-                pytest.raises(TruncatedError) as refused,
+                serving(
+                    FaultServer(b"", always=of_folder(objects | {MANIFEST: manifest}, answered))
+                ) as server,
+                pytest.raises(FormatError) as refused,
             ):
-                source.read(0, source.size)
-            assert refused.value.code == "file-truncated"
+                open_source(server.url("scene/"), QUICK)
+            assert refused.value.code == code
 
 
-def test_each_page_is_asked_for_once_and_opening_asks_for_no_segment() -> None:
+def test_each_page_is_asked_for_once_and_opening_asks_for_no_object() -> None:
     data = PAGED.read_bytes()
     objects = folder_of_file(data)
-    head_end = FolderMap(objects[MANIFEST], "pages").head_end
+    found = FolderMap(objects[MANIFEST], "pages")
+    pages = {found.page_range(page).name for page in found.pages_for(0, len(data))}
     with serving(FaultServer(b"", always=of_folder(objects))) as server:
         url = server.url(f"scene/{MANIFEST}")
-        # As if the first request had brought the root alone.
         with (
-            NetworkFolder(url, objects[MANIFEST][:head_end], QUICK) as source,
+            NetworkFolder(url, objects[MANIFEST], QUICK) as source,
             cogsplat.open(source) as file,
         ):
             assert server.asked == []
@@ -120,10 +117,37 @@ def test_each_page_is_asked_for_once_and_opening_asks_for_no_segment() -> None:
             chunk = [(asked.path, asked.first) for asked in server.asked]
             assert source.traffic.requests == 1 + len(chunk)
             file.decode()
-        asked = [(asked.path, asked.first) for asked in server.asked]
+        asked = [asked.path.removeprefix("/scene/") for asked in server.asked]
     assert len(chunk) == len(set(chunk))
-    pages = [place for place in asked if place[0].endswith(MANIFEST)]
-    assert len(pages) == len(set(pages)) > 0
+    assert MANIFEST not in asked
+    assert sorted(name for name in asked if name in pages) == sorted(pages)
+
+
+def test_a_description_comes_with_the_manifest() -> None:
+    data = DESCRIBED.read_bytes()
+    objects = folder_of_file(data)
+    with serving(FaultServer(b"", always=of_folder(objects))) as server:
+        with cogsplat.open(server.url("scene/")) as file, cogsplat.open(data) as whole:
+            found, expected = file.description(), whole.description()
+            assert found is not None
+            assert expected is not None
+            assert to_json(found) == to_json(expected)
+        assert {asked.path for asked in server.asked} == {f"/scene/{MANIFEST}"}
+
+
+def test_a_description_damaged_on_the_way_is_asked_for_again() -> None:
+    objects = folder_of_file(DESCRIBED.read_bytes())
+    manifest = objects[MANIFEST]
+    damaged = manifest[:-1] + bytes([manifest[-1] ^ 1])
+    # The description is the last of the manifest.
+    with serving(FaultServer(b"", always=of_folder(objects))) as server:
+        url = server.url(f"scene/{MANIFEST}")
+        with NetworkFolder(url, damaged, QUICK) as source, cogsplat.open(source) as file:
+            assert file.description() is not None
+            assert file.description_row is not None
+            length = int(file.segments.length[file.description_row])
+        (asked,) = server.asked
+    assert (asked.path, asked.first) == (f"/scene/{MANIFEST}", len(manifest) - length)
 
 
 def test_an_object_that_is_missing_spoils_no_other(data: bytes) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -22,9 +22,13 @@ from .file_builder import PREAMBLE_BYTES, poke, seal
 MANIFEST: Final = "manifest.cogsm"
 MANIFEST_MAGIC: Final = b"\x89COGM\r\n\x1a"
 
-# Segment kinds of codebooks, and kinds whose owner is a chunk (SPEC 5.2).
+# Segment kinds of codebooks, kinds whose owner is a chunk, and the description (SPEC 5.2).
 _CODEBOOKS: Final = (3, 4, 5, 6)
 _OF_CHUNKS: Final = (1, 2, 7, 8, 129)
+_DESCRIPTION: Final = 132
+
+# Longest segment that the manifest holds, bytes.
+_MOST_INSIDE: Final = 16384
 
 Objects = dict[str, bytes]
 """Contents of a folder's files by path relative to the folder."""
@@ -86,14 +90,27 @@ def valid(files: Mapping[str, bytes]) -> list[ValidFolder]:
     return [
         one("empty", "a manifest and no objects"),
         one("one-splat", "one object"),
-        one("pages", "index pages, each with its places behind it"),
+        one("pages", "index pages, each with its places an object"),
         one("compensation-pages", "segments of equal bytes are one object"),
-        one("pictures-pages", "a description and its pictures, each an object of its own"),
+        one("pictures-pages", "a description in the manifest, its pictures objects"),
+        ValidFolder(
+            "description-object",
+            {MANIFEST: "pictures-pages"},
+            "a description that is an object",
+            folder_of_file(files["pictures-pages"], inside=()),
+        ),
+        ValidFolder(
+            "manifest-alone",
+            {MANIFEST: "attributes"},
+            "every segment in the manifest",
+            folder_of_file(files["attributes"], inside=range(256)),
+        ),
         ValidFolder("versions", versions, "two manifests that share objects", both),
         ValidFolder(
             "one-object",
             {MANIFEST: "attributes-pages"},
-            "all segments backwards in one object, with bytes of no segment around them",
+            "all segments backwards in one object and all pages in another, with other bytes "
+            "around them",
             one_object_folder(files["attributes-pages"], b"between"),
         ),
     ]
@@ -109,7 +126,11 @@ def invalid(files: Mapping[str, bytes]) -> list[InvalidFolder]:
     flipped = content[:-1] + bytes([content[-1] ^ 1])
     root_end, _ = _read_root(manifest)
     other = f"segments/{bytes(16).hex()}.bin"
-    last_page = len(paged) - _placement_bytes(_read_root(paged)[1]["pages"][-1]["segments"])
+    inside = folder_of_file(files["one-splat"], inside=range(256))[MANIFEST]
+    pages_end, root = _read_root(paged)
+    rows = _read_places(paged[pages_end:], len(_read_segments(root, 0)) + len(root["pages"]))
+    page = _path(rows[-1][0])
+    places_start = root["pages"][-1]["length"]
 
     def head(name: str, data: bytes, code: str, note: str, clause: str = "3.4") -> InvalidFolder:
         return InvalidFolder(name, small | {MANIFEST: data}, code, clause, note)
@@ -171,26 +192,78 @@ def invalid(files: Mapping[str, bytes]) -> list[InvalidFolder]:
             "places-range",
             "an object that is stated a byte shorter than its segment",
         ),
+        head("folder-inside-cut", inside[:-1], "file-truncated", "ends inside its last segment"),
+        head(
+            "folder-inside-offset",
+            manifest[:root_end] + _placement_table([(bytes(16), 0, 1)]),
+            "places-range",
+            "a segment in the manifest that has an offset",
+        ),
+        head(
+            "folder-inside-object",
+            manifest[:root_end] + _placement_table([(_object_key(content), 0, 0)]),
+            "places-range",
+            "a segment in the manifest that has an object",
+        ),
+        head(
+            "folder-inside-long",
+            _replace_magic(_first_length(files["one-splat"], 65_536), MANIFEST_MAGIC)
+            + _placement_table([_INSIDE]),
+            "places-range",
+            "segments in the manifest that end behind its 64 KiB",
+        ),
+        body(
+            "folder-inside-flip",
+            {MANIFEST: inside[:-1] + bytes([inside[-1] ^ 1])},
+            "segment-crc",
+            "a bit of a segment in the manifest flipped",
+            "decode",
+            "5.3",
+        ),
         InvalidFolder(
-            "folder-pages-cut",
-            large | {MANIFEST: paged[:-1]},
-            "file-truncated",
+            "folder-page-inside",
+            large | {MANIFEST: paged[:pages_end] + _placement_table([*rows[:-1], _INSIDE])},
+            "places-range",
             "3.4",
-            "a manifest that ends inside the places of the last page",
+            "a page in the manifest",
+        ),
+        InvalidFolder(
+            "folder-page-range",
+            large
+            | {MANIFEST: paged[:pages_end] + _placement_table([*rows[:-1], (*rows[-1][:2], 1)])},
+            "places-range",
+            "3.4",
+            "a page whose places end a byte behind their object",
         ),
         InvalidFolder(
             "folder-page-flip",
-            large | {MANIFEST: poke(paged, last_page - 2, "B", paged[last_page - 2] ^ 1)},
+            large | {page: poke(large[page], places_start - 2, "B", large[page][-2] ^ 1)},
             "page-crc",
             "5.6",
             "a bit of the last page flipped",
         ),
         InvalidFolder(
             "folder-page-places-flip",
-            large | {MANIFEST: poke(paged, last_page, "B", paged[last_page] ^ 1)},
+            large | {page: poke(large[page], places_start, "B", large[page][places_start] ^ 1)},
             "places-crc",
             "3.4",
             "a bit of the places of the last page flipped",
+        ),
+        _page_folder(large, paged[:pages_end], rows, places_start),
+        InvalidFolder(
+            "folder-page-short",
+            large | {page: large[page][:-1]},
+            "segment-object",
+            "3.4",
+            "an object of a page that lacks its last byte",
+        ),
+        InvalidFolder(
+            "folder-page-missing",
+            {name: data for name, data in large.items() if name != page},
+            "segment-missing",
+            "3.4",
+            "no object of the last page",
+            partial=True,
         ),
         body("folder-missing", {MANIFEST: manifest}, "segment-missing", "no object", "open"),
         body(
@@ -228,19 +301,54 @@ def invalid(files: Mapping[str, bytes]) -> list[InvalidFolder]:
     ]
 
 
-def folder_of_file(data: bytes, manifest: str = MANIFEST) -> Objects:
-    """Convert a file into a folder, with the segments grouped as SPEC 3.4 recommends."""
+def _page_folder(
+    folder: Objects, root: bytes, rows: Sequence[_Placement], places_start: int
+) -> InvalidFolder:
+    """Return a folder whose last page has a segment in the manifest, which only the root may."""
+    page = folder[_path(rows[-1][0])]
+    count = (len(page) - places_start - 4) // 24
+    places = [_INSIDE, *_read_places(page[places_start:], count)[1:]]
+    changed = page[:places_start] + _placement_table(places)
+    table = _placement_table([*rows[:-1], (_object_key(changed), len(changed), 0)])
+    return InvalidFolder(
+        "folder-page-segment-inside",
+        folder | {MANIFEST: root + table, _object_name(changed): changed},
+        "places-range",
+        "3.4",
+        "a segment of a page in the manifest",
+    )
+
+
+def folder_of_file(
+    data: bytes, manifest: str = MANIFEST, *, inside: Container[int] = (_DESCRIPTION,)
+) -> Objects:
+    """Convert a file into a folder, with the segments grouped as SPEC 3.4 recommends.
+
+    Parameters
+    ----------
+    data : bytes
+        The file.
+    manifest : str
+        Name of the manifest.
+    inside : container of int
+        Kinds of the root's segments that the manifest holds, where they are short.
+    """
     indexes = _read_indexes(data)
     groups: dict[tuple[object, ...], list[_Segment]] = {}
+    where = {
+        x.position: _INSIDE
+        for x in indexes[0].segments
+        if x.kind in inside and x.length <= _MOST_INSIDE
+    }
     for segment in (segment for index in indexes for segment in index.segments):
         key: tuple[object, ...] = ("alone", segment.position)
         if segment.kind in _CODEBOOKS:
             key = ("codebooks",)
         elif segment.kind in _OF_CHUNKS:
             key = ("chunk", segment.owner)
-        groups.setdefault(key, []).append(segment)
+        if segment.position not in where:
+            groups.setdefault(key, []).append(segment)
     objects: Objects = {}
-    where: dict[int, _Placement] = {}
     for group in groups.values():
         content = b"".join(data[x.position : x.position + x.length] for x in group)
         offset = 0
@@ -248,41 +356,62 @@ def folder_of_file(data: bytes, manifest: str = MANIFEST) -> Objects:
             where[segment.position] = _object_key(content), len(content), offset
             offset += segment.length
         objects[_object_name(content)] = content
-    return {manifest: _build_manifest(data, indexes, where), **objects}
+    pages = [index.stored + _table_of(index, where) for index in indexes[1:]]
+    objects |= {_object_name(page): page for page in pages}
+    rows = [(_object_key(page), len(page), 0) for page in pages]
+    return {manifest: _build_manifest(data, indexes[0], where, rows), **objects}
 
 
 def one_object_folder(data: bytes, around: bytes) -> Objects:
-    """Convert a file into a folder that keeps all segments in one object.
+    """Convert a file into a folder that keeps all segments in one object, all pages in another.
 
-    The segments are in reverse order; the bytes `around` precede, separate and follow them.
+    Both are in reverse order; the bytes `around` precede, separate and follow them.
     """
     indexes = _read_indexes(data)
-    content, offsets = around, {}
-    for segment in reversed([x for index in indexes for x in index.segments]):
-        offsets[segment.position] = len(content)
-        content += data[segment.position : segment.position + segment.length] + around
-    where = {at: (_object_key(content), len(content), offset) for at, offset in offsets.items()}
-    return {MANIFEST: _build_manifest(data, indexes, where), _object_name(content): content}
+    stored = [data[x.position : x.position + x.length] for index in indexes for x in index.segments]
+    positions = [x.position for index in indexes for x in index.segments]
+    content, found = _backwards(stored, around)
+    where = dict(zip(positions, found, strict=True))
+    pages = [index.stored + _table_of(index, where) for index in indexes[1:]]
+    book, rows = _backwards(pages, around)
+    return {
+        MANIFEST: _build_manifest(data, indexes[0], where, rows),
+        _object_name(content): content,
+        _object_name(book): book,
+    }
+
+
+def _backwards(parts: Sequence[bytes], around: bytes) -> tuple[bytes, list[_Placement]]:
+    """Return an object of parts in reverse order, and the placement of each part."""
+    content, offsets = around, []
+    for part in reversed(parts):
+        offsets.append(len(content))
+        content += part + around
+    return content, [(_object_key(content), len(content), offset) for offset in reversed(offsets)]
 
 
 def file_of_folder(objects: Mapping[str, bytes], manifest: str = MANIFEST) -> bytes:
     """Convert a folder into the equivalent file."""
     data = objects[manifest]
-    position, root = _read_root(data)
-    parts = [data[:position]]
-    for page in [None, *root.get("pages", [])]:
-        index = root
-        if page is not None:
-            parts.append(data[position : position + page["length"]])
-            position += page["length"]
-            index = msgpack.unpackb(parts[-1])
-        segments = _read_segments(index, 0)
-        count = len(segments)
-        names = [data[position + 16 * row :][:16].hex() for row in range(count)]
-        offsets = struct.unpack_from(f"<{count}I", data, position + 20 * count)
-        position += _placement_bytes(count)
-        for name, offset, segment in zip(names, offsets, segments, strict=True):
-            parts.append(objects[f"segments/{name}.bin"][offset : offset + segment.length])
+    root_end, root = _read_root(data)
+    entries = root.get("pages", [])
+    segments = _read_segments(root, 0)
+    places_end = root_end + _placement_bytes(len(segments) + len(entries))
+    rows = _read_places(data[root_end:places_end], len(segments) + len(entries))
+    parts, inside = [data[:root_end]], places_end
+    for segment, row in zip(segments, rows, strict=False):
+        if row == _INSIDE:
+            parts.append(data[inside : inside + segment.length])
+            inside += segment.length
+        else:
+            parts.append(objects[_path(row[0])][row[2] :][: segment.length])
+    for entry, (key, _, offset) in zip(entries, rows[len(segments) :], strict=True):
+        page = objects[_path(key)][offset:]
+        parts.append(page[: entry["length"]])
+        segments = _read_segments(msgpack.unpackb(parts[-1]), 0)
+        places = _read_places(page[entry["length"] :], len(segments))
+        for segment, (name, _, at) in zip(segments, places, strict=True):
+            parts.append(objects[_path(name)][at : at + segment.length])
     return _replace_magic(b"".join(parts), MAGIC)
 
 
@@ -304,8 +433,11 @@ class _Index:
     segments: list[_Segment]
 
 
-# Location of a segment: key of its object, size of the object, and offset in it, bytes.
+# Location of a segment or page: key of its object, size of the object, and offset in it, bytes.
 _Placement = tuple[bytes, int, int]
+
+# Placement of a segment in the manifest itself.
+_INSIDE: Final[_Placement] = (bytes(16), 0, 0)
 
 
 def _read_indexes(data: bytes) -> list[_Index]:
@@ -321,22 +453,32 @@ def _read_indexes(data: bytes) -> list[_Index]:
     return found
 
 
-def _build_manifest(data: bytes, indexes: list[_Index], where: Mapping[int, _Placement]) -> bytes:
-    """Return a folder's manifest: preamble, root and pages, each followed by its placement table.
+def _table_of(index: _Index, where: Mapping[int, _Placement]) -> bytes:
+    """Return the packed placement table of an index, given the placement of each segment."""
+    return _placement_table([where[segment.position] for segment in index.segments])
+
+
+def _build_manifest(
+    data: bytes, root: _Index, where: Mapping[int, _Placement], pages: Sequence[_Placement]
+) -> bytes:
+    """Return a folder's manifest: preamble, root, placement table, and the segments inside.
 
     Parameters
     ----------
     data : bytes
         The file.
-    indexes : list of _Index
-        Root and pages of the file.
+    root : _Index
+        Root of the file.
     where : mapping of int to _Placement
         Placement of each segment by its offset in the file.
+    pages : sequence of _Placement
+        Placement of each page.
     """
-    stored = b""
-    for index in indexes:
-        rows = [where[segment.position] for segment in index.segments]
-        stored += index.stored + _placement_table(rows)
+    rows = [where[segment.position] for segment in root.segments]
+    inside = (x.position for x, row in zip(root.segments, rows, strict=True) if row == _INSIDE)
+    lengths = {segment.position: segment.length for segment in root.segments}
+    stored = root.stored + _placement_table([*rows, *pages])
+    stored += b"".join(data[at : at + lengths[at]] for at in inside)
     return _replace_magic(stored, MANIFEST_MAGIC)
 
 
@@ -348,9 +490,28 @@ def _placement_table(rows: Sequence[_Placement]) -> bytes:
     return columns + struct.pack("<I", zlib.crc32(columns))
 
 
-def _placement_bytes(segments: int) -> int:
+def _placement_bytes(rows: int) -> int:
     """Return the size of a placement table, bytes."""
-    return 24 * segments + 4
+    return 24 * rows + 4
+
+
+def _read_places(data: bytes, count: int) -> list[_Placement]:
+    """Return the rows of a placement table."""
+    keys = [data[16 * row :][:16] for row in range(count)]
+    sizes = struct.unpack_from(f"<{count}I", data, 16 * count)
+    offsets = struct.unpack_from(f"<{count}I", data, 20 * count)
+    return list(zip(keys, sizes, offsets, strict=True))
+
+
+def _first_length(data: bytes, length: int) -> bytes:
+    """Return preamble and root of a file with another length of the first segment."""
+    end, _ = _read_root(data)
+    root = msgpack.unpackb(data[PREAMBLE_BYTES:end])
+    columns = root["segments"]
+    columns["length"] = struct.pack("<I", length) + columns["length"][4:]
+    stored: bytes = msgpack.packb(root)
+    head = poke(data[:PREAMBLE_BYTES], 12, "I", len(stored))
+    return seal(poke(head, 24, "I", zlib.crc32(stored))) + stored
 
 
 def _read_root(data: bytes) -> tuple[int, dict[str, list[dict[str, int]]]]:
@@ -380,7 +541,12 @@ def _object_key(content: bytes) -> bytes:
 
 def _object_name(content: bytes) -> str:
     """Return the path of an object in the folder."""
-    return f"segments/{_object_key(content).hex()}.bin"
+    return _path(_object_key(content))
+
+
+def _path(key: bytes) -> str:
+    """Return the path of an object in the folder, given its key."""
+    return f"segments/{key.hex()}.bin"
 
 
 def _replace_magic(data: bytes, magic: bytes) -> bytes:

@@ -42,7 +42,7 @@ test("a scene without a description has none", async () => {
   assert.equal(await scene.picture("sky"), undefined);
 });
 
-test("a description is one small object of a folder, and a stream fetches neither it nor its pictures", async () => {
+test("a description comes with the manifest of a folder, and a stream fetches none of its pictures", async () => {
   const server = new FolderServer(vectorFolder("folders", "pictures-pages"));
   const url = await server.start();
   try {
@@ -50,10 +50,10 @@ test("a description is one small object of a folder, and a stream fetches neithe
     for await (const _ of scene.stream());
     const streamed = server.asked.length;
     await scene.description();
-    assert.equal(server.asked.length, streamed + 1);
+    assert.equal(server.asked.length, streamed);
     await checkPictures(scene, "pictures-pages");
     const objects = new Set(server.asked.filter((path) => path.endsWith(".bin")));
-    // Two chunks, the description and two pictures.
+    // Two chunks, a page and two pictures.
     assert.equal(objects.size, 5);
   } finally {
     await server.stop();

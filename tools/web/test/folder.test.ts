@@ -83,8 +83,16 @@ for (const { name, code, stage } of manifest.invalid_folders) {
   });
 }
 
-test("one chunk takes its object and that of the codebooks", async () => {
+/** Return the names of the objects that hold the index pages of a folder. */
+async function pageObjects(files: ReadonlyMap<string, Uint8Array>): Promise<string[]> {
+  const asked = await withScene(new FolderServer(files), "", (scene) => scene.readPages(scene.index.pages.length));
+  return asked.slice(1);
+}
+
+test("one chunk takes its object, that of the codebooks and the pages", async () => {
   const files = vectorFolder("folders", "pages");
+  const pages = await pageObjects(files);
+  assert.equal(pages.length, 3);
   const whole = new SceneFile(vectorBytes("valid", "pages"), kernels());
   const wanted = whole.index.chunkCount - 1;
   const asked = await withScene(new FolderServer(files), "manifest.cogsm?key=1", async (scene) => {
@@ -92,26 +100,50 @@ test("one chunk takes its object and that of the codebooks", async () => {
     assert.deepEqual([...last.keys()], [wanted]);
     checkRows(whole, wanted, last.get(wanted)!);
   });
-  assert.ok(asked.length <= 3, asked.join(" "));
+  const rest = asked.filter((path) => !pages.includes(path));
+  assert.ok(rest.length <= 3 && asked.length === rest.length + pages.length, asked.join(" "));
 });
 
 test("a page that came damaged is asked for once more", async () => {
   const files = vectorFolder("folders", "pages");
   const whole = new SceneFile(vectorBytes("valid", "pages"), kernels());
-  const [at] = [files.get("manifest.cogsm")!.length - 30];
+  const page = (await pageObjects(files))[0]!;
+  for (const at of [8, files.get(page)!.length - 8]) {
+    const damage = (body: Buffer, number: number, path: string): void => {
+      if (path === page && number === 1) body[at]! ^= 1;
+    };
+    const asked = await withScene(new FolderServer(files, { damage }), "", async (scene) => {
+      await scene.readPages(1);
+      assert.equal((await lastUpdates(scene)).size, whole.index.chunkCount);
+    });
+    assert.equal(asked.filter((path) => path === page).length, 2);
+  }
+});
+
+test("a description in the manifest takes no further request", async () => {
+  const files = vectorFolder("folders", "pictures-pages");
+  const asked = await withScene(new FolderServer(files), "", async (scene) => {
+    assert.notEqual(await scene.description(), undefined);
+  });
+  assert.deepEqual(asked, ["manifest.cogsm"]);
+});
+
+test("a description in the manifest that came damaged is asked for once more", async () => {
+  const files = vectorFolder("folders", "pictures-pages");
   const damage = (body: Buffer, number: number): void => {
-    if (number === 0) body[at]! ^= 1;
+    if (number === 0) body[body.length - 1]! ^= 1;
   };
   const asked = await withScene(new FolderServer(files, { damage }), "", async (scene) => {
-    assert.equal((await lastUpdates(scene)).size, whole.index.chunkCount);
+    assert.notEqual(await scene.description(), undefined);
   });
-  assert.equal(asked.filter((path) => path === "manifest.cogsm").length, 2);
+  assert.deepEqual(asked, ["manifest.cogsm", "manifest.cogsm"]);
 });
 
 test("an object that is not there spoils no other", async () => {
   const files = vectorFolder("folders", "pages");
   const whole = new SceneFile(vectorBytes("valid", "pages"), kernels());
-  const sizes = [...files].filter(([path]) => path !== "manifest.cogsm").sort(([, a], [, b]) => a.length - b.length);
+  const others = new Set(["manifest.cogsm", ...(await pageObjects(files))]);
+  const sizes = [...files].filter(([path]) => !others.has(path)).sort(([, a], [, b]) => a.length - b.length);
   files.delete(sizes[0]![0]);
   const damaged: unknown[] = [];
   await withScene(new FolderServer(files), "", async (scene) => {

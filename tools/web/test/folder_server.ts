@@ -11,8 +11,8 @@ export class FolderServer {
     private readonly files: ReadonlyMap<string, Uint8Array>,
     private readonly options: {
       readonly ranges?: boolean;
-      /** Changes the body of an answer, by its number from 0 on. */
-      readonly damage?: (body: Buffer, number: number) => void;
+      /** Changes the body of an answer, by its number from 0 on and its path. */
+      readonly damage?: (body: Buffer, number: number, path: string) => void;
     } = {},
   ) {}
 
@@ -40,7 +40,7 @@ export class FolderServer {
     const end = Math.min(Number(asked?.[2] ?? Infinity), file.length - 1);
     const isWhole = this.options.ranges === false || file.length === 0;
     const body = Buffer.from(isWhole ? file : file.slice(start, end + 1));
-    this.options.damage?.(body, number);
+    this.options.damage?.(body, number, path);
     const headers = isWhole ? {} : { "Content-Range": `bytes ${start}-${end}/${file.length}` };
     response.writeHead(isWhole ? 200 : 206, { ...headers, "Content-Length": body.length }).end(body);
   }

@@ -3,13 +3,24 @@ import { crc32 } from "./crc32.js";
 import { hex, PREAMBLE_BYTES } from "./preamble.js";
 import type { ByteRange, SceneIndex, ScenePlaces } from "./scene_index.js";
 
-/** Bytes of a row of a table of places: name and size of the object, offset of the segment in it (SPEC 3.4). */
+/** Bytes of a row of a table of places: name and size of the object, offset of the segment or page in it (SPEC 3.4). */
 const ROW_BYTES = 24;
 const NAME_BYTES = 16;
 const CRC_BYTES = 4;
 
+/** Bytes of a manifest at most (SPEC 3.4). */
+const MAX_MANIFEST_BYTES = 65_536;
+
 /** Distance of two objects in the address space; objects are shorter than 2^32 bytes, so no request spans two. */
 const SPACE = 2 ** 33;
+
+/** A row of a table of places; all of it is 0 for a segment in the manifest. */
+interface Place {
+  /** First 16 bytes of the object's SHA-256, as hexadecimal digits. */
+  readonly digits: string;
+  readonly size: number;
+  readonly offset: number;
+}
 
 /** An object of a folder. */
 export interface FolderObject {
@@ -30,33 +41,42 @@ export class FolderIndex implements ScenePlaces {
   private readonly numbers = new Map<string, number>();
   /** Address of each segment whose table of places was read. */
   private readonly addresses: number[] = [];
-  /** Offset of the next index page in the manifest. */
-  private end: number;
+  /** Address of each index page. */
+  private readonly pageAddresses: readonly number[];
   /** Bytes of the manifest. */
   readonly manifestBytes: number;
 
   /**
    * @param index - Index of the scene, with its root alone.
-   * @param manifest - First bytes of the manifest; the places of the root's segments are in its first 64 KiB.
+   * @param manifest - The whole manifest; further bytes are ignored.
    */
   constructor(
     private readonly index: SceneIndex,
     manifest: Uint8Array,
   ) {
     const rootEnd = PREAMBLE_BYTES + index.rootLength;
-    this.end = rootEnd + placesBytes(index.segments.kind.length);
-    this.manifestBytes = index.pages.reduce((sum, page) => sum + page.length + placesBytes(page.segments), this.end);
-    if (manifest.length < this.end) {
-      throw new CogsplatError(
-        "file-truncated",
-        `${manifest.length} bytes of a manifest of ${this.manifestBytes}`,
-        manifest.length,
-      );
-    }
+    const { length } = index.segments;
+    const placesEnd = rootEnd + placesBytes(length.length + index.pages.length);
+    const requireBytes = (end: number): void => {
+      if (manifest.length < end)
+        throw new CogsplatError("file-truncated", `${manifest.length} bytes of a manifest of ${end}`, manifest.length);
+    };
+    requireBytes(placesEnd);
+    const places = readPlaces(manifest.subarray(rootEnd, placesEnd), "the root");
+    const isInside = places.map((place, row) => row < length.length && isZero(place));
+    this.manifestBytes = length.reduce((sum, bytes, row) => sum + (isInside[row] ? bytes : 0), placesEnd);
+    if (this.manifestBytes > MAX_MANIFEST_BYTES)
+      throw new CogsplatError("places-range", `a manifest of ${this.manifestBytes} bytes`, placesEnd);
+    requireBytes(this.manifestBytes);
     this.objects.push({ name: "", size: this.manifestBytes });
-    const places = manifest.subarray(rootEnd, this.end);
-    checkPlaces(places, "the root");
-    this.enter(places);
+    let end = placesEnd;
+    for (const [row, bytes] of length.entries()) {
+      this.addresses.push(isInside[row] ? end : this.addressOf(places[row]!, bytes, `segment ${row}`));
+      if (isInside[row]) end += bytes;
+    }
+    this.pageAddresses = index.pages.map((page, number) =>
+      this.addressOf(places[length.length + number]!, page.length + placesBytes(page.segments), `page ${number}`),
+    );
   }
 
   /** Compare the length of the manifest with the length that its root implies. */
@@ -77,19 +97,22 @@ export class FolderIndex implements ScenePlaces {
 
   nextPage(): ByteRange | undefined {
     const page = this.index.nextPage();
-    const entry = this.index.pages[this.index.pagesRead];
-    return page && entry && { offset: this.end, length: page.length + placesBytes(entry.segments) };
+    const number = this.index.pagesRead;
+    const entry = this.index.pages[number];
+    return page && entry && { offset: this.pageAddresses[number]!, length: page.length + placesBytes(entry.segments) };
   }
 
   addPage(bytes: Uint8Array): void {
     const number = this.index.pagesRead;
     const { length } = this.index.pages[number]!;
-    const places = bytes.subarray(length);
     // The places are checked before the page is entered, so that a damaged page can be fetched again.
-    checkPlaces(places, `page ${number}`);
+    const places = readPlaces(bytes.subarray(length), `page ${number}`);
+    const first = this.index.segments.kind.length;
     this.index.addPage(bytes.slice(0, length));
-    this.enter(places);
-    this.end += bytes.length;
+    for (const [row, place] of places.entries()) {
+      const segment = first + row;
+      this.addresses.push(this.addressOf(place, this.index.segments.length[segment]!, `segment ${segment}`));
+    }
   }
 
   /** Return the object at an address and the offset in it. */
@@ -98,20 +121,11 @@ export class FolderIndex implements ScenePlaces {
     return { object: this.objects[number]!, offset: address % SPACE };
   }
 
-  /** Enter the addresses of the segments of a page. */
-  private enter(places: Uint8Array): void {
-    const first = this.addresses.length;
-    const count = this.index.segments.kind.length - first;
-    const view = new DataView(places.buffer, places.byteOffset, places.byteLength);
-    for (let row = 0; row < count; row++) {
-      const digits = hex(places.subarray(NAME_BYTES * row, NAME_BYTES * (row + 1)));
-      const size = view.getUint32(NAME_BYTES * count + 4 * row, true);
-      const offset = view.getUint32((NAME_BYTES + 4) * count + 4 * row, true);
-      const end = offset + this.index.segments.length[first + row]!;
-      if (end > size)
-        throw new CogsplatError("places-range", `segment ${first + row} ends at byte ${end} of an object of ${size}`);
-      this.addresses.push(this.numberOf(`segments/${digits}.bin`, size) * SPACE + offset);
-    }
+  /** Return the address of a segment or page of a length, bytes. */
+  private addressOf({ digits, size, offset }: Place, length: number, what: string): number {
+    const end = offset + length;
+    if (end > size) throw new CogsplatError("places-range", `${what} ends at byte ${end} of an object of ${size}`);
+    return this.numberOf(`segments/${digits}.bin`, size) * SPACE + offset;
   }
 
   private numberOf(name: string, size: number): number {
@@ -125,13 +139,24 @@ export class FolderIndex implements ScenePlaces {
 }
 
 /** Return the length of a table of places, bytes. */
-function placesBytes(segments: number): number {
-  return ROW_BYTES * segments + CRC_BYTES;
+function placesBytes(rows: number): number {
+  return ROW_BYTES * rows + CRC_BYTES;
 }
 
-function checkPlaces(places: Uint8Array, where: string): void {
-  const end = places.length - CRC_BYTES;
-  const stated = new DataView(places.buffer, places.byteOffset, places.byteLength).getUint32(end, true);
-  if (crc32(places.subarray(0, end)) !== stated)
+/** Read the rows of a table of places, after its CRC was checked. */
+function readPlaces(bytes: Uint8Array, where: string): Place[] {
+  const end = bytes.length - CRC_BYTES;
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  if (crc32(bytes.subarray(0, end)) !== view.getUint32(end, true))
     throw new CogsplatError("places-crc", `the CRC of the places of ${where} does not match`);
+  const count = end / ROW_BYTES;
+  return Array.from({ length: count }, (_, row) => ({
+    digits: hex(bytes.subarray(NAME_BYTES * row, NAME_BYTES * (row + 1))),
+    size: view.getUint32(NAME_BYTES * count + 4 * row, true),
+    offset: view.getUint32((NAME_BYTES + 4) * count + 4 * row, true),
+  }));
+}
+
+function isZero({ digits, size, offset }: Place): boolean {
+  return size === 0 && offset === 0 && /^0+$/.test(digits);
 }

@@ -46,7 +46,7 @@ export interface FolderReader {
    * Read the addresses of the segments.
    *
    * @param manifest - Source of the manifest; objects are relative to it.
-   * @param beginning - First bytes of the manifest, its length if known, and whether its server answers ranges.
+   * @param beginning - The manifest, its length if known, and whether its server answers ranges.
    * @param index - Index with the root alone.
    */
   open(
@@ -178,7 +178,7 @@ export class StreamedScene implements FetchSource {
   ): Promise<StreamedScene> {
     if (options.folders === undefined)
       throw new SourceError("a scene stored as a folder needs the option `folders`", undefined, false);
-    // The first 64 KiB contain the root and its places (SPEC 8.8).
+    // The first 64 KiB contain the whole manifest (SPEC 3.4).
     await beginning.waitFor(FIRST_BYTES, options.signal);
     const { available, total, sequential } = beginning;
     const index = SceneIndex.open(fileBeginning(available));
@@ -255,7 +255,7 @@ export class StreamedScene implements FetchSource {
   private async readSegment(segment: number, signal: AbortSignal | undefined): Promise<Uint8Array<ArrayBuffer>> {
     const place = this.places.range(segment);
     const end = place.offset + place.length;
-    const isHere = !this.isFolder && this.beginning.holds(end);
+    const isHere = this.beginning.holds(end);
     if (isHere) await this.beginning.waitFor(end, signal);
     const read = async (fresh: boolean): Promise<Uint8Array<ArrayBuffer>> =>
       new Uint8Array(await this.reader.readAll(place, signal, fresh));
