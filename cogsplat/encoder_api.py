@@ -403,7 +403,7 @@ def score(
 
 
 def _first_view(scene: Splats | _Path, splats: Splats, threads: int) -> Camera:
-    """Return the first view of a file, or one that is chosen by what it shows."""
+    """Return the stored first view of a file, else the best view that the search finds."""
     from .codec.views.first_look_search import find_first_look
 
     if not isinstance(scene, Splats) and is_cogs(scene):
@@ -443,7 +443,7 @@ def _splats(scene: Splats | _Path, workspace: Workspace | None = None) -> Splats
 
 
 def _with_stored_look(scene: Splats | _Path, request: EncodeRequest) -> EncodeRequest:
-    """Return a request with up direction and first view of a COGS file, unless it has its own."""
+    """Return a request with the stored look of a COGS file, if it has no cameras, up or view."""
     if isinstance(scene, Splats) or not is_cogs(scene):
         return request
     own = (request.cameras, request.up, request.view, request.config.ordering.first_view)

@@ -135,7 +135,7 @@ def _target(path: Path, *, to_folder: bool) -> Path:
 
 
 def _with_files(description: Description | None, file: CogsFile) -> Description | None:
-    """Return a description with the file of every picture: a new file, or the scene's."""
+    """Return a description whose pictures without bytes have the stored ones; None if empty."""
     if description is None or description.is_empty:
         return None
     lacking = [name for name, one in description.pictures().items() if one.data is None]

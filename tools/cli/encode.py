@@ -348,7 +348,7 @@ def _encode(options: EncodeOptions) -> None:
 
 
 def _description(options: EncodeOptions, notes: SceneNotes) -> Description | None:
-    """Return the description of the scene, with the keys of the file of ``--describe`` set."""
+    """Return the description of the scene, updated by the JSON file of ``--describe``."""
     found = notes.description
     if options.describe is None:
         return found

@@ -43,7 +43,7 @@ class SceneNotes:
     view: Camera | None = None
 
     def complete(self, request: EncodeRequest) -> EncodeRequest:
-        """Return a request with the stored up direction and view, if it has no cameras or view."""
+        """Return a request with the stored up and view, if it has no cameras, up or view."""
         own = (request.cameras, request.up, request.view, request.config.ordering.first_view)
         if any(given is not None for given in own):
             return request
