@@ -241,10 +241,14 @@ class Killer:
         """Kill the command some times in one folder, then let it finish, and check what it left."""
         folder, scratch = self._folders()
         words = self._words(folder)
-        for _ in range(self._rng.randint(1, MOST_KILLS_OF_A_CHAIN)):
+        for attempt in range(self._rng.randint(1, MOST_KILLS_OF_A_CHAIN)):
             seconds = self._rng.uniform(0.0, 1.1 * self.seconds)
+            start = time.monotonic()
             code = forked(words, folder, scratch, seconds, self._sessions)
             if code is not None:
+                # Later attempts may resume, and end sooner than a whole run.
+                if not attempt:
+                    self.seconds = min(self.seconds, time.monotonic() - start)
                 break
             self.tally.kills += 1
             self._check_store(folder, complete=False)
