@@ -118,108 +118,162 @@ def valid(files: Mapping[str, bytes]) -> list[ValidFolder]:
 
 def invalid(files: Mapping[str, bytes]) -> list[InvalidFolder]:
     """Return the must-reject folders, given the bytes of each valid vector by name."""
-    small, large = folder_of_file(files["one-splat"]), folder_of_file(files["pages"])
+    return [
+        *_invalid_manifests(files["one-splat"]),
+        *_invalid_places(files["one-splat"]),
+        *_invalid_pages(files["pages"]),
+        *_invalid_objects(files["one-splat"]),
+    ]
+
+
+def _manifest_folder(
+    folder: Objects, name: str, manifest: bytes, code: str, note: str, clause: str = "3.4"
+) -> InvalidFolder:
+    """Return a must-reject folder with another manifest."""
+    return InvalidFolder(name, folder | {MANIFEST: manifest}, code, clause, note)
+
+
+def _invalid_manifests(file: bytes) -> list[InvalidFolder]:
+    """Return folders with an invalid preamble or root, or bytes behind the manifest."""
+    small = folder_of_file(file)
     manifest = small[MANIFEST]
-    paged = large[MANIFEST]
-    (segment,) = (name for name in small if name != MANIFEST)
-    content = small[segment]
-    flipped = content[:-1] + bytes([content[-1] ^ 1])
     root_end, _ = _read_root(manifest)
-    other = f"segments/{bytes(16).hex()}.bin"
-    inside = folder_of_file(files["one-splat"], inside=range(256))[MANIFEST]
-    pages_end, root = _read_root(paged)
-    rows = _read_places(paged[pages_end:], len(_read_segments(root, 0)) + len(root["pages"]))
-    page = _path(rows[-1][0])
-    places_start = root["pages"][-1]["length"]
-
-    def head(name: str, data: bytes, code: str, note: str, clause: str = "3.4") -> InvalidFolder:
-        return InvalidFolder(name, small | {MANIFEST: data}, code, clause, note)
-
-    def body(
-        name: str, objects: Objects, code: str, note: str, stage: str, clause: str = "3.4"
-    ) -> InvalidFolder:
-        # A partial reader skips missing objects.
-        return InvalidFolder(name, objects, code, clause, note, stage, code == "segment-missing")
-
     own_crc = MAGIC + manifest[len(MAGIC) :]
     return [
-        head("folder-file", files["one-splat"], "not-cogs", "a file in the place of the manifest"),
-        head("folder-text", b"<!doctype html>" + bytes(64), "not-cogs", "a page of a web server"),
-        head("folder-none", b"", "preamble-truncated", "a manifest of no bytes"),
-        head(
+        _manifest_folder(
+            small, "folder-file", file, "not-cogs", "a file in the place of the manifest"
+        ),
+        _manifest_folder(
+            small,
+            "folder-text",
+            b"<!doctype html>" + bytes(64),
+            "not-cogs",
+            "a page of a web server",
+        ),
+        _manifest_folder(small, "folder-none", b"", "preamble-truncated", "a manifest of no bytes"),
+        _manifest_folder(
+            small,
             "folder-crc",
-            MANIFEST_MAGIC + files["one-splat"][len(MAGIC) : PREAMBLE_BYTES] + manifest[64:],
+            MANIFEST_MAGIC + file[len(MAGIC) : PREAMBLE_BYTES] + manifest[64:],
             "preamble-crc",
             "the preamble's CRC is the file's",
         ),
-        head("folder-magic", own_crc, "not-cogs", "the file's magic, the manifest's CRC"),
-        head(
+        _manifest_folder(
+            small, "folder-magic", own_crc, "not-cogs", "the file's magic, the manifest's CRC"
+        ),
+        _manifest_folder(
+            small,
             "folder-version",
             seal(poke(manifest[:64], 10, "H", 2)) + manifest[64:],
             "version-minor",
             "version 0.2",
             "3.2",
         ),
-        head("folder-root-cut", manifest[: root_end - 1], "root-truncated", "ends inside the root"),
-        head(
+        _manifest_folder(
+            small,
+            "folder-root-cut",
+            manifest[: root_end - 1],
+            "root-truncated",
+            "ends inside the root",
+        ),
+        _manifest_folder(
+            small,
             "folder-root-flip",
             poke(manifest, 70, "B", manifest[70] ^ 1),
             "root-crc",
             "a bit of the root flipped",
         ),
-        head("folder-behind", manifest + b"\0", "file-trailing", "a byte behind the manifest"),
-        head(
+        _manifest_folder(
+            small, "folder-behind", manifest + b"\0", "file-trailing", "a byte behind the manifest"
+        ),
+    ]
+
+
+def _invalid_places(file: bytes) -> list[InvalidFolder]:
+    """Return folders with invalid places of the root's segments (SPEC 3.4)."""
+    small = folder_of_file(file)
+    manifest = small[MANIFEST]
+    (content,) = (data for name, data in small.items() if name != MANIFEST)
+    root_end, _ = _read_root(manifest)
+    inside = folder_of_file(file, inside=range(256))[MANIFEST]
+    return [
+        _manifest_folder(
+            small,
             "folder-places-cut",
             manifest[:-1],
             "file-truncated",
             "ends inside the places of the root",
         ),
-        head(
+        _manifest_folder(
+            small,
             "folder-places-flip",
             poke(manifest, root_end, "B", manifest[root_end] ^ 1),
             "places-crc",
             "a bit of the root's places flipped",
         ),
-        head(
+        _manifest_folder(
+            small,
             "folder-places-offset",
             manifest[:root_end] + _placement_table([(_object_key(content), len(content), 1)]),
             "places-range",
             "a segment that ends a byte behind its object",
         ),
-        head(
+        _manifest_folder(
+            small,
             "folder-places-size",
             manifest[:root_end] + _placement_table([(_object_key(content), len(content) - 1, 0)]),
             "places-range",
             "an object that is stated a byte shorter than its segment",
         ),
-        head("folder-inside-cut", inside[:-1], "file-truncated", "ends inside its last segment"),
-        head(
+        _manifest_folder(
+            small,
+            "folder-inside-cut",
+            inside[:-1],
+            "file-truncated",
+            "ends inside its last segment",
+        ),
+        _manifest_folder(
+            small,
             "folder-inside-offset",
             manifest[:root_end] + _placement_table([(bytes(16), 0, 1)]),
             "places-range",
             "a segment in the manifest that has an offset",
         ),
-        head(
+        _manifest_folder(
+            small,
             "folder-inside-object",
             manifest[:root_end] + _placement_table([(_object_key(content), 0, 0)]),
             "places-range",
             "a segment in the manifest that has an object",
         ),
-        head(
+        _manifest_folder(
+            small,
             "folder-inside-long",
-            _replace_magic(_first_length(files["one-splat"], 65_536), MANIFEST_MAGIC)
+            _replace_magic(_first_length(file, 65_536), MANIFEST_MAGIC)
             + _placement_table([_INSIDE]),
             "places-range",
             "segments in the manifest that end behind its 64 KiB",
         ),
-        body(
+        InvalidFolder(
             "folder-inside-flip",
             {MANIFEST: inside[:-1] + bytes([inside[-1] ^ 1])},
             "segment-crc",
+            "5.3",
             "a bit of a segment in the manifest flipped",
             "decode",
-            "5.3",
         ),
+    ]
+
+
+def _invalid_pages(file: bytes) -> list[InvalidFolder]:
+    """Return folders with an invalid page, or invalid places of a page."""
+    large = folder_of_file(file)
+    paged = large[MANIFEST]
+    pages_end, root = _read_root(paged)
+    rows = _read_places(paged[pages_end:], len(_read_segments(root, 0)) + len(root["pages"]))
+    page = _path(rows[-1][0])
+    places_start = root["pages"][-1]["length"]
+    return [
         InvalidFolder(
             "folder-page-inside",
             large | {MANIFEST: paged[:pages_end] + _placement_table([*rows[:-1], _INSIDE])},
@@ -265,6 +319,26 @@ def invalid(files: Mapping[str, bytes]) -> list[InvalidFolder]:
             "no object of the last page",
             partial=True,
         ),
+    ]
+
+
+def _invalid_objects(file: bytes) -> list[InvalidFolder]:
+    """Return folders with a missing, changed or misnamed object."""
+    small = folder_of_file(file)
+    manifest = small[MANIFEST]
+    (segment,) = (name for name in small if name != MANIFEST)
+    content = small[segment]
+    flipped = content[:-1] + bytes([content[-1] ^ 1])
+    root_end, _ = _read_root(manifest)
+    other = f"segments/{bytes(16).hex()}.bin"
+
+    def body(
+        name: str, objects: Objects, code: str, note: str, stage: str, clause: str = "3.4"
+    ) -> InvalidFolder:
+        # A partial reader skips missing objects.
+        return InvalidFolder(name, objects, code, clause, note, stage, code == "segment-missing")
+
+    return [
         body("folder-missing", {MANIFEST: manifest}, "segment-missing", "no object", "open"),
         body(
             "folder-short",
