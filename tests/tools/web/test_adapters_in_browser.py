@@ -1,4 +1,4 @@
-"""The pages of three.js, Spark and PlayCanvas in a real browser, against our own renders."""
+"""Pages of three.js, Spark, PlayCanvas and Babylon.js in a real browser, against our renders."""
 
 from __future__ import annotations
 
@@ -29,6 +29,8 @@ pytestmark = pytest.mark.slow
 
 WIDTH, HEIGHT = 320, 240
 RENDERERS = ("spark", "playcanvas")
+# Drawn by the shaders of our viewer.
+SHADED = ("three", "babylon")
 # Against our own renderer, of a scene of few large splats; and against the same splats in the
 # renderer's own textures, in the same order of rows: it decides among splats of nearly one depth.
 LEAST_DB = {"spark": 25.0, "playcanvas": 17.0}
@@ -71,6 +73,7 @@ def server(
     patterns = (
         "dist/*.js",
         "examples/*.*",
+        f"{packages}/babylonjs/babylon.js",
         f"{packages}/playcanvas/build/playcanvas.min.mjs",
         f"{packages}/three/build/*.js",
         f"{packages}/three/examples/jsm/**/*.js",
@@ -189,7 +192,7 @@ def assert_our_pictures(page: Page, small: SmallScene, *views: Camera) -> None:
         assert psnr(shown(page), expected) >= BY_SPEC_DB
 
 
-@pytest.mark.parametrize("renderer", [*RENDERERS, "three"])
+@pytest.mark.parametrize("renderer", [*RENDERERS, *SHADED])
 def test_a_renderer_that_follows_the_specification_draws_our_pictures(
     page: Page, site: str, small: SmallScene, renderer: str
 ) -> None:
@@ -218,12 +221,12 @@ def test_playcanvas_sorts_for_a_view_that_comes_while_it_sorts(
     assert_our_pictures(page, small, camera(30), camera(8))
 
 
-@pytest.mark.parametrize("renderer", [*RENDERERS, "three"])
+@pytest.mark.parametrize("renderer", [*RENDERERS, *SHADED])
 def test_what_is_given_back_is_not_drawn(page: Page, site: str, renderer: str) -> None:
     open_page(page, site, renderer)
     look_from(page, camera(8))
     assert shown(page).max() > 0.5
-    if renderer != "playcanvas":
+    if renderer in {"spark", "three"}:
         page.evaluate("() => { example.world.remove(example.mesh); }")
     page.evaluate("() => example.dispose()")
     wait_frames(page)
@@ -253,16 +256,23 @@ def test_three_draws_our_pictures_where_no_worker_runs_and_says_so(
 
 
 # Bytes of a splat of degree 3 in each texture that an adapter fills.
-TEXTURE_BYTES = {"three": (16, 8, 16, 16, 4), "spark": (16, 8, 16, 16)}
+TEXTURE_BYTES = {
+    "three": (4, 8, 16, 16, 16),
+    "babylon": (4, 8, 16, 16, 16),
+    "spark": (8, 16, 16, 16),
+}
 _COUNT_TEXTURES = """
-  globalThis.textureBytes = [];
+  globalThis.textureBytes = new Map();
   const { prototype } = WebGL2RenderingContext;
   const sizes = { RGBA32UI: 16, RG32UI: 8, R32UI: 4 };
-  for (const name of ["texStorage2D", "texStorage3D"]) {
+  for (const name of ["texStorage2D", "texStorage3D", "texImage2D"]) {
     const original = prototype[name];
     prototype[name] = function (target, levels, format, width, height, depth = 1) {
+      const bound = name.endsWith("3D") ? "TEXTURE_BINDING_2D_ARRAY" : "TEXTURE_BINDING_2D";
       for (const [key, bytes] of Object.entries(sizes)) {
-        if (prototype[key] === format && width === 2048) textureBytes.push(bytes);
+        if (prototype[key] === format && width === 2048) {
+          textureBytes.set(this.getParameter(prototype[bound]), bytes);
+        }
       }
       return original.apply(this, arguments);
     };
@@ -275,9 +285,9 @@ def test_splats_stay_quantised_in_graphics_memory(page: Page, site: str, rendere
     page.add_init_script(_COUNT_TEXTURES)
     open_page(page, site, renderer)
     wait_frames(page)
-    found = page.evaluate("() => textureBytes")
+    found = page.evaluate("() => [...textureBytes.values()]")
     for bytes_of_splat in TEXTURE_BYTES[renderer]:
         assert bytes_of_splat in found, found
         found.remove(bytes_of_splat)
-    if renderer == "three":
+    if renderer in SHADED:
         assert found == []

@@ -48,7 +48,7 @@ uniform vec2 focal;          // px
 uniform vec2 principal;      // px from the middle
 uniform vec2 viewport;       // px
 uniform vec2 middle;         // of the picture, in halves of it
-uniform vec2 depth;          // the depth of a z is x + y / z; 0 in pictures of splats alone
+uniform vec2 depth;          // the depth of a z is x + y / z, and 0 in pictures of splats alone
 uniform float kernel;        // px^2, added to projected covariances
 uniform bool antialiased;
 uniform vec2 rgbRange;

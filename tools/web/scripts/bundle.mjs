@@ -47,7 +47,6 @@ await build({
     viewer_worker: "build/src/viewer/viewer_worker.js",
     spark: "build/src/adapters/spark.js",
     playcanvas: "build/src/adapters/playcanvas.js",
-    babylon: "build/src/adapters/babylon.js",
   },
   external,
   define: { DECODER_TEXT: "undefined" },
@@ -59,6 +58,7 @@ await build({
     cogsplat: "build/src/index.js",
     element: "build/src/viewer/package_entry.js",
     three: "build/src/adapters/three.js",
+    babylon: "build/src/adapters/babylon.js",
   },
   define: {
     DECODER_TEXT: await programText("build/src/workers/worker.js"),

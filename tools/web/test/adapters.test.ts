@@ -10,6 +10,7 @@ import {
 import { sortBehindCameras } from "../src/adapters/playcanvas_sorting.js";
 import { toPly } from "../src/adapters/ply.js";
 import { originPosition } from "../src/adapters/row_stream.js";
+import { type ShadedOptions, uniformsOf } from "../src/adapters/shaded_scene.js";
 import { drawBySpec as drawSparkBySpec, type SparkSplats, streamToSpark } from "../src/adapters/spark.js";
 import { loadKernels } from "../src/kernels/load.js";
 import { StreamedScene } from "../src/loader/streamed_scene.js";
@@ -62,9 +63,9 @@ test("axes become matrices and rotations", () => {
   assert.throws(() => axesRotation("LDF"), RangeError);
 });
 
-type Renderer = "spark" | "playcanvas";
+type Renderer = "spark" | "playcanvas" | "babylon";
 
-for (const layout of ["spark", "playcanvas"] as const) {
+for (const layout of ["spark", "playcanvas", "babylon"] as const) {
   test(`${layout}: a whole scene is uploaded as its chunks decode`, async () => {
     const bytes = vectorBytes("valid", "chunks");
     const scene = await StreamedScene.open(new Blob([new Uint8Array(bytes)]));
@@ -191,59 +192,56 @@ test("scenes with other origins are placed beside each other", async () => {
   });
 });
 
-test("babylon: rows are in the engine's layout, in a world of either handedness", async () => {
-  const bytes = vectorBytes("valid", "sh2");
-  const expected = new SceneFile(bytes, kernels()).decode();
+test("babylon: points go where the axes take them, in a world of either handedness", async () => {
   for (const useRightHandedSystem of [false, true]) {
-    const scene = await StreamedScene.open(new Blob([new Uint8Array(bytes)]));
-    const updates: { data: ArrayBuffer; sh: Uint8Array[]; degree: number }[] = [];
-    class GaussianSplattingMesh {
-      rotationQuaternion: unknown;
-      readonly scaling = { x: 1, y: 1, z: 1, set: () => undefined };
-      readonly position = { y: 0, set: () => undefined };
-      async updateDataAsync(data: ArrayBuffer, sh: Uint8Array[] = [], _parts?: Uint8Array, degree = 0): Promise<void> {
-        updates.push({ data, sh, degree });
-      }
-      dispose(): void {}
-    }
-    class Quaternion {
-      readonly values: number[];
-      constructor(...values: number[]) {
-        this.values = values;
-      }
-    }
-    const world = { useRightHandedSystem, getEngine: () => ({ getCaps: () => ({ maxTextureSize: 64 }) }) };
-    const { mesh, done } = streamToBabylon(scene, { GaussianSplattingMesh, Quaternion }, world);
+    const scene = await StreamedScene.open(new Blob([new Uint8Array(vectorBytes("valid", "sh2"))]));
+    const { mesh, done } = inBabylon(scene, {}, useRightHandedSystem);
     await done;
-    const { data, sh, degree } = updates.at(-1)!;
-    assert.equal(data.byteLength, 32 * expected.count);
-    assert.equal(degree, 2);
-    assert.deepEqual(
-      sh.map(({ length }) => length),
-      Array(2).fill(16 * 64 * (Math.ceil(expected.count / 64) + 1)),
-    );
-    const [floats, codes] = [new Float32Array(data), new Uint8Array(data)];
-    for (let row = 0; row < expected.count; row++) {
-      for (let axis = 0; axis < 3; axis++) {
-        assert.equal(floats[8 * row + axis], expected.means[3 * row + axis]);
-        assert.equal(floats[8 * row + 3 + axis], Math.fround(Math.exp(expected.scales[3 * row + axis]!)));
-      }
-      assert.ok(Math.abs(codes[32 * row + 27]! / 255 - 1 / (1 + Math.exp(-expected.opacities[row]!))) <= 0.51 / 255);
-      for (let k = 0; k < 4; k++)
-        assert.ok(Math.abs(codes[32 * row + 28 + k]! / 127.5 - 1 - expected.quats[4 * row + k]!) <= 0.51 / 127.5);
-      for (let k = 0; k < 24; k++) {
-        const value = Math.min(Math.max(expected.shN[24 * row + k]!, -1), 1);
-        assert.ok(Math.abs(sh[k >> 4]![16 * row + (k & 15)]! / 127.5 - 1 - value) <= 0.51 / 127.5);
-      }
-    }
-    // Points go where the matrix of the axes takes them.
     const matrix = axesMatrix(scene.info.axes, useRightHandedSystem ? "RUB" : "RUF");
     const point = [1, 2, 3];
-    const turned = rotate((mesh.rotationQuaternion as Quaternion).values, [1, 2 * mesh.scaling.y, 3]);
+    const turned = rotate(mesh.rotationQuaternion as number[], [1, 2 * mesh.scaling.y, 3]);
     [0, 1, 2].forEach((row) => {
       const where = point.reduce((sum, value, i) => sum + matrix[3 * row + i]! * value, 0);
       assert.ok(Math.abs(turned[row]! - where) < 1e-9);
     });
+    // The engine takes the box of the mesh from its positions.
+    for (const [first, extreme] of [Math.min, Math.max].entries()) {
+      const corner = [0, 1, 2].map((axis) => extreme(...mesh.positions.filter((_, i) => i % 3 === axis)));
+      assert.deepEqual(corner, Array.from(Float32Array.from(scene.info.box).subarray(3 * first, 3 * first + 3)));
+    }
+  }
+});
+
+test("the uniforms of a picture are the same in a world of either handedness", () => {
+  const [near, far] = [0.5, 100];
+  const projection = (front: 1 | -1) => [
+    ...[1.5, 0, 0, 0, 0, 2, 0, 0],
+    ...[0.1 * front, 0.2 * front, (front * (far + near)) / (far - near), front],
+    ...[0, 0, (-2 * far * near) / (far - near), 0],
+  ];
+  const identity = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
+  const world = [2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 2, 0, 3, 4, 5, 1];
+  const mirrored = world.map((value, i) => (i % 4 === 2 ? -value : value));
+  const left = uniformsOf({ view: identity, projection: projection(1) }, world, [200, 100]);
+  const right = uniformsOf({ view: identity, projection: projection(-1) }, mirrored, [200, 100]);
+  const zeros = (text: string) => text.replaceAll("-0", "0");
+  assert.equal(zeros(JSON.stringify(left)), zeros(JSON.stringify(right)));
+  const { rotation, translation, cameraPosition, focal, depth, middle } = left.uniforms as Record<string, number[]>;
+  assert.deepEqual(translation, [3, -4, 5]);
+  assert.deepEqual([rotation![0], rotation![4], rotation![8]], [2, -2, 2]);
+  assert.deepEqual(cameraPosition, [-1.5, -2, -2.5]);
+  assert.deepEqual(
+    [focal, middle],
+    [
+      [150, 100],
+      [0.1, 0.2],
+    ],
+  );
+  for (const [z, expected] of [
+    [near, -1],
+    [far, 1],
+  ] as const) {
+    assert.ok(Math.abs(depth![0]! + depth![1]! / z - expected) < 1e-12);
   }
 });
 
@@ -308,6 +306,11 @@ function start(layout: Renderer, scene: StreamedScene, options: PlayCanvasOption
     );
     return { arrays, done, dispose, disposed: () => disposed === 2, drawn, centers: new Float32Array() };
   }
+  if (layout === "babylon") {
+    const { done, dispose, textures, disposed } = inBabylon(scene, options, true);
+    const arrays = textures.filter(({ format }) => format !== 8).map(({ data }) => data);
+    return { arrays, done, dispose, disposed, drawn, centers: new Float32Array() };
+  }
   const textures = new Map<string, Uint32Array>();
   class GSplatContainer {
     readonly centers: Float32Array;
@@ -353,6 +356,70 @@ function start(layout: Renderer, scene: StreamedScene, options: PlayCanvasOption
     drawn,
     centers: resource.centers,
   };
+}
+
+/** Stream into a world of Babylon.js that keeps what it is given. */
+function inBabylon(scene: StreamedScene, options: ShadedOptions, useRightHandedSystem: boolean) {
+  let disposed = 0;
+  const dispose = () => {
+    disposed++;
+  };
+  const textures: RawTexture[] = [];
+  class RawTexture {
+    readonly dispose = dispose;
+    constructor(
+      readonly data: Uint32Array,
+      readonly width: number,
+      readonly height: number,
+      readonly format: number,
+    ) {
+      const words = { 8: 1, 9: 2, 11: 4 }[format]!;
+      assert.equal(data.length, words * width * height);
+      textures.push(this);
+    }
+    update(data: Uint32Array): void {
+      assert.equal(data, this.data);
+    }
+  }
+  class ShaderMaterial {
+    alphaMode = 0;
+    backFaceCulling = true;
+    disableDepthWrite = false;
+    readonly onBindObservable = { add: () => undefined };
+    readonly dispose = dispose;
+    setTexture(_name: string, texture: RawTexture): void {
+      assert.ok(textures.includes(texture));
+    }
+    getEffect(): undefined {}
+  }
+  class Mesh {
+    material: unknown;
+    isUnIndexed = false;
+    isPickable = true;
+    forcedInstanceCount = 0;
+    rotationQuaternion: unknown;
+    positions: Float32Array = new Float32Array();
+    readonly scaling = { y: 1 };
+    readonly position = { set: () => undefined };
+    readonly dispose = dispose;
+    setVerticesData(_kind: string, values: Float32Array): void {
+      this.positions = values;
+    }
+    getWorldMatrix = () => ({ m: [] });
+  }
+  function Quaternion(...values: number[]) {
+    return values;
+  }
+  const world = {
+    useRightHandedSystem,
+    activeCamera: null,
+    getViewMatrix: () => ({ m: [] }),
+    getProjectionMatrix: () => ({ m: [] }),
+    getEngine: () => ({ getRenderWidth: () => 1, getRenderHeight: () => 1 }),
+  };
+  const module = { Mesh, ShaderMaterial, RawTexture, Quaternion: Quaternion as never };
+  const shown = streamToBabylon(scene, module, world, options);
+  return { ...shown, textures, disposed: () => disposed === 2 + textures.length };
 }
 
 function rotate([x, y, z, w]: readonly number[], v: readonly number[]): number[] {
@@ -404,12 +471,12 @@ test("playcanvas: shaders that are known are edited together or not at all", () 
       "a + 0.3; b + 0.3; vec2 J2 = -J1 / vp.z * vp.xy; min(1024.0, min(viewport_size.x, viewport_size.y))",
     ],
   ]);
-  const draw = (own: Map<string, string>) => {
+  const draw = (own: Map<string, string>, isWebGPU = false) => {
     const edited = new Map<string, string>();
     const gsplat = { minPixelSize: 2, antiAlias: true, material: { getShaderChunks: () => edited } };
     const isKnown = drawPlayCanvasBySpec(
       { ShaderChunks: { get: () => own } },
-      { graphicsDevice: {}, scene: { gsplat } },
+      { graphicsDevice: { isWebGPU }, scene: { gsplat } },
       KERNEL,
     );
     assert.deepEqual([gsplat.minPixelSize, gsplat.antiAlias], [0, false]);
@@ -420,4 +487,5 @@ test("playcanvas: shaders that are known are edited together or not at all", () 
   assert.deepEqual([...edited.keys()], [...known.keys()]);
   assert.match(edited.get("gsplatCornerVS")!, /^a \+ 1\.2; b \+ 1\.2; .*clamp\(/);
   assert.deepEqual(draw(new Map([...known, ["gsplatPS", "another"]])), { isKnown: false, edited: new Map() });
+  assert.deepEqual(draw(known, true), { isKnown: false, edited: new Map() }, "WebGPU has shaders of its own");
 });

@@ -3,46 +3,89 @@
  *
  * @packageDocumentation
  */
-import type { Shifts } from "../container/compensation.js";
-import type { ChunkUpdate } from "../loader/stream_options.js";
 import type { StreamedScene } from "../loader/streamed_scene.js";
-import { opacityOf, shiftedOpacity } from "../scene/opacities.js";
-import { axesMatrix, axesRotation } from "./axes.js";
-import {
-  type AdapterOptions,
-  type AdapterStream,
-  followingAbort,
-  type RowTarget,
-  streamRows,
-  wantedDegree,
-} from "./row_stream.js";
+import { FRAGMENT_SHADER, SPLATS_PER_INSTANCE, VERTEX_SHADER } from "../viewer/shaders.js";
+import { axesRotation } from "./axes.js";
+import { TEXTURE_WIDTH } from "./packed_rows.js";
+import { type AdapterStream, followingAbort, originPosition } from "./row_stream.js";
+import { SAMPLERS, type ShadedOptions, ShadedScene, type ShaderTexture, type Uniforms } from "./shaded_scene.js";
 
 export type { AdapterOptions, AdapterStream } from "./row_stream.js";
+export type { ShadedOptions } from "./shaded_scene.js";
 
-/** Part of a `Vector3` that the adapter uses. */
-interface BabylonVector {
-  y: number;
-  set(x: number, y: number, z: number): unknown;
+interface BabylonMatrix {
+  readonly m: ArrayLike<number>;
 }
 
 /** Part of a `Scene` that the adapter uses. */
 export interface BabylonScene {
   readonly useRightHandedSystem: boolean;
-  getEngine(): { getCaps(): { readonly maxTextureSize: number } };
+  readonly activeCamera: { readonly viewport: { readonly width: number; readonly height: number } } | null;
+  getViewMatrix(): BabylonMatrix;
+  getProjectionMatrix(): BabylonMatrix;
+  getEngine(): { getRenderWidth(): number; getRenderHeight(): number };
 }
 
-/** Part of a `GaussianSplattingMesh` that the adapter uses. */
+/** Part of an `Effect` that the adapter uses. */
+interface BabylonEffect {
+  setInt(name: string, value: number): unknown;
+  setFloat(name: string, value: number): unknown;
+  setFloat2(name: string, x: number, y: number): unknown;
+  setFloat3(name: string, x: number, y: number, z: number): unknown;
+  setMatrix3x3(name: string, values: Float32Array): unknown;
+}
+
+/** Part of a `RawTexture` that the adapter uses. */
+export interface BabylonTexture {
+  update(data: Uint32Array): void;
+  dispose(): void;
+}
+
+/** Part of a `Mesh` that the adapter uses. */
 export interface BabylonMesh {
+  material: unknown;
+  isUnIndexed: boolean;
+  isPickable: boolean;
+  forcedInstanceCount: number;
   rotationQuaternion: unknown;
-  readonly scaling: BabylonVector;
-  readonly position: BabylonVector;
-  updateDataAsync(data: ArrayBuffer, sh?: Uint8Array[], partIndices?: Uint8Array, shDegree?: number): Promise<void>;
+  readonly scaling: { y: number };
+  readonly position: { set(x: number, y: number, z: number): unknown };
+  setVerticesData(kind: string, values: Float32Array): unknown;
+  getWorldMatrix(): BabylonMatrix;
+  dispose(): void;
+}
+
+/** Part of a `ShaderMaterial` that the adapter uses. */
+export interface BabylonMaterial {
+  alphaMode: number;
+  backFaceCulling: boolean;
+  disableDepthWrite: boolean;
+  readonly onBindObservable: { add(callback: (mesh: { getWorldMatrix(): BabylonMatrix }) => void): unknown };
+  setTexture(name: string, texture: never): unknown;
+  getEffect(): BabylonEffect | null | undefined;
   dispose(): void;
 }
 
 /** Classes of `@babylonjs/core` that the adapter instantiates. */
 export interface BabylonModule<S extends BabylonScene, M extends BabylonMesh> {
-  readonly GaussianSplattingMesh: new (name: string, url: null, scene: S) => M;
+  readonly Mesh: new (name: string, scene: S) => M;
+  readonly ShaderMaterial: new (
+    name: string,
+    scene: S,
+    source: { vertexSource: string; fragmentSource: string },
+    options: { attributes: string[]; uniforms: string[]; samplers: string[]; needAlphaBlending: boolean },
+  ) => BabylonMaterial;
+  readonly RawTexture: new (
+    data: Uint32Array,
+    width: number,
+    height: number,
+    format: number,
+    scene: S,
+    mipmaps: boolean,
+    invertY: boolean,
+    sampling: number,
+    type: number,
+  ) => BabylonTexture;
   readonly Quaternion: new (x: number, y: number, z: number, w: number) => unknown;
 }
 
@@ -52,33 +95,39 @@ export interface BabylonSplats<M extends BabylonMesh> extends AdapterStream {
   readonly mesh: M;
 }
 
-/** Shortest time between two uploads, ms: the engine packs all splats again for each. */
-const UPLOAD_INTERVAL = 1000;
-/** Bytes of a splat, and of its coefficients in one texture, in the engine's own layout. */
-const ROW_BYTES = 32;
-const TEXEL_BYTES = 16;
-const SH_C0 = 0.28209479177387814;
-/** Scale of rows that have not arrived, which are transparent; the engine divides by it. */
-const NO_SCALE = 1e-6;
+/** Constants of the engine: formats by words of a texel, then a type, a sampling mode and a blending mode. */
+const FORMATS = { 1: 8, 2: 9, 4: 11 } as const;
+const UNSIGNED_INTEGER = 7;
+const NEAREST = 1;
+const PREMULTIPLIED_OVER = 8;
+/** Uniforms that GLSL declares as int or bool. */
+const INTEGERS = new Set(["count", "degree", "antialiased", "compensated", "levelled"]);
+/** Uniforms of a picture. */
+const OF_PICTURE = ["count", "rotation", "translation", "cameraPosition", "focal", "viewport", "middle", "depth"];
 
 /**
- * Stream a scene into a mesh of Babylon.js.
+ * Stream a scene into a mesh of Babylon.js, drawn by the rules of SPEC 8.7.
  *
+ * The mesh can be moved, turned and scaled. Opaque objects hide splats behind them. Cameras are perspective ones.
  * Splats appear as chunks arrive; refinements and SH coefficients replace their rows. Missing rows are transparent, and
- * the others compensate for them (SPEC 8.5) unless `compensate` is false. The engine sorts them by depth, holds colours
- * and rotations in bytes, and takes 36 bytes for a splat in graphics memory, and 48 for the bands of degree 3.
+ * the others compensate for them (SPEC 8.5) unless `compensate` is false. A worker sorts the rows by depth; where a
+ * policy refuses it, slices on this thread do.
  *
- * @param babylon - The module `@babylonjs/core`, 9 or later, or an object with its two classes.
- * @param world - Scene of Babylon.js that gets the mesh.
+ * Splats take 20 bytes each in graphics memory, and 40 for the bands of degree 3. Colours are written as they are, for
+ * the screen. The engine's own `GaussianSplattingMesh` would leave out splats whose centre is 1.2 times the picture away
+ * from the middle, stretch those near the edge, and cut large ones.
+ *
+ * @param babylon - The module `@babylonjs/core`, 9 or later, or an object with its four classes.
+ * @param world - Scene of Babylon.js that gets the mesh, of either handedness.
  *
  * @example
  * ```ts
- * import { GaussianSplattingMesh, Quaternion } from "@babylonjs/core";
+ * import { Mesh, Quaternion, RawTexture, ShaderMaterial } from "@babylonjs/core";
  * import { DecoderPool, StreamedScene } from "cogsplat";
  * import { streamToBabylon } from "cogsplat/babylon";
  *
  * const scene = await StreamedScene.open(url, { service: (index) => new DecoderPool(index) });
- * const { mesh, done } = streamToBabylon(scene, { GaussianSplattingMesh, Quaternion }, world);
+ * const { mesh, done } = streamToBabylon(scene, { Mesh, Quaternion, RawTexture, ShaderMaterial }, world);
  * await done;
  * ```
  */
@@ -86,121 +135,92 @@ export function streamToBabylon<S extends BabylonScene, M extends BabylonMesh>(
   scene: StreamedScene,
   babylon: BabylonModule<S, M>,
   world: S,
-  options: AdapterOptions = {},
+  options: ShadedOptions = {},
 ): BabylonSplats<M> {
-  const { info } = scene;
-  const rows = new BabylonRows(info.splats, wantedDegree(scene, options), world.getEngine().getCaps().maxTextureSize);
-  const mesh = new babylon.GaussianSplattingMesh("cogsplat", null, world);
-  place(mesh, babylon, scene, world.useRightHandedSystem ? "RUB" : "RUF", options.worldOrigin ?? info.origin);
-  const abort = followingAbort(options.signal);
-  let wanted = 0;
-  let updating: Promise<void> | undefined;
-  /** Give the engine all rows; what arrives meanwhile follows. */
-  const update = async (): Promise<void> => {
-    while (wanted > 0 && !abort.signal.aborted) {
-      const data = rows.bytes.slice(0, ROW_BYTES * wanted);
-      wanted = 0;
-      if (rows.degree === 0) await mesh.updateDataAsync(data);
-      else await mesh.updateDataAsync(data, [...rows.sh], undefined, rows.degree);
-    }
-    updating = undefined;
+  const engine = world.getEngine();
+  const shaded = new ShadedScene(scene, options, (names) => {
+    for (const { name, data } of shaded.textures) if (names.includes(name)) textures.get(name)!.update(data);
+    mesh.forcedInstanceCount = Math.max(1, Math.ceil(shaded.count / SPLATS_PER_INSTANCE));
+  });
+  const makeTexture = ({ data, words }: ShaderTexture): BabylonTexture => {
+    const size = [TEXTURE_WIDTH, shaded.lines] as const;
+    return new babylon.RawTexture(data, ...size, FORMATS[words], world, false, false, NEAREST, UNSIGNED_INTEGER);
   };
-  const target: RowTarget = {
-    format: "splats",
-    write: (chunk, shifts) => rows.write(chunk, shifts),
-    upload(count: number): void {
-      wanted = count;
-      updating ??= update();
-    },
-  };
-  const done = streamRows(scene, target, { uploadInterval: UPLOAD_INTERVAL, ...options }, abort.signal).then(
-    async () => {
-      await updating;
+  const textures = new Map(shaded.textures.map((texture) => [texture.name, makeTexture(texture)]));
+  const material = new babylon.ShaderMaterial(
+    "cogsplat",
+    world,
+    { vertexSource: VERTEX_SHADER, fragmentSource: FRAGMENT_SHADER },
+    {
+      attributes: [],
+      uniforms: [...Object.keys(shaded.constants), ...OF_PICTURE],
+      samplers: [...SAMPLERS],
+      needAlphaBlending: true,
     },
   );
+  for (const name of SAMPLERS) material.setTexture(name, (textures.get(name) ?? textures.get("splats")) as never);
+  material.alphaMode = PREMULTIPLIED_OVER;
+  material.backFaceCulling = false;
+  material.disableDepthWrite = true;
+  material.onBindObservable.add((bound) => {
+    const viewport = world.activeCamera?.viewport ?? { width: 1, height: 1 };
+    const size = [engine.getRenderWidth() * viewport.width, engine.getRenderHeight() * viewport.height] as const;
+    const matrices = { view: world.getViewMatrix().m, projection: world.getProjectionMatrix().m };
+    const picture = shaded.draw(matrices, bound.getWorldMatrix().m, size);
+    setUniforms(material.getEffect()!, { ...shaded.constants, ...picture });
+  });
+  const mesh = new babylon.Mesh("cogsplat", world);
+  mesh.setVerticesData("position", cornersOf(scene.info.box));
+  mesh.isUnIndexed = true;
+  mesh.isPickable = false;
+  mesh.forcedInstanceCount = 1;
+  mesh.material = material;
+  const axes = world.useRightHandedSystem ? "RUB" : "RUF";
+  turn(mesh, babylon, scene.info.axes, axes);
+  mesh.position.set(...originPosition(scene, options, axes));
+  const abort = followingAbort(options.signal);
   return {
     mesh,
-    done,
+    done: shaded.stream(abort.signal),
     dispose(): void {
       abort.abort();
+      shaded.close();
       mesh.dispose();
+      material.dispose();
+      for (const texture of textures.values()) texture.dispose();
     },
   };
 }
 
-/** Rows in the layout of `.splat` files, and coefficients above DC in bytes. */
-class BabylonRows {
-  readonly bytes: ArrayBuffer;
-  /** Bytes of the textures of coefficients, 16 for each splat. */
-  readonly sh: readonly Uint8Array[];
-  private readonly floats: Float32Array;
-  private readonly codes: Uint8Array;
+/** Return positions from which the engine takes the box of the mesh; the shader reads none of them. */
+function cornersOf(box: readonly number[]): Float32Array {
+  return Float32Array.from({ length: 9 * SPLATS_PER_INSTANCE }, (_, i) => box[(i % 3) + (i % 2 ? 3 : 0)]!);
+}
 
-  /** @param width - Width of the engine's textures, of which each has a line more than it needs. */
-  constructor(
-    splats: number,
-    readonly degree: number,
-    width: number,
-  ) {
-    this.bytes = new ArrayBuffer(ROW_BYTES * splats);
-    this.floats = new Float32Array(this.bytes);
-    this.codes = new Uint8Array(this.bytes);
-    for (let row = 0; row < splats; row++) this.floats.fill(NO_SCALE, 8 * row + 3, 8 * row + 6);
-    const texels = width * (Math.ceil(splats / width) + 1);
-    const textures = Math.ceil(coefficientsOf(degree) / TEXEL_BYTES);
-    this.sh = Array.from({ length: textures }, () => new Uint8Array(TEXEL_BYTES * texels).fill(128));
-  }
-
-  write({ firstRow, splats }: ChunkUpdate, shifts: Shifts | undefined): void {
-    const { count, means, scales, quats, opacities, sh0, shN, shDegree } = splats!;
-    const { floats, codes } = this;
-    for (let i = 0; i < count; i++) {
-      const row = firstRow + i;
-      for (let axis = 0; axis < 3; axis++) {
-        floats[8 * row + axis] = means[3 * i + axis]!;
-        floats[8 * row + 3 + axis] = Math.exp(scales[3 * i + axis]! + (shifts?.scales[i] ?? 0));
-        codes[32 * row + 24 + axis] = byte(255 * (0.5 + SH_C0 * sh0[3 * i + axis]!));
-      }
-      const opacity = opacityOf(opacities[i]!);
-      codes[32 * row + 27] = byte(255 * (shifts ? shiftedOpacity(opacity, shifts.opacities[i]!) : opacity));
-      for (let k = 0; k < 4; k++) codes[32 * row + 28 + k] = byte(127.5 + 127.5 * quats[4 * i + k]!);
-      const stored = coefficientsOf(shDegree);
-      for (let k = 0; k < coefficientsOf(this.degree); k++) {
-        const code = k < stored ? byte(127.5 + 127.5 * shN[stored * i + k]!) : 128;
-        this.sh[Math.floor(k / TEXEL_BYTES)]![TEXEL_BYTES * row + (k % TEXEL_BYTES)] = code;
-      }
-    }
+function setUniforms(effect: BabylonEffect, uniforms: Uniforms): void {
+  for (const [name, value] of Object.entries(uniforms)) {
+    if (INTEGERS.has(name)) effect.setInt(name, Number(value));
+    else if (typeof value === "object" && value.length === 9) effect.setMatrix3x3(name, Float32Array.from(value));
+    else if (typeof value === "object" && value.length === 3) effect.setFloat3(name, value[0]!, value[1]!, value[2]!);
+    else if (typeof value === "object") effect.setFloat2(name, value[0]!, value[1]!);
+    else effect.setFloat(name, Number(value));
   }
 }
 
-/** Return the number of values above DC of a splat. */
-function coefficientsOf(degree: number): number {
-  return 3 * ((degree + 1) ** 2 - 1);
-}
-
-function byte(value: number): number {
-  return Math.min(Math.max(Math.round(value), 0), 255);
-}
-
-/** Turn and place a mesh from the scene's axes to those of the world, which may be a reflection. */
-function place<M extends BabylonMesh>(
+/** Turn a mesh from the scene's axes to those of the world, which may be a reflection. */
+function turn<M extends BabylonMesh>(
   mesh: M,
   { Quaternion }: Pick<BabylonModule<never, M>, "Quaternion">,
-  { info }: StreamedScene,
-  axes: string,
-  origin: readonly number[],
+  from: string,
+  to: string,
 ): void {
   const opposite: Readonly<Record<string, string>> = { R: "L", L: "R", U: "D", D: "U", F: "B", B: "F" };
-  const [x, y, z] = info.axes as unknown as [string, string, string];
+  const [x, y, z] = from as unknown as [string, string, string];
   try {
-    mesh.rotationQuaternion = new Quaternion(...axesRotation(info.axes, axes));
+    mesh.rotationQuaternion = new Quaternion(...axesRotation(from, to));
   } catch (error) {
     if (!(error instanceof RangeError)) throw error;
-    mesh.rotationQuaternion = new Quaternion(...axesRotation(`${x}${opposite[y]}${z}`, axes));
+    mesh.rotationQuaternion = new Quaternion(...axesRotation(`${x}${opposite[y]}${z}`, to));
     mesh.scaling.y = -1;
   }
-  const matrix = axesMatrix(info.axes, axes);
-  const away = info.origin.map((value, axis) => value - origin[axis]!);
-  const at = (row: number): number => away.reduce((sum, value, i) => sum + matrix[3 * row + i]! * value, 0);
-  mesh.position.set(at(0), at(1), at(2));
 }

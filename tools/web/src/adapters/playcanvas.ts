@@ -94,7 +94,7 @@ export interface PlayCanvasShaders {
 
 /** Settings of an application that `drawBySpec` changes. */
 export interface PlayCanvasSettings {
-  readonly graphicsDevice: unknown;
+  readonly graphicsDevice: { readonly isWebGPU?: boolean };
   readonly scene: {
     readonly gsplat: {
       minPixelSize: number;
@@ -114,7 +114,7 @@ export interface PlayCanvasSettings {
  * of a quarter of the number of splats, rounded and between 10 and 20. Splats that share a key are drawn in arbitrary
  * order; `leastRows` of `streamToPlayCanvas` raises the number of keys.
  *
- * @returns Whether the engine's shaders were recognised; shaders of another version stay unchanged.
+ * @returns Whether the engine's shaders were changed; those of another version, and of WebGPU, stay as they are.
  *
  * @example
  * ```ts
@@ -130,6 +130,11 @@ export function drawBySpec(
   const { gsplat } = app.scene;
   gsplat.minPixelSize = 0;
   gsplat.antiAlias = info.antialiased;
+  if (app.graphicsDevice.isWebGPU) {
+    // An edited GLSL chunk makes the engine translate all of the material's shaders from GLSL, and it draws nothing.
+    console.warn('cogsplat: on WebGPU PlayCanvas draws by its own rules; for SPEC 8.7 use deviceTypes: ["webgl2"]');
+    return false;
+  }
   const own = pc.ShaderChunks.get(app.graphicsDevice as never, "glsl");
   // The engine works in half pixels, where variances are four times as large.
   const kernel = glslFloat(4 * info.kernelPx);

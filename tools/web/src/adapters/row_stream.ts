@@ -143,13 +143,14 @@ export function followingAbort(signal: AbortSignal | undefined): AbortController
   return abort;
 }
 
-/** Return the position of the scene's origin in a world with the renderer's axes. */
-export function originPosition(scene: StreamedScene, { worldOrigin }: AdapterOptions): [number, number, number] {
-  const away = scene.info.origin.map((value, axis) => value - (worldOrigin ?? scene.info.origin)[axis]!);
-  const matrix = axesMatrix(scene.info.axes);
-  return [0, 1, 2].map((row) => away.reduce((sum, value, i) => sum + matrix[3 * row + i]! * value, 0)) as [
-    number,
-    number,
-    number,
-  ];
+/** Return the position of the scene's origin in a world with the renderer's axes, of OpenGL by default. */
+export function originPosition(
+  { info }: Pick<StreamedScene, "info">,
+  { worldOrigin = info.origin }: AdapterOptions,
+  axes?: string,
+): [number, number, number] {
+  const away = info.origin.map((value, axis) => value - worldOrigin[axis]!);
+  const matrix = axesMatrix(info.axes, axes);
+  const at = (row: number): number => away.reduce((sum, value, i) => sum + matrix[3 * row + i]! * value, 0);
+  return [at(0), at(1), at(2)];
 }
