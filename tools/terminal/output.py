@@ -24,7 +24,7 @@ Json = Mapping[str, object]
 WARNINGS: Final = "cogsplat.warnings"
 """Key of a click context under which the warnings of a command wait for its JSON object."""
 
-_LABEL_WIDTH: Final = 10
+_LABEL_WIDTH: Final = 11
 _TABLE_WIDTH: Final = 200
 
 

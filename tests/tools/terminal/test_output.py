@@ -1,8 +1,14 @@
 """Printed sizes and counts."""
 
+from pathlib import Path
+
 import pytest
 
-from cogsplat.tools.terminal.output import count_text, size_text
+import cogsplat
+from cogsplat.tools.terminal.output import count_text, print_facts, size_text
+from cogsplat.tools.workflow.description_facts import description_facts
+
+VECTORS = Path(__file__).resolve().parents[2] / "vectors" / "valid"
 
 
 @pytest.mark.parametrize(
@@ -26,3 +32,13 @@ def test_sizes_are_told_in_binary_units(size: int, text: str) -> None:
 )
 def test_numbers_come_with_their_noun(number: int, text: str) -> None:
     assert count_text(number, "chunk") == text
+
+
+def test_labels_of_a_description_fit_their_column(capsys: pytest.CaptureFixture[str]) -> None:
+    with cogsplat.open(VECTORS / "description.cogs") as file:
+        description = file.description()
+    assert description is not None
+    print_facts(*description_facts(description))
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("  annotations ") for line in lines)
+    assert {len(line) - len(line[13:].lstrip()) for line in lines} == {14}
