@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import warnings
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.errors import DataError
+from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.codec.views.view_text import unit_up
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, check_output, is_folder
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import BytesSource, Source, require_within
 
+from . import canonical_msgpack, layout
+from .canonical_msgpack import Value
 from .description import Description, Picture
-from .description_segment import pack_segments
+from .description_segment import description_map, pack_segments, parse_description
 from .folder_map import MANIFEST_NAME, MANIFEST_SUFFIX
 from .folder_source import names_folder
 from .folder_writer import copy_cogs, unpack_cogs
@@ -26,8 +30,10 @@ from .layout import SegmentKind
 from .open_file import open_source
 from .packing import folder_files
 from .reader import CogsFile, open_cogs
-from .root import SegmentTable
+from .root import SegmentTable, parse_root, root_map
 from .writer import lay_out_index, segment_table
+
+_DESCRIPTION_KEYS: Final = frozenset(field.name for field in fields(Description))
 
 
 @dataclass(frozen=True)
@@ -64,8 +70,9 @@ def describe(
 ) -> Described:
     """Store another description in a COGS file or folder, without encoding it again.
 
-    All other segments keep their bytes. A folder gets a new manifest, which holds the description,
-    and an object for each new picture.
+    All other segments keep their bytes, and root and description the keys that this version does
+    not know; unknown keys inside their maps are left out with a warning. A folder gets a new
+    manifest, which holds the description, and an object for each new picture.
 
     Parameters
     ----------
@@ -181,7 +188,7 @@ def described_source(
     """
     kinds = file.segments.kind
     kept = np.flatnonzero((kinds != SegmentKind.DESCRIPTION) & (kinds != SegmentKind.PICTURE))
-    new = pack_segments(description)
+    new = pack_segments(description, _unknown_keys(file))
     root = replace(
         file.root,
         chunks=file.chunks,
@@ -200,6 +207,47 @@ def described_source(
                 payload = new[row - len(kept)].payload
                 pieces.append(_Piece(BytesSource(payload), 0, len(payload)))
     return _JoinedSource(file.name, pieces)
+
+
+def _unknown_keys(file: CogsFile) -> dict[str, Value]:
+    """Return the keys of a file's description that this version does not know.
+
+    Warn about unknown keys inside the maps of root and description, which are left out.
+    """
+    root_end = layout.PREAMBLE_BYTES
+    root_end += layout.unpack_preamble(file.read_bytes(0, root_end), file.name).root_length
+    data = file.read_bytes(0, root_end)[layout.PREAMBLE_BYTES :]
+    stored = canonical_msgpack.unpack(data, file.name)
+    lost = list(_lost_keys(stored, root_map(parse_root(stored, file.name)), "root"))
+    unknown: dict[str, Value] = {}
+    if file.description_row is not None:
+        payload = bytes(file.read_segment(file.description_row))
+        value = canonical_msgpack.unpack(payload, file.name, max_values=layout.MAX_CAMERA_VALUES)
+        known = description_map(parse_description(value, file.name))
+        assert isinstance(value, dict)
+        unknown = {key: each for key, each in value.items() if key not in _DESCRIPTION_KEYS}
+        lost += _lost_keys(value, {**known, **unknown}, "description")
+    if lost:
+        warnings.warn(
+            f"{file.name}: keys that this version does not know are left out: {', '.join(lost)}",
+            CogsplatWarning,
+            stacklevel=4,
+        )
+    return unknown
+
+
+def _lost_keys(stored: Value, kept: Value, where: str) -> Iterator[str]:
+    """Yield the paths of keys of a value that another value lacks."""
+    if isinstance(stored, dict) and isinstance(kept, dict):
+        for key, value in stored.items():
+            if key in kept:
+                yield from _lost_keys(value, kept[key], f"{where}.{key}")
+            elif value and (not isinstance(value, bytes) or any(value)):
+                # Empty arrays and columns of zeros mean the same as none.
+                yield f"{where}.{key}"
+    elif isinstance(stored, list) and isinstance(kept, list):
+        for number, (value, other) in enumerate(zip(stored, kept, strict=False)):
+            yield from _lost_keys(value, other, f"{where}[{number}]")
 
 
 def _concatenate_tables(

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Final, TypeVar
 
 import numpy as np
@@ -59,15 +60,24 @@ _DATE: Final = re.compile(
 _CONTROLS: Final = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 
-def pack_description(description: Description) -> bytes:
+def pack_description(
+    description: Description, unknown: Mapping[str, Value] = MappingProxyType({})
+) -> bytes:
     """Encode a description as the payload of its segment, without the pictures' files.
+
+    Parameters
+    ----------
+    description : Description
+        Description to encode.
+    unknown : mapping of str to Value
+        Further keys of the map, which readers skip.
 
     Raises
     ------
     DataError
         ``bad-description``: a value that readers refuse.
     """
-    payload = canonical_msgpack.pack(description_map(description))
+    payload = canonical_msgpack.pack({**description_map(description), **unknown})
     try:
         unpack_description(payload, "description")
     except CogsplatError as error:
@@ -80,8 +90,17 @@ def pack_description(description: Description) -> bytes:
     return payload
 
 
-def pack_segments(description: Description | None) -> list[Segment]:
+def pack_segments(
+    description: Description | None, unknown: Mapping[str, Value] = MappingProxyType({})
+) -> list[Segment]:
     """Return the segments of a description and its pictures; an empty list for no description.
+
+    Parameters
+    ----------
+    description : Description or None
+        Description to encode; None for none.
+    unknown : mapping of str to Value
+        Further keys of the description's map, which readers skip.
 
     Raises
     ------
@@ -91,7 +110,7 @@ def pack_segments(description: Description | None) -> list[Segment]:
     """
     if description is None or description.is_empty:
         return []
-    segments = [Segment(SegmentKind.DESCRIPTION, 0, pack_description(description))]
+    segments = [Segment(SegmentKind.DESCRIPTION, 0, pack_description(description, unknown))]
     for name, picture in description.pictures().items():
         if picture.data is None:
             raise DataError("bad-description", f"{name}: no file, expected the picture's bytes")

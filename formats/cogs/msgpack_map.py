@@ -141,8 +141,8 @@ class CheckedMap:
         flat = np.frombuffer(data, dtype)
         return flat.reshape(-1, width) if width > 1 else flat
 
-    def finish(self) -> None:
-        """Refuse remaining keys that end in ``!``, which readers must know (SPEC 4.3)."""
+    def finish(self) -> dict[str, Value]:
+        """Return the remaining, unknown keys; refuse those that end in ``!`` (SPEC 4.3)."""
         for key in self._value:
             if key.endswith("!"):
                 raise UnsupportedError(
@@ -150,3 +150,4 @@ class CheckedMap:
                     f"{self._where}: the key {key!r} is unknown and required (SPEC 4.3), expected "
                     "known ones; a newer cogsplat may read the file",
                 )
+        return self._value

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -196,6 +196,8 @@ class Root:
         Unit vector against gravity in the frame of the means; None for the ``U`` of the axes.
     core_box : (6,) float64 or None
         Bounding box as `box`, without stray splats such as floaters and sky.
+    unknown : mapping of str to Value
+        Keys that readers skip (SPEC 4.3), which a changed description keeps.
     """
 
     writer: str
@@ -212,6 +214,7 @@ class Root:
     levels: Sequence[Level] = field(default=())
     up: NDArray[np.float64] | None = None
     core_box: NDArray[np.float64] | None = None
+    unknown: Mapping[str, Value] = field(default_factory=dict)
 
     @property
     def upward(self) -> NDArray[np.float64]:
@@ -294,7 +297,7 @@ def root_map(root: Root) -> dict[str, Value]:
             }
             for page in root.pages
         ]
-    return value
+    return {**value, **root.unknown}
 
 
 def _attribute_value(kind: AttributeType) -> dict[str, Value]:
@@ -434,7 +437,6 @@ def parse_root(value: Value, where: str) -> Root:
     pages = [_page(value, where) for value in entries]
     segments = parse_segments(root.pop("segments", dict), where)
     chunks = parse_chunks(root.pop("chunks", dict), where)
-    root.finish()
     return Root(
         writer=writer,
         splats=splats,
@@ -450,6 +452,7 @@ def parse_root(value: Value, where: str) -> Root:
         levels=levels,
         up=up,
         core_box=core_box,
+        unknown=root.finish(),
     )
 
 

@@ -11,10 +11,12 @@ from pictures import picture
 
 import cogsplat
 from cogsplat import Description, Picture
-from cogsplat.codec.errors import CogsplatError, DataError
+from cogsplat.codec.errors import CogsplatError, CogsplatWarning, DataError
 from cogsplat.codec.segments.attributes import AttributeType, pack_attributes
+from cogsplat.formats.cogs import canonical_msgpack
+from cogsplat.formats.cogs.description_segment import unpack_description
 from cogsplat.formats.cogs.layout import SegmentKind
-from cogsplat.formats.cogs.root import ChunkTable
+from cogsplat.formats.cogs.root import ChunkTable, camera_map
 from cogsplat.formats.cogs.writer import Segment, write_cogs
 
 VECTORS = Path(__file__).resolve().parents[2] / "vectors" / "valid"
@@ -59,6 +61,34 @@ def test_a_removed_description_leaves_the_file_that_was(tmp_path):
     cogsplat.describe(VECTORS / "sh2.cogs", described(), tmp_path / "new.cogs")
     cogsplat.describe(tmp_path / "new.cogs", Description(), force=True)
     assert (tmp_path / "new.cogs").read_bytes() == (tmp_path / "plain.cogs").read_bytes()
+
+
+def test_keys_of_later_versions_stay(tmp_path):
+    with cogsplat.open(VECTORS / "one-splat.cogs") as file:
+        segments = [Segment(SegmentKind.HEAD, 0, bytes(file.read_segment(0)))]
+        root = replace(file.root, unknown={"weather": {"rain": True}})
+        view = {"name": "Door", **camera_map(file.first_view(view="0,0,-4,0,0,0,45"))}
+    stored = {"title": "Old", "mood": 7, "views": [view]}
+    segments.append(Segment(SegmentKind.DESCRIPTION, 0, canonical_msgpack.pack(stored)))
+    write_cogs(root, segments, tmp_path / "scene.cogs")
+    before = replace(unpack_description(segments[1].payload, "x"), title="New")
+    cogsplat.describe(tmp_path / "scene.cogs", before, up="+y", force=True)
+    with cogsplat.open(tmp_path / "scene.cogs") as file:
+        assert file.root.unknown == {"weather": {"rain": True}}
+        payload = bytes(file.read_segment(file.description_row))
+    assert canonical_msgpack.unpack(payload, "x") == stored | {"title": "New"}
+
+
+def test_keys_of_later_versions_inside_maps_are_named(tmp_path):
+    with cogsplat.open(VECTORS / "one-splat.cogs") as file:
+        segments = [Segment(SegmentKind.HEAD, 0, bytes(file.read_segment(0)))]
+        view = {"name": "Door", **camera_map(file.first_view(view="0,0,-4,0,0,0,45")), "lens": 2}
+        payload = canonical_msgpack.pack({"views": [view]})
+        segments.append(Segment(SegmentKind.DESCRIPTION, 0, payload))
+        write_cogs(file.root, segments, tmp_path / "scene.cogs")
+    new = replace(unpack_description(payload, "x"), title="New")
+    with pytest.warns(CogsplatWarning, match=r"left out: description.views\[0\].lens$"):
+        cogsplat.describe(tmp_path / "scene.cogs", new, force=True)
 
 
 def objects_of(folder):
