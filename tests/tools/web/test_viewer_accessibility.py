@@ -26,6 +26,7 @@ pytestmark = pytest.mark.slow
 
 COMPLETE = "s.state === 'complete' && s.upToDate"
 PHONE = {"width": 390, "height": 844}
+SMALL_PHONE = {"width": 320, "height": 568}
 DESKTOP = {"width": 900, "height": 700}
 SERIOUS = ("serious", "critical")
 
@@ -77,7 +78,13 @@ def check_all(page: Page, axe: str) -> None:
     expect(page.get_by_role("region", name="About this scene")).to_be_visible()
     assert serious(page, axe) == []
     page.get_by_role("button", name="Settings").click()
-    expect(page.get_by_role("form", name="Settings")).to_be_visible()
+    settings = page.get_by_role("form", name="Settings")
+    expect(settings).to_be_visible()
+    title, panel = caption.bounding_box(), settings.bounding_box()
+    assert title is not None
+    assert panel is not None
+    # The title stays visible beside or above the panel.
+    assert title["x"] + title["width"] <= panel["x"] or title["y"] + title["height"] <= panel["y"]
     assert serious(page, axe) == []
     page.get_by_role("button", name="Measure").click()
     measure = page.get_by_role("group", name="Measure")
@@ -88,15 +95,15 @@ def check_all(page: Page, axe: str) -> None:
     assert serious(page, axe) == []
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("scheme", "size"), [("light", DESKTOP), ("dark", SMALL_PHONE)])
 def test_nothing_serious_on_an_exported_page(
-    browser: Browser, described: bytes, axe: str, tmp_path: Path, scheme: str
+    browser: Browser, described: bytes, axe: str, tmp_path: Path, scheme: str, size: dict[str, int]
 ) -> None:
     path = tmp_path / "page.html"
     with path.open("wb") as out:
         write_standalone_page("scene", [described], out)
     context = browser.new_context(
-        viewport=DESKTOP, color_scheme="dark" if scheme == "dark" else "light"
+        viewport=size, color_scheme="dark" if scheme == "dark" else "light"
     )
     page = context.new_page()
     page.goto(path.as_uri())

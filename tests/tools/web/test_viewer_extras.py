@@ -191,6 +191,32 @@ def test_the_description_is_shown_as_text(
     expect(about).to_be_hidden()
 
 
+def test_texts_and_views_need_no_further_program_until_a_click(
+    page: Page, server: FaultyServer, small: SmallScene, tmp_path: Path
+) -> None:
+    view = synth_cameras(48, WIDTH, HEIGHT)[30]
+    description = Description(
+        title="The terrace",
+        text=TEXT,
+        credits="Its builders",
+        metres_per_unit=0.5,
+        background=(1.0, 0.5, 0.0),
+        views=(replace(view, name="From behind"),),
+        poster=sky(),
+    )
+    cogsplat.describe(small.cogs, description, tmp_path / "scene.cogs")
+    server.files["scene.cogs"] = (tmp_path / "scene.cogs").read_bytes()
+    open_whole(page, server.url)
+    page.get_by_role("button", name="The terrace").click()
+    about = page.get_by_role("region", name="About this scene")
+    assert TEXT in about.locator(".text").text_content()
+    assert not asked(server, "viewer_extras.js")
+    about.get_by_role("button", name="From behind").click()
+    rest(page)
+    assert looks_from(page, view)
+    assert asked(server, "viewer_extras.js")
+
+
 def test_annotations_are_buttons_at_their_places(
     page: Page, server: FaultyServer, described: bytes
 ) -> None:

@@ -8,65 +8,19 @@ import type { Stage } from "./stage.js";
 const PLAY = "M8 5.5v13l11-6.5z";
 const PAUSE = "M8 5.5v13M16 5.5v13";
 
-/** Shows the description of a scene: title, texts, views, camera path, annotations, background and sky. */
+/** Shows what a description has in the scene itself: annotations, camera path and sky. */
 export class DescribedScene {
   private readonly annotations: Annotations;
-  private readonly caption: HTMLButtonElement | undefined;
-  private readonly about: HTMLElement;
-  private readonly close = element("button", "close", "×");
   private readonly play: HTMLButtonElement | undefined;
   private player: PathPlayer | undefined;
   private isPlaying = false;
   private sky: Sky | undefined;
 
-  /** @param hasBackground - Whether the page has chosen a background of its own. */
   constructor(
     private readonly stage: Stage,
-    readonly description: Description,
-    hasBackground: boolean,
+    private readonly description: Description,
   ) {
-    const { title, text, credits, licence, date, views, path, annotations, background } = description;
-    const rights = [credits, licence].filter((part) => part !== undefined && part !== "").join(" · ");
-    this.about = element("section", "panel about glass");
-    this.about.ariaLabel = "About this scene";
-    this.about.hidden = true;
-    const list = (name: string, buttons: readonly HTMLElement[]): Node[] =>
-      buttons.length === 0
-        ? []
-        : [element("h3", "", name), element("ul", "", ...buttons.map((button) => element("li", "", button)))];
-    const { close } = this;
-    close.ariaLabel = "Close";
-    close.addEventListener("click", () => this.toggleAbout());
-    this.about.append(
-      close,
-      element("h2", "", title ?? "About this scene"),
-      ...(text === undefined ? [] : [element("p", "text", text)]),
-      ...[rights, date].filter((line) => line).map((line) => element("p", "rights", line!)),
-      ...list(
-        "Views",
-        views.map((view) => {
-          const button = element("button", "wide", view.name);
-          button.addEventListener("click", () => stage.flyTo(view));
-          return button;
-        }),
-      ),
-      ...list(
-        "Annotations",
-        annotations.map((annotation, i) => {
-          const button = element("button", "wide", `${i + 1}: ${annotation.title}`);
-          button.addEventListener("click", () => this.annotations.show(i));
-          return button;
-        }),
-      ),
-    );
-    stage.foot.before(this.about);
-    if (title !== undefined || this.about.childElementCount > 2) {
-      this.caption = element("button", "caption glass", element("b", "", title ?? "About this scene"));
-      if (rights !== "") this.caption.append(element("span", "", rights));
-      this.caption.ariaExpanded = "false";
-      this.caption.addEventListener("click", () => this.toggleAbout());
-      stage.overlay.append(this.caption);
-    }
+    const { path, annotations } = description;
     this.annotations = new Annotations(stage, annotations);
     if (path !== undefined) {
       this.player = new PathPlayer(path);
@@ -74,10 +28,6 @@ export class DescribedScene {
       this.play.addEventListener("click", () => this.togglePlay());
       stage.tools.prepend(this.play);
       this.showPlay();
-    }
-    if (background !== undefined && !hasBackground) {
-      const [r, g, b] = background as [number, number, number];
-      stage.scene.show({ background: [r, g, b, 1] });
     }
   }
 
@@ -96,6 +46,11 @@ export class DescribedScene {
     this.stage.scene.show({ sky: other.sky?.draw });
   }
 
+  /** Show the card of an annotation, by its number from 0; undefined closes the card. */
+  showAnnotation(number: number | undefined): void {
+    this.annotations.show(number);
+  }
+
   drawn(): void {
     this.annotations.drawn(this.stage.projection());
   }
@@ -110,29 +65,12 @@ export class DescribedScene {
     this.showPlay();
   }
 
-  /** Close what is open over the picture. */
-  closePanels(): void {
-    if (!this.about.hidden) this.toggleAbout();
-    this.annotations.show(undefined);
-  }
-
   remove(): void {
     this.annotations.remove();
-    for (const part of [this.caption, this.about, this.play]) part?.remove();
+    this.play?.remove();
     if (this.sky === undefined) return;
     this.stage.scene.show({ sky: undefined });
     this.sky.close();
-  }
-
-  private toggleAbout(): void {
-    const opens = this.about.hidden;
-    if (opens) this.stage.closePanels();
-    const { about, caption } = this;
-    const isFocused = about.contains((about.getRootNode() as ShadowRoot).activeElement);
-    about.hidden = !opens;
-    if (caption) caption.ariaExpanded = String(opens);
-    if (opens) this.close.focus();
-    else if (isFocused) caption?.focus();
   }
 
   private togglePlay(): void {

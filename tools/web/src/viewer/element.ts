@@ -1,10 +1,13 @@
+import type { Description } from "../container/description.js";
 import { folders } from "../loader/folders.js";
 import { StreamedScene } from "../loader/streamed_scene.js";
+import { About } from "./about.js";
 import { Divide } from "./divide.js";
 import { MARKUP } from "./markup.js";
 import { formatBytes, formatShare, parseColour } from "./numbers.js";
 import { RADIANS_PER_PIXEL } from "./orbit.js";
 import { PageBudget } from "./page_budget.js";
+import type { DescriptionSource } from "./scene_feed.js";
 import { absoluteAddress, sceneName } from "./scene_name.js";
 import { SceneView } from "./scene_view.js";
 import { describeError, type Sentence } from "./sentences.js";
@@ -108,6 +111,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
   private quiet: ReturnType<typeof setTimeout> | undefined;
   private hint: ReturnType<typeof setTimeout> | undefined;
   private extras: Extras | undefined;
+  private about: About | undefined;
   private isTurning = false;
   /** Splats of the scene; Infinity before they are known, 0 without a scene. */
   private wanted = 0;
@@ -149,7 +153,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     this.source = source;
     this.otherSource = undefined;
     this.showMessage(undefined);
-    this.extras?.clear();
+    this.forgetDescription();
     this.nameScenes();
     this.root?.classList.remove("shown");
     if (this.scene) this.askFor(Infinity);
@@ -182,7 +186,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     clearTimeout(this.quiet);
     clearTimeout(this.hint);
     CogsplatViewer.budget.leave(this);
-    this.extras?.clear();
+    this.forgetDescription();
     this.scene?.dispose();
     this.scene = this.extras = undefined;
     this.shadow.replaceChildren();
@@ -254,8 +258,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
             this.dispatchEvent(new Event("cogsplat-view"));
             this.extras?.rested();
           },
-          described: (source) =>
-            void this.withExtras((extras) => extras.describe(source, this.hasAttribute("background"))),
+          described: (source) => void this.describe(source),
           drawn: () => this.extras?.drawn(),
           motionEnded: () => {
             this.isTurning = false;
@@ -403,7 +406,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
           KeyG: togglePanel,
           KeyM: () => void this.withExtras((extras) => extras.toggleMeasure()),
           KeyT: toggleStrip,
-          Escape: () => this.extras?.closePanels(),
+          Escape: () => this.closePanels(),
         }[event.code];
         if (command === undefined) return;
         event.preventDefault();
@@ -492,7 +495,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
   }
 
   /** Load the extras and call a function with them; show a message if they cannot be loaded. */
-  private async withExtras(act: (extras: Extras) => void): Promise<void> {
+  private async withExtras(act: (extras: Extras) => void | Promise<void>): Promise<void> {
     const { scene } = this;
     try {
       const { Extras } = await CogsplatViewer.loadExtras();
@@ -506,6 +509,9 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
         tools: this.find("#tools"),
         scene,
         hint: (text) => this.showHint(text),
+        closePanels: () => this.closePanels(),
+        description: () => this.about?.description,
+        describe: (description) => this.showDescription(description, false),
         reload: () => void (this.source !== undefined && this.load(this.source)),
         chooseOther: () => this.find("#file").click(),
         rotate: (turns) => this.rotate(turns ? ROTATION : undefined),
@@ -516,7 +522,53 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
       this.showHint(`A part of the viewer cannot be loaded: ${String(error)}`, 6 * HINT_MILLISECONDS);
       return;
     }
-    act(this.extras);
+    await act(this.extras);
+  }
+
+  /** Show the description of a scene; the program of what its texts do not need is loaded. */
+  private async describe(source: DescriptionSource): Promise<void> {
+    try {
+      const description = await source.description();
+      if (description === undefined) return;
+      this.forgetDescription();
+      this.showDescription(description, this.hasAttribute("background"));
+      const { annotations, path, sky } = description;
+      if (annotations.length > 0 || path !== undefined || sky !== undefined)
+        await this.withExtras((extras) => extras.describe(source));
+    } catch (error) {
+      if (!source.signal.aborted) this.showHint(`The description of the scene cannot be shown: ${String(error)}`);
+    }
+  }
+
+  /** Show title, texts, credits and lists of a description, and its background unless the page has one. */
+  private showDescription(description: Description, hasBackground: boolean): void {
+    const { background } = description;
+    this.about?.remove();
+    this.about = new About(
+      {
+        overlay: this.find("#overlay"),
+        foot: this.find(".foot"),
+        closePanels: () => this.closePanels(),
+        flyTo: (view) => void this.withExtras((extras) => extras.flyTo(view)),
+        showAnnotation: (number) => void this.withExtras((extras) => extras.showAnnotation(number)),
+      },
+      description,
+    );
+    if (background === undefined || hasBackground) return;
+    const [r, g, b] = background as [number, number, number];
+    this.scene!.show({ background: [r, g, b, 1] });
+  }
+
+  private forgetDescription(): void {
+    this.about?.remove();
+    this.about = undefined;
+    this.extras?.clear();
+  }
+
+  /** Close what lies over the picture. */
+  private closePanels(): void {
+    this.about?.close();
+    this.extras?.closePanels();
   }
 
   /** Show a short text over the picture. */

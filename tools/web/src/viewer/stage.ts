@@ -1,3 +1,4 @@
+import type { Description } from "../container/description.js";
 import type { Vector } from "./orbit.js";
 import type { SceneView } from "./scene_view.js";
 import type { ViewerPose } from "./viewer_handle.js";
@@ -16,8 +17,12 @@ export interface Stage {
   readonly scene: SceneView;
   /** Show a short text over the picture. */
   hint(text: string): void;
-  /** Close the settings and all panels of the extras. */
+  /** Close the settings and all other panels. */
   closePanels(): void;
+  /** Description of the scene; undefined where it has none. */
+  description(): Description | undefined;
+  /** Show the texts of another description. */
+  describe(description: Description): void;
   /** Return the point of the scene at a place of the canvas, px; undefined where nothing is. */
   pick(x: number, y: number): Vector | undefined;
   /** Return the projection of the present pose; undefined before a scene is open. */

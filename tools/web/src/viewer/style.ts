@@ -52,6 +52,26 @@ svg { width: 100%; height: 100%; display: block; fill: none; stroke: currentColo
 .name { position: absolute; top: 12px; padding: 4px 10px; pointer-events: none; max-width: 45%; overflow: hidden; text-overflow: ellipsis; white-space: nowrap; }
 .name.left { left: 12px; } .name.right { right: 12px; }
 .over::after { content: "Drop to show · with Shift to compare"; position: absolute; inset: 12px; display: grid; place-content: center; border: 2px dashed #fff; border-radius: 14px; color: #fff; background: #0008; pointer-events: none; }
+.panel { align-self: flex-end; width: min(310px, 100%); min-height: 0; overflow: auto; padding: 14px 16px; }
+.panel .wide { width: 100%; min-height: 34px; margin-top: 4px; border: 1px solid var(--edge); border-radius: 8px; background: none; cursor: pointer; }
+.panel h2 { margin: 0 0 8px; font-size: 15px; }
+.caption { position: absolute; left: 12px; top: 12px; max-width: min(420px, calc(100% - 24px)); padding: 6px 12px; text-align: left; pointer-events: auto; cursor: pointer; }
+.caption > * { display: block; overflow: hidden; text-overflow: ellipsis; white-space: nowrap; }
+.caption span { font-size: 12px; color: var(--soft); }
+:host([controls=none]) .caption, :has(> .name.left:not([hidden])) .caption, .measuring .caption { display: none; }
+.about h2, .about p, .card h2, .card p { overflow-wrap: anywhere; }
+.about .text, .card p { margin: 0 0 8px; white-space: pre-line; }
+.about .rights { margin: 0 0 4px; font-size: 12px; color: var(--soft); }
+.about h3 { margin: 12px 0 2px; font-size: 13px; }
+.about ul { margin: 0; padding: 0; list-style: none; }
+.about .wide { padding: 6px 12px; text-align: left; overflow-wrap: anywhere; }
+.about, .card { flex: 0 1 auto; position: relative; align-self: flex-start; }
+:is(.about, .card) h2 { padding-right: 36px; }
+:has(.about:not([hidden])) > .overlay > .caption { visibility: hidden; }
+:is(.about, .card) .close { position: absolute; right: 6px; top: 6px; font-size: 20px; line-height: 1; }
+@container (max-width: 480px) { .panel { width: 100%; } }
+@container (max-width: 766px) and (min-height: 480px) { :has(> .overlay > .caption) > .lower { top: 74px; } }
+@container (max-width: 766px) and (max-height: 480px) { :has(.panel:not([hidden])) > .overlay > .caption { visibility: hidden; } }
 [hidden] { display: none !important; }
 @media (pointer: coarse) { .tools button, .close { width: 44px; height: 44px; padding: 10px; } }
 @media (prefers-reduced-motion: reduce) { * { transition: none !important; } .spinner { animation-duration: 4s; } }

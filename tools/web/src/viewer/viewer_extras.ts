@@ -5,7 +5,7 @@ import { EXTRAS_STYLE } from "./extras_style.js";
 import { FilmStrip } from "./film_strip.js";
 import { aheadOf, distance, flight, positionOf, translationOf } from "./flight.js";
 import { Headset } from "./headset.js";
-import { Measure, type Scale } from "./measure.js";
+import { Measure } from "./measure.js";
 import type { Vector } from "./orbit.js";
 import { Panel, type PanelHost } from "./panel.js";
 import { pick } from "./pick.js";
@@ -36,7 +36,7 @@ const NO_DESCRIPTION: Description = {
 };
 
 /** Parts of the stage that the element gives. */
-export type StageParts = Omit<Stage, "pick" | "projection" | "flyTo" | "closePanels"> &
+export type StageParts = Omit<Stage, "pick" | "projection" | "flyTo"> &
   Omit<PanelHost, "measure" | "exportSettings" | "importSettings">;
 
 /** Parts of a viewer that its first picture does not need, such as focus and measuring. */
@@ -47,7 +47,6 @@ export class Extras {
   private measure: Measure | undefined;
   private headset: Headset | undefined;
   private described: DescribedScene | undefined;
-  private scale: Scale = { metresPerUnit: undefined, unit: undefined };
 
   constructor(parts: StageParts) {
     this.stage = {
@@ -55,7 +54,6 @@ export class Extras {
       pick: (x, y) => this.pick(x, y),
       projection: () => this.projection(),
       flyTo: (pose) => this.flyTo(pose),
-      closePanels: () => this.closePanels(),
     };
     const button = (id: string): HTMLElement => parts.tools.querySelector(id)!;
     this.strip = new FilmStrip(this.stage, button("#film"));
@@ -104,7 +102,7 @@ export class Extras {
       this.measure.close();
       return;
     }
-    this.measure = new Measure(this.stage, this.scale, () => {
+    this.measure = new Measure(this.stage, this.description, () => {
       this.measure = undefined;
     });
   }
@@ -117,7 +115,7 @@ export class Extras {
     }
     const { scene, hint } = this.stage;
     try {
-      this.headset = await Headset.begin(scene, this.scale.metresPerUnit, () => {
+      this.headset = await Headset.begin(scene, this.description.metresPerUnit, () => {
         this.headset = undefined;
       });
     } catch (error) {
@@ -142,23 +140,24 @@ export class Extras {
     if (this.panel.isOpen) this.panel.showScene();
   }
 
-  /** Show the description of a scene, and its sky once that has arrived. */
-  async describe(source: DescriptionSource, hasBackground: boolean): Promise<void> {
-    try {
-      const description = await source.description();
-      if (description === undefined) return;
-      this.clear();
-      const described = this.showDescription(description, hasBackground);
-      const sky = description.sky === undefined ? undefined : await source.picture("sky");
-      if (sky !== undefined && this.described === described) await described.showSky(sky);
-    } catch (error) {
-      if (!source.signal.aborted) this.stage.hint(`The description of the scene cannot be shown: ${String(error)}`);
-    }
+  /** Show annotations, camera path and sky of a scene's description, the sky once it has arrived. */
+  async describe(source: DescriptionSource): Promise<void> {
+    const described = this.showParts();
+    const sky = this.description.sky === undefined ? undefined : await source.picture("sky");
+    if (sky !== undefined && this.described === described) await described.showSky(sky);
   }
 
-  private showDescription(description: Description, hasBackground: boolean): DescribedScene {
-    this.scale = description;
-    this.described = new DescribedScene(this.stage, description, hasBackground);
+  /** Show the card of an annotation, by its number from 0. */
+  showAnnotation(number: number): void {
+    this.described?.showAnnotation(number);
+  }
+
+  private get description(): Description {
+    return this.stage.description() ?? NO_DESCRIPTION;
+  }
+
+  private showParts(): DescribedScene {
+    this.described = new DescribedScene(this.stage, this.description);
     return this.described;
   }
 
@@ -166,9 +165,8 @@ export class Extras {
   private exportSettings(): void {
     const { scene } = this.stage;
     if (scene.camera.pose === undefined) return;
-    const parts = this.described?.description ?? NO_DESCRIPTION;
     const text = JSON.stringify(
-      exportSettings(parts, scene.camera.pose, { axes: scene.axes, up: scene.camera.up! }),
+      exportSettings(this.description, scene.camera.pose, { axes: scene.axes, up: scene.camera.up! }),
       undefined,
       2,
     );
@@ -186,8 +184,8 @@ export class Extras {
     try {
       const { parts, start } = importSettings(await file.text(), { axes: scene.axes, up: scene.camera.up });
       const { described } = this;
-      const description = { ...NO_DESCRIPTION, ...described?.description, ...parts };
-      const shown = this.showDescription(description, false);
+      this.stage.describe({ ...this.description, ...parts });
+      const shown = this.showParts();
       described?.moveSky(shown);
       described?.remove();
       if (start !== undefined) this.flyTo(start);
@@ -197,11 +195,11 @@ export class Extras {
     }
   }
 
-  /** Close what lies over the picture. */
+  /** Close what these parts show over the picture. */
   closePanels(): void {
     this.strip.close();
     this.panel.close();
-    this.described?.closePanels();
+    this.described?.showAnnotation(undefined);
   }
 
   /** Forget the scene: another is loaded. */
@@ -211,7 +209,6 @@ export class Extras {
     this.described?.remove();
     this.measure?.close();
     this.described = undefined;
-    this.scale = { metresPerUnit: undefined, unit: undefined };
   }
 
   private projection(): Projection | undefined {
@@ -220,7 +217,7 @@ export class Extras {
   }
 
   /** Fly to a pose. */
-  private flyTo(to: ViewerPose): void {
+  flyTo(to: ViewerPose): void {
     const { scene } = this.stage;
     const from = scene.camera.pose;
     if (from !== undefined) scene.camera.move(flight(from, to));
