@@ -309,7 +309,7 @@ def test_poses_are_texts(page: Page, server: FaultyServer) -> None:
     assert page.evaluate("() => cogsplatViewer.viewText") == text
     page.locator("canvas").focus()
     page.keyboard.press("c")
-    expect(page.get_by_text(f"Copied: {text}")).to_be_visible()
+    expect(page.get_by_text(f"Copied: {text.replace(',', ', ')}")).to_be_visible()
     assert page.evaluate("() => navigator.clipboard.readText()") == text
     page.evaluate("() => cogsplatViewer.setAttribute('target', '1,0,2')")
     assert target(page) == [1, 0, 2]

@@ -463,11 +463,13 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
   private async copyView(): Promise<void> {
     const text = this.viewText;
     if (text === undefined) return;
+    // Lines break between numbers.
+    const shown = text.replaceAll(",", ", ");
     try {
       await navigator.clipboard.writeText(text);
-      this.showHint(`Copied: ${text}`);
+      this.showHint(`Copied: ${shown}`);
     } catch {
-      this.showHint(`The view: ${text}`, 10 * HINT_MILLISECONDS);
+      this.showHint(`The view: ${shown}`, 10 * HINT_MILLISECONDS);
     }
   }
 

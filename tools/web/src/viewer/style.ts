@@ -22,7 +22,7 @@ button { font: inherit; color: inherit; }
 .start { position: relative; width: 76px; height: 76px; padding: 20px; border: 0; border-radius: 50%; background: #000a; color: #fff; cursor: pointer; pointer-events: auto; box-shadow: 0 0 0 2px #fff8; }
 .start svg { fill: currentColor; }
 .waiting .spinner, .waiting #hint, .waiting .foot { display: none; }
-.toast { position: absolute; left: 50%; top: 50%; translate: -50% -50%; max-width: calc(100% - 24px); padding: 8px 14px; text-align: center; text-wrap: balance; overflow-wrap: anywhere;
+.toast { position: absolute; left: 50%; top: 50%; translate: -50% -50%; width: max-content; max-width: calc(100% - 24px); padding: 8px 14px; text-align: center; text-wrap: balance; overflow-wrap: anywhere;
   opacity: 0; visibility: hidden; transition: opacity .25s, visibility .25s; pointer-events: none; }
 .toast.shown { opacity: 1; visibility: visible; }
 .overlay { position: absolute; inset: 0; overflow: hidden; pointer-events: none; }
