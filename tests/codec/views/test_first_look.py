@@ -11,8 +11,10 @@ from cogsplat.codec.views.framed_views import framed
 from cogsplat.codec.views.up_direction import up_from_cameras
 from cogsplat.codec.views.view_text import level_rotation, parse_view
 from cogsplat.tools.lab.synthetic.coverage_scenes import coverage_scene
+from cogsplat.tools.lab.synthetic.lighting import Occluders
+from cogsplat.tools.lab.synthetic.object_models import teapot, tree
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, synth_rooms
-from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
+from cogsplat.tools.lab.synthetic.terrace import splats_from_surfels, synth, synth_cameras
 
 UP = np.array([0.0, -1.0, 0.0])
 FRAMES = [(1920, 1080), (390, 844)]
@@ -112,13 +114,47 @@ def test_up_of_scenes_with_level_surfaces_is_found_however_they_are_turned(scene
     assert degrees(look.up, rotation @ UP) < 5
 
 
-@pytest.mark.parametrize("name", ["lamp", "fence", "shell", "card", "statue"])
-def test_objects_without_level_surfaces_keep_the_up_of_the_format(name):
-    splats = coverage_scene(name, 6000).splats
+def up_of(splats):
+    """Return the up direction of a scene; the first view is given, so that none is searched for."""
+    up = find_first_look(splats, view="0,0,-9,0,0,0,40").up
+    assert up is not None
+    return up
+
+
+@pytest.mark.parametrize("name", ["yard", "terrace", "rooms", "house"])
+def test_scenes_whose_axes_are_a_quarter_turn_off_come_upright(name):
+    rotation = Rotation.from_rotvec([0.5 * np.pi, 0, 0]).as_matrix()
+    assert degrees(up_of(turned(SCENES[name](), rotation)), rotation @ UP) < 5
+
+
+def made_object(name):
+    """Return an object without a ground."""
+    if name in ("teapot", "tree"):
+        rng = np.random.default_rng(3)
+        surfels = {"teapot": teapot, "tree": tree}[name](6000, rng)
+        return splats_from_surfels(surfels, Occluders(np.zeros((0, 5)), np.zeros((0, 7))), rng, 0)
+    made = {"train": train, "tower": tower}.get(name)
+    return coverage_scene(name, 6000).splats if made is None else made()
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("name", ["lamp", "teapot", "tower", "tree"])
+def test_objects_without_a_ground_come_upright_however_they_are_turned(name, seed):
+    rotation = Rotation.random(random_state=seed).as_matrix()
+    assert degrees(up_of(turned(made_object(name), rotation)), rotation @ UP) < 5
+
+
+OBJECTS = ["lamp", "fence", "shell", "card", "statue", "teapot", "train", "tower", "tree"]
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_upright_objects_keep_the_up_of_the_format(name):
+    splats = made_object(name)
     for axes, up in (("RDF", [0, -1, 0]), ("RUB", [0, 1, 0]), ("RFU", [0, 0, 1])):
-        look = find_first_look(replace(splats, info=replace(splats.info, axes=axes)))
-        assert look.up is not None
-        assert degrees(look.up, np.array(up, float)) < 5
+        rotation = Rotation.align_vectors([up], [UP])[0].as_matrix()
+        made = turned(splats, rotation)
+        found = up_of(replace(made, info=replace(made.info, axes=axes)))
+        assert degrees(found, np.array(up, float)) < 1
 
 
 def wobbly(cameras, roll_degrees, rng):
