@@ -214,8 +214,8 @@ def _shading(surfaces: Surfaces, means: F64, flat: F64) -> F64:
     offsets = surfaces.light - float(flat @ surfaces.light)
     spread = math.sqrt(float(flat @ np.square(offsets)))
     weighted = outer * flat[:, None]
-    slopes: F64 = np.linalg.solve(weighted.T @ outer + 1e-3 * np.eye(4), weighted.T @ offsets)
-    return slopes[:3] / (spread + _LEAST_LIGHT)
+    slopes = np.linalg.solve(weighted.T @ outer + 1e-3 * np.eye(4), weighted.T @ offsets)
+    return np.asarray(slopes[:3] / (spread + _LEAST_LIGHT), np.float64)
 
 
 def _mirror_overlaps(means: F64, areas: F64) -> F64:
