@@ -1,4 +1,6 @@
+import type { Camera } from "../container/cameras.js";
 import type { SceneInfo } from "../container/root.js";
+import type { ViewTable } from "../container/view_table.js";
 import type { View } from "./renderer.js";
 import { type Axes, add, cross, dot, rotate, scaled, type Vector } from "./vectors.js";
 import { viewText } from "./view_text.js";
@@ -17,6 +19,26 @@ export const RADIANS_PER_PIXEL = 0.005;
 const STEEPEST = (85 * Math.PI) / 180;
 /** Angle below the target that the camera may reach, or below the first view if that is lower, radians. */
 const BELOW = (10 * Math.PI) / 180;
+
+/** Margin of the elevations from which the capture looked, radians: planned views, too, stop at some 40° above. */
+const ELEVATION_MARGIN = (15 * Math.PI) / 180;
+/** Margin of the distances from which the capture looked: a factor nearer and farther. */
+const DISTANCE_MARGIN = 2;
+/** Share of the viewpoints at each end of a range that may be outliers. */
+const OUTLIERS = 0.05;
+/** Fewest viewpoints that look at the target and so make up a range. */
+const FEWEST_VIEWPOINTS = 8;
+/** Cosine of the angle between a viewpoint's direction and the target up to which it looks at the target. */
+const LOOKS_AT = 0.5;
+
+/** Position of a camera of the capture, and the direction in which it looked, of any length. */
+export interface Viewpoint {
+  readonly position: readonly number[];
+  readonly direction: readonly number[];
+}
+
+/** Least and greatest value. */
+type Range = readonly [number, number];
 
 /** Size of the picture to which focal lengths refer, pixels; its width if known. */
 type Picture = { readonly height: number; readonly width?: number };
@@ -38,6 +60,8 @@ export class OrbitCamera {
   private readonly ground: number;
   /** Lowest pitch of the camera downwards, radians. */
   private leastPitch = -BELOW;
+  /** Elevations and distances from which the capture looked at the target, with margins. */
+  private captured: { readonly pitch: Range; readonly distance: Range } | undefined;
   private focal: readonly [number, number];
   private picture: Picture;
 
@@ -112,6 +136,25 @@ export class OrbitCamera {
     this.offset = [0, 0, Math.max((radius * this.focal[1]) / (0.5 * this.picture.height), 1e-3)];
   }
 
+  /**
+   * Limit turning and zooming to the elevations and distances from which the capture looked at the target.
+   *
+   * Too few viewpoints that look at the target leave the limits of a scene without viewpoints.
+   */
+  limitTo(viewpoints: readonly Viewpoint[]): void {
+    const looks = viewpoints.flatMap(({ position, direction }) => {
+      const way = add(this.target, position as Vector, -1);
+      const distance = Math.hypot(...way);
+      const facing = dot(way, direction as Vector) / (distance * Math.hypot(...direction));
+      return facing > LOOKS_AT ? [{ pitch: Math.asin(dot(way, this.down) / distance), distance }] : [];
+    });
+    if (looks.length < FEWEST_VIEWPOINTS) return;
+    const [low, high] = rangeOf(looks.map(({ pitch }) => pitch));
+    const [near, far] = rangeOf(looks.map(({ distance }) => distance));
+    const pitch: Range = [Math.max(low - ELEVATION_MARGIN, -STEEPEST), Math.min(high + ELEVATION_MARGIN, STEEPEST)];
+    this.captured = { pitch, distance: [near / DISTANCE_MARGIN, far * DISTANCE_MARGIN] };
+  }
+
   /** Move the target to a distance in front of the camera; the picture stays the same. */
   turnAround(distance: number): void {
     const { position } = this;
@@ -136,12 +179,18 @@ export class OrbitCamera {
   private allowedTurn(angle: number): number {
     if (this.isFree) return angle;
     const { pitch } = this;
+    const [least, most] = this.captured?.pitch ?? [this.lowestPitch(), STEEPEST];
+    // Outside the limits, as after a pose was set, the camera may turn back only.
+    return Math.min(Math.max(pitch + angle, Math.min(least, pitch)), Math.max(most, pitch)) - pitch;
+  }
+
+  /** Return the lowest pitch of a scene without viewpoints, radians downwards. */
+  private lowestPitch(): number {
     // The camera stays above the ground: as low as the target's height over it allows at this distance.
     const height = -dot(this.target, this.down) - this.ground;
     const { distance } = this;
     const grounded = height > 0 && height < distance ? -Math.asin(height / distance) : -STEEPEST;
-    const least = Math.min(Math.max(this.leastPitch, grounded), pitch);
-    return Math.min(Math.max(pitch + angle, least), Math.max(STEEPEST, pitch)) - pitch;
+    return Math.max(this.leastPitch, grounded);
   }
 
   /** Turn the camera in place by a movement of the pointer, pixels. */
@@ -167,9 +216,12 @@ export class OrbitCamera {
     });
   }
 
-  /** Change the distance to the target by a factor. */
+  /** Change the distance to the target by a factor, within the limits. */
   zoom(factor: number): void {
-    this.offset = scaled(this.offset, factor);
+    const { distance } = this;
+    const [near, far] = (this.isFree ? undefined : this.captured?.distance) ?? [0, Infinity];
+    const wanted = Math.min(Math.max(distance * factor, Math.min(near, distance)), Math.max(far, distance));
+    this.offset = scaled(this.offset, wanted / distance);
   }
 
   /** Return the text of the pose for a canvas. */
@@ -185,6 +237,29 @@ export class OrbitCamera {
     const scale = Math.min(height / picture.height, picture.width === undefined ? Infinity : width / picture.width);
     return { rotation: this.axes.flat(), translation, focal: [this.focal[0] * scale, this.focal[1] * scale] };
   }
+}
+
+/** Return the viewpoints of cameras. */
+export function viewpointsOfCameras(cameras: readonly Camera[]): Viewpoint[] {
+  return cameras.map(({ rotation: r, translation: t }) => ({
+    position: [0, 1, 2].map((axis) => -[0, 1, 2].reduce((sum, row) => sum + r[3 * row + axis]! * t[row]!, 0)),
+    direction: r.slice(6),
+  }));
+}
+
+/** Return the viewpoints of a view table. */
+export function viewpointsOfTable({ views, positions, directions }: ViewTable): Viewpoint[] {
+  return Array.from({ length: views }, (_, view) => ({
+    position: Array.from(positions.subarray(3 * view, 3 * view + 3)),
+    direction: Array.from(directions.subarray(3 * view, 3 * view + 3)),
+  }));
+}
+
+/** Return the range of values without the outliers at each end. */
+function rangeOf(values: readonly number[]): Range {
+  const sorted = [...values].sort((a, b) => a - b);
+  const skipped = Math.floor(OUTLIERS * sorted.length);
+  return [sorted[skipped]!, sorted.at(-1 - skipped)!];
 }
 
 /** Return the direction in the scene of a letter of its axes. */
