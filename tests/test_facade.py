@@ -259,6 +259,27 @@ def test_quaternions_of_any_size_are_rendered(tmp_path, factor):
         np.testing.assert_allclose(cogsplat.render(given, ring()[0]), expected, atol=tolerance)
 
 
+def test_quaternions_of_any_size_are_trained(tmp_path, monkeypatch):
+    from cogsplat.codec.fit import tuning
+
+    trained = []
+
+    def record(splats, *_, **__):
+        trained.append(splats)
+        raise Cancelled
+
+    monkeypatch.setattr(tuning, "tune", record)
+    splats, cameras = scene(60), ring()
+    splats.quats[:3] = [[0, 0, 2e30, 0], [0, -1e-40, 0, 0], [1, 0, 0, 0]]
+    cogsplat.write(splats, tmp_path / "a.ply")
+    for given in (splats, tmp_path / "a.ply"):
+        with pytest.raises(Cancelled):
+            cogsplat.tune(given, tmp_path / "a.cogs", cameras=cameras)
+        np.testing.assert_array_equal(
+            trained.pop().quats[:3], [[0, 0, 1, 0], [0, -1, 0, 0], [1, 0, 0, 0]]
+        )
+
+
 # Squares and exponentials of such values overflow, where numpy warns; cameras show few splats.
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("profile", PROFILE_NAMES)

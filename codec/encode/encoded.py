@@ -154,15 +154,15 @@ class EncodeReport:
     size_bytes : int
         Size of the file, bytes; 0 until a container was written.
     views : str
-        Origin of the scored views: ``given``, ``planned`` or ``none``.
+        Origin of the scored views: ``given``, ``planned``, ``given and planned`` where the cameras
+        overlap too little, or ``none``.
     coverage : float
         Share of the scene that the scored views show, 0 to 1. Given views: share of splats that lie
         in a picture. Planned views: share of visible splats shown at least a quarter as clearly as
         from the best candidate place.
     test_views : str
         Origin of the test views: ``given`` by the request, ``left-out`` of the scored cameras,
-        ``scored`` where the cameras are too few or overlap too little to leave any out,
-        ``planned`` or ``none``.
+        ``scored`` where the cameras are too few to leave any out, ``planned`` or ``none``.
     test_psnr_db : tuple of float
         PSNR of the whole scene in each test view, dB; empty without a prediction.
     test_distances : tuple of float

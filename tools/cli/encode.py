@@ -452,7 +452,7 @@ def _scored(made: EncodeReport) -> str:
     """Return the scored views as text: count, origin, and the share of the scene they cover."""
     if made.views == "none":
         return count_text(made.scored_views, "view")
-    shown = "of what is visible" if made.views == "planned" else "of the splats"
+    shown = "of the splats" if made.views == "given" else "of what is visible"
     return (
         f"{count_text(made.scored_views, 'view')} {made.views}, {made.coverage:.1%} {shown} covered"
     )

@@ -104,14 +104,17 @@ def cameras_option(without: str) -> Callable[[Command], Command]:
     )
 
 
-def eval_every_option(default: int, use: str) -> Callable[[Command], Command]:
-    """Return the option ``--eval-every``; `use` ends its help, on what held-out cameras are for."""
+def eval_every_option(default: int | None, use: str) -> Callable[[Command], Command]:
+    """Return the option ``--eval-every``; `use` ends its help, on what held-out cameras are for.
+
+    A default of None stands for the cameras that `view_sets.leave_out` leaves out.
+    """
     return click.option(
         "--eval-every",
         type=click.IntRange(min=0),
         default=default,
         metavar="N",
-        show_default=True,
+        show_default="as `encode` does" if default is None else True,
         help=f"Hold out every N-th camera, from the first: {use}",
     )
 

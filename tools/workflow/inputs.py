@@ -17,7 +17,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatWarning, DataError, LimitError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.views.view_sets import hold_out
+from cogsplat.codec.views.view_sets import hold_out, left_out_every
 from cogsplat.codec.workspace import IN_MEMORY, Zeros
 from cogsplat.formats.cogs.between_levels import decode_between
 from cogsplat.formats.cogs.open_file import open_source
@@ -379,7 +379,7 @@ def evaluation_cameras(
     reference: Path,
     splats: Splats,
     path: Path | None,
-    every: int,
+    every: int | None,
     *,
     planned: Sequence[Camera] | None = None,
     threads: int = 0,
@@ -398,8 +398,9 @@ def evaluation_cameras(
         Scene, for planning test views.
     path : Path or None
         File of cameras.
-    every : int
-        Every n-th camera of `path` or `planned` is a test view; 0 takes all of these cameras.
+    every : int or None
+        Every n-th camera of `path` or `planned` is a test view; 0 takes all of these cameras. None
+        takes those that `view_sets.leave_out` leaves out.
     planned : sequence of Camera, optional
         Planned scoring views.
     threads : int
@@ -418,4 +419,6 @@ def evaluation_cameras(
         return tests, "views planned around the scene"
     else:
         cameras, what = planned, "planned views"
+    if every is None:
+        every = left_out_every(len(cameras))
     return (hold_out(cameras, every)[1] if every else cameras), what

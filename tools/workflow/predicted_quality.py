@@ -14,7 +14,7 @@ _ORIGINS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "given": "given to measure in",
         "left-out": "left out of the given cameras",
-        "scored": "scored as well, since the cameras are too few or overlap too little",
+        "scored": "scored as well, since the cameras are too few",
         "planned": "planned around the scene",
     }
 )

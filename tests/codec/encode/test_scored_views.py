@@ -81,12 +81,22 @@ def test_all_views_are_scored_where_each_shows_a_place_of_its_own(
     assert scores.contribution.tobytes() == score(splats, cameras, PLAIN).contribution.tobytes()
 
 
-def test_an_encode_scores_all_rooms(rooms: tuple[Splats, list[Camera]]) -> None:
+def test_planned_views_show_rooms_without_a_scored_camera(
+    rooms: tuple[Splats, list[Camera]],
+) -> None:
     splats, cameras = rooms
     config = EncodeConfig(order="contribution", compensate=False, threads=1)
     request = EncodeRequest(cameras=cameras, config=config, preset="fast", score_config=PLAIN)
-    scene = encode(splats, request)
-    assert scene.report.scored_views == len(cameras)
+    found = score_scene(splats, request, silent)
+    assert (found.report.views, found.report.test_views) == ("given and planned", "left-out")
+    assert list(found.test_views) == cameras[::4]
+    used = [camera for camera in cameras if camera not in cameras[::4]]
+    assert list(found.views[: len(used)]) == used
+    assert found.scores is not None
+    of_used = score(splats, used, PLAIN)
+    unseen = (score(splats, cameras[::4], PLAIN).seen > 0) & (of_used.seen == 0)
+    assert unseen.any()
+    assert (found.scores.seen[unseen] > 0).mean() > 0.5
 
 
 def test_no_views_are_refused() -> None:
@@ -101,7 +111,7 @@ def test_quality_is_predicted_in_cameras_that_were_not_scored() -> None:
     request = EncodeRequest(config=config, cameras=cameras, score_config=PLAIN)
     found = score_scene(splats, request, silent)
     assert found.report.test_views == "left-out"
-    assert [view.name for view in found.test_views] == [cameras[k].name for k in (0, 8, 16)]
+    assert [view.name for view in found.test_views] == [cameras[k].name for k in (0, 4, 8, 12, 16)]
     assert not {view.name for view in found.views} & {view.name for view in found.test_views}
     # A preset that scores few of many leaves out more, and the predicted figures are theirs.
     made = encode(splats, replace(request, preset="fast"))
