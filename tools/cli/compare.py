@@ -198,9 +198,7 @@ def _scored_note(every: int | None) -> str:
         return "the cameras that `encode` and `tune` leave out, or all of fewer than nine"
     if not every:
         return "all cameras, those that the encoder scored among them"
-    return (
-        f"one camera in {every}; `encode` and `tune` leave out one in 8, or in 4 of fewer than 40"
-    )
+    return f"one camera in {every}; `encode` and `tune` leave out one in 8, or in 4 of 16 to 39"
 
 
 def _scene_report(path: Path, scene: LoadedScene) -> dict[str, object]:

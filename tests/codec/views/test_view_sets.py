@@ -29,12 +29,13 @@ def test_zero_holds_out_none_and_one_holds_out_all():
         hold_out(cameras, -1)
 
 
-def test_every_eighth_camera_is_left_out_and_every_fourth_of_few():
+def test_every_eighth_camera_is_left_out_and_every_fourth_of_16_to_39():
     used, left_out = leave_out(list(range(40)))
     assert left_out == [0, 8, 16, 24, 32]
     assert sorted([*used, *left_out]) == list(range(40))
     assert leave_out(list(range(39)))[1] == list(range(0, 39, 4))
-    assert leave_out(list(range(9)))[1] == [0, 4, 8]
+    assert leave_out(list(range(16)))[1] == [0, 4, 8, 12]
+    assert leave_out(list(range(15)))[1] == leave_out(list(range(9)))[1] == [0, 8]
     assert leave_out(list(range(8))) == (list(range(8)), [])
     assert leave_out([]) == ([], [])
 
