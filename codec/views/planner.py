@@ -407,7 +407,7 @@ class _Planner:
             whole = bounding_ball(means, counts)
             return turntable(whole, TEST_VIEWS, self.down, self._config.near_plane)
         poses: list[Pose] = []
-        faults: list[NDArray[np.float64]] = []
+        faults: list[F64] = []
         for first in range(_TEST_ROUNDS):
             # Negative numbers of the sequence: no candidate has one of these poses, and they are
             # the same for any number of views.
@@ -439,7 +439,8 @@ class _Planner:
         pitches = np.array([pitch_deg(pose, self.down) for pose in poses])
         steep = np.abs(pitches - USUAL_PITCH_DEG) >= _MAX_PITCH_OFFSET_DEG
         wrong_side = (around > _INSIDE_OCCLUSION) != self._from_inside
-        return 4.0 * wrong_side + 2.0 * steep + 1.0 * near
+        faults: F64 = 4.0 * wrong_side + 2.0 * steep + 1.0 * near
+        return faults
 
     def _typical_detail(self) -> float:
         """Measure the typical ratio of a splat's size to its viewing distance.
