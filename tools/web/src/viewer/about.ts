@@ -23,7 +23,7 @@ export class About {
     readonly description: Description,
   ) {
     const { title = "About this scene", text, credits, licence, date, views, annotations } = description;
-    const rights = [credits, licence].filter(Boolean).join(" · ");
+    const rights = [credits, licence].filter(Boolean);
     const { panel, closer } = this;
     const list = (heading: string, texts: readonly string[], act: (number: number) => void): void => {
       if (texts.length === 0) return;
@@ -40,7 +40,7 @@ export class About {
     closer.addEventListener("click", () => this.toggle());
     panel.append(closer, element("h2", "", title));
     if (text !== undefined) panel.append(element("p", "text", text));
-    for (const line of [rights, date]) if (line) panel.append(element("p", "rights", line));
+    for (const line of [...rights, date]) if (line) panel.append(element("p", "rights", line));
     const names = views.map(({ name }) => name);
     list("Views", names, (number) => host.flyTo(views[number]!));
     const titles = annotations.map((annotation, i) => `${i + 1}: ${annotation.title}`);
@@ -48,7 +48,7 @@ export class About {
     host.foot.before(panel);
     if (description.title === undefined && panel.childElementCount <= 2) return;
     this.caption = element("button", "caption glass", element("b", "", title));
-    if (rights !== "") this.caption.append(element("span", "", rights));
+    if (rights.length > 0) this.caption.append(element("span", "", rights.join(" · ")));
     this.caption.ariaExpanded = "false";
     this.caption.addEventListener("click", () => this.toggle());
     host.overlay.append(this.caption);

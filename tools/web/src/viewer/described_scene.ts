@@ -20,52 +20,7 @@ export class DescribedScene {
     private readonly stage: Stage,
     private readonly description: Description,
   ) {
-<<<<<<< HEAD
     const { path, annotations } = description;
-=======
-    const { title, text, credits, licence, date, views, path, annotations, background } = description;
-    const rights = [credits, licence].filter((part) => part);
-    this.about = element("section", "panel about glass");
-    this.about.ariaLabel = "About this scene";
-    this.about.hidden = true;
-    const list = (name: string, buttons: readonly HTMLElement[]): Node[] =>
-      buttons.length === 0
-        ? []
-        : [element("h3", "", name), element("ul", "", ...buttons.map((button) => element("li", "", button)))];
-    const { close } = this;
-    close.ariaLabel = "Close";
-    close.addEventListener("click", () => this.toggleAbout());
-    this.about.append(
-      close,
-      element("h2", "", title ?? "About this scene"),
-      ...(text === undefined ? [] : [element("p", "text", text)]),
-      ...[...rights, date].filter((line) => line).map((line) => element("p", "rights", line!)),
-      ...list(
-        "Views",
-        views.map((view) => {
-          const button = element("button", "wide", view.name);
-          button.addEventListener("click", () => stage.flyTo(view));
-          return button;
-        }),
-      ),
-      ...list(
-        "Annotations",
-        annotations.map((annotation, i) => {
-          const button = element("button", "wide", `${i + 1}: ${annotation.title}`);
-          button.addEventListener("click", () => this.annotations.show(i));
-          return button;
-        }),
-      ),
-    );
-    stage.foot.before(this.about);
-    if (title !== undefined || this.about.childElementCount > 2) {
-      this.caption = element("button", "caption glass", element("b", "", title ?? "About this scene"));
-      if (rights.length > 0) this.caption.append(element("span", "", rights.join(" · ")));
-      this.caption.ariaExpanded = "false";
-      this.caption.addEventListener("click", () => this.toggleAbout());
-      stage.overlay.append(this.caption);
-    }
->>>>>>> 72df6ff7 (Break long texts of the viewer between numbers and at the licence, so that poses and credits stay readable on phones)
     this.annotations = new Annotations(stage, annotations);
     if (path !== undefined) {
       this.player = new PathPlayer(path);
