@@ -1,6 +1,7 @@
 """Settings of the SuperSplat viewer as JSON: background, start camera, track, annotations.
 
-Source: Experience Settings, version 2 (developer.playcanvas.com, SuperSplat's user manual, 2026).
+Source: Experience Settings, version 2 (developer.playcanvas.com, SuperSplat's user manual, 2026);
+settings without a version are the first one (github.com/playcanvas/supersplat-viewer, src/schemas).
 Settings are a file next to the scene. The viewer turns scenes by 180° about z: its positions are
 those of the splats, in the axes of 3DGS training, with x and y negated. Fields of view are vertical
 here.
@@ -32,6 +33,8 @@ F64 = NDArray[np.float64]
 
 _CODE: Final = "bad-settings-file"
 _VERSION: Final = 2
+# Field of view of settings of the first version that state none, degrees.
+_FIRST_FOV: Final = 60.0
 
 # The viewer's axes in terms of right, down, front.
 _VIEWER: Final = np.diag([-1.0, -1.0, 1.0])
@@ -59,7 +62,7 @@ class ViewerSettings:
 
 def is_settings(value: Mapping[str, object]) -> bool:
     """Whether a JSON object holds settings of SuperSplat rather than a description."""
-    return "animTracks" in value or "tonemapping" in value or "cameras" in value
+    return any(key in value for key in ("animTracks", "tonemapping", "cameras", "camera"))
 
 
 def parse_settings(value: Mapping[str, object], where: str, axes: str, up: F64) -> ViewerSettings:
@@ -79,9 +82,11 @@ def parse_settings(value: Mapping[str, object], where: str, axes: str, up: F64) 
     Raises
     ------
     FormatError
-        ``bad-settings-file``: another version than 2, or a value of another type.
+        ``bad-settings-file``: another version than the first and 2, or a value of another type.
     """
     root = JsonObject(dict(value), where, _CODE)
+    if "version" not in root and "camera" in root:
+        root = _from_first_version(root)
     if root.integer("version", 0, 1 << 30, default=0) != _VERSION:
         raise root.wrong("version", "settings of version 2")
     into = (_VIEWER @ right_down_front(axes)).T
@@ -99,6 +104,28 @@ def parse_settings(value: Mapping[str, object], where: str, axes: str, up: F64) 
         annotations=tuple(reader.annotation(one) for one in root.children("annotations")),
     )
     return ViewerSettings(description, first)
+
+
+def _from_first_version(root: JsonObject) -> JsonObject:
+    """Return settings of the first version, which states none, as settings of version 2."""
+    camera = root.child("camera")
+    fov = camera.number("fov", _FIRST_FOV)
+    value: dict[str, object] = {"version": _VERSION}
+    if "position" in camera and "target" in camera:
+        pose = {key: camera.values[key] for key in ("position", "target")}
+        value["cameras"] = [{"initial": {**pose, "fov": fov}}]
+    if "background" in root and "color" in root.child("background"):
+        value["background"] = root.values["background"]
+    tracks = []
+    for track in root.children("animTracks"):
+        frames = track.child("keyframes")
+        times = frames.numbers("times")
+        values = {**frames.child("values").values, "fov": [fov] * len(times)}
+        # Times are in seconds where the track states no frame rate.
+        rate = track.number("frameRate", 1.0)
+        keyframes = {"times": times, "values": values}
+        tracks.append({**track.values, "frameRate": rate, "keyframes": keyframes})
+    return JsonObject({**value, "animTracks": tracks}, root.where, _CODE)
 
 
 def _share(value: float) -> float:

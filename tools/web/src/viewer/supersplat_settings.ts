@@ -8,6 +8,8 @@ import type { ViewerPose } from "./viewer_handle.js";
 
 /** Version of the settings (SuperSplat's user manual, Experience Settings). */
 const VERSION = 2;
+/** Field of view of settings of the first version that state none, degrees. */
+const FIRST_FOV = 60;
 /** Frames a second of written tracks, whose times are in frames. */
 const FRAME_RATE = 30;
 /** Side of the picture of a pose, px. */
@@ -91,13 +93,13 @@ export function exportSettings(parts: SettingsParts, start: ViewerPose, { axes }
  * Read SuperSplat's settings.
  *
  * @returns The parts of a description, and the pose in which the viewer starts, if any.
- * @throws SyntaxError if the text is no settings of version 2.
+ * @throws SyntaxError if the text is no settings of the first version, which states none, or of version 2.
  */
 export function importSettings(
   text: string,
   { axes, up }: SceneSpace,
 ): { readonly parts: SettingsParts; readonly start: ViewerPose | undefined } {
-  const root = new Item(JSON.parse(text), "settings");
+  const root = fromFirstVersion(new Item(JSON.parse(text), "settings"));
   if (root.at("version").value !== VERSION) throw root.refusal(`expected settings of version ${VERSION}`);
   const turned = rightDownFront(axes);
   const point = (p: readonly number[]): Vector =>
@@ -156,6 +158,25 @@ export function importSettings(
   return { parts, start: camera && pose(camera.at("initial")) };
 }
 
+/** Return settings of the first version, which states none, as settings of version 2; others as they are. */
+function fromFirstVersion(root: Item): Item {
+  const camera = root.at("camera");
+  if (root.at("version").value !== undefined || camera.value === undefined) return root;
+  const [position, target] = [camera.at("position").value, camera.at("target").value];
+  const fov = camera.at("fov").value ?? FIRST_FOV;
+  const animTracks = root
+    .at("animTracks")
+    .items()
+    .map((track) => {
+      const times = track.at("keyframes").at("times").numbers();
+      const values = { ...(track.at("keyframes").at("values").value as object), fov: times.map(() => fov) };
+      // Times are in seconds where the track states no frame rate.
+      return { frameRate: 1, ...(track.value as object), keyframes: { times, values } };
+    });
+  const cameras = position === undefined || target === undefined ? [] : [{ initial: { position, target, fov } }];
+  return root.with({ version: VERSION, background: root.at("background").value, cameras, animTracks });
+}
+
 /** A value of the settings, and where it stands. */
 class Item {
   constructor(
@@ -168,6 +189,11 @@ class Item {
     const { value, where } = this;
     const isMap = typeof value === "object" && value !== null && Object.hasOwn(value, key);
     return new Item(isMap ? (value as Record<string, unknown>)[key] : undefined, `${where}.${key}`);
+  }
+
+  /** Return another value in the same place. */
+  with(value: object): Item {
+    return new Item(value, this.where);
   }
 
   /** Return the items of a list; none of a missing one. */
