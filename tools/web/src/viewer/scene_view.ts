@@ -37,7 +37,7 @@ export interface SceneViewHost
   restored(): void;
 }
 
-/** Share of the splats within the budget below which a scene is loaded again, to hold more splats. */
+/** Ratio of the splats held and the budget, either way round, below which memory is allocated or freed. */
 const TOO_FEW = 0.75;
 
 /** Shows a scene, and optionally a second one, on a canvas: loads it, moves the camera, draws on demand. */
@@ -224,8 +224,8 @@ export class SceneView {
   /**
    * Limit the splats to the viewer's share of the page's budget.
    *
-   * Without any the scene's memory is given back, and with many more the scene is loaded again; the canvas keeps its
-   * picture meanwhile.
+   * With many fewer the memory of the others is given back. The scene is loaded again with many more, and with many
+   * fewer where it is fetched in view order; the canvas keeps its picture meanwhile. Without any the scene is closed.
    */
   share(splats: number): void {
     this.sharedBudget = splats;
@@ -236,8 +236,11 @@ export class SceneView {
     }
     const most = Math.min(main?.layer?.scene.splats ?? Infinity, this.budget);
     if (splats > 0 && main !== undefined && main.budget >= TOO_FEW * most) {
-      this.applyBudget();
-      return;
+      const isMuchLess = main.layer !== undefined && splats < TOO_FEW * main.layer.capacity;
+      if (!isMuchLess || main.release(splats)) {
+        this.applyBudget();
+        return;
+      }
     }
     this.keptRows = Math.max(this.drawnRows, this.keptRows);
     this.hasMoved = false;

@@ -25,8 +25,8 @@ export interface LoadOptions {
 /** A scene on a canvas: its feed, its layer once it is open, and its workers. */
 export class ShownScene {
   readonly feed: SceneFeed;
-  /** Splats in memory at most, when it was loaded. */
-  readonly budget: number;
+  /** Splats in memory at most. */
+  budget: number;
   layer: SplatLayer | undefined;
   private readonly workers: AllowedWorkers;
   private readonly abort = new AbortController();
@@ -65,6 +65,18 @@ export class ShownScene {
       new DepthSorter(rows, this.workers.known, (message) => failed(new Error(message)));
     this.layer = new SplatLayer(gl, scene, DEFAULT_RANGES, capacity, sorter, changed);
     return this.layer;
+  }
+
+  /**
+   * Free the memory of splats beyond a budget.
+   *
+   * @returns Whether that is possible: rows of a scene in view order are anywhere in memory.
+   */
+  release(budget: number): boolean {
+    if (this.layer === undefined || this.feed.setSplatBudget?.(budget) === true) return false;
+    this.budget = budget;
+    this.layer.release(budget);
+    return true;
   }
 
   get isClosed(): boolean {

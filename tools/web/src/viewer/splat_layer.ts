@@ -24,8 +24,7 @@ const SAME_DIRECTION = 1 - 4e-7;
 
 /** One scene drawn: its rows, and their order for the view. */
 export class SplatLayer {
-  /** Rows of allocated memory. */
-  readonly capacity: number;
+  private allocated: number;
   private readonly textures: SplatTextures;
   /** Rows received, from the first on. */
   private arrived = 0;
@@ -36,6 +35,10 @@ export class SplatLayer {
   /** Duration of the last sort, ms. */
   sortMilliseconds = 0;
   private most = Infinity;
+  /** Rows whose memory is kept. */
+  private kept = Infinity;
+  /** Ends of the chunks written, rows. */
+  private readonly ends = new Set<number>();
   private sorted: { readonly rows: number; readonly forward: readonly number[] } | undefined;
   private sorting = false;
   private stale = true;
@@ -59,7 +62,7 @@ export class SplatLayer {
     private readonly changed: () => void,
   ) {
     const lines = gl.getParameter(gl.MAX_TEXTURE_SIZE) as number;
-    this.capacity = Math.min(scene.splats, capacity, lines * TEXTURE_WIDTH);
+    this.allocated = Math.min(scene.splats, capacity, lines * TEXTURE_WIDTH);
     this.textures = new SplatTextures(this.capacity, scene.shDegree, scene.hasLevels);
     this.textures.allocate(gl);
     this.sorter = makeSorter(this.capacity);
@@ -67,9 +70,14 @@ export class SplatLayer {
 
   private readonly sorter: DepthSorter;
 
+  /** Rows of allocated memory. */
+  get capacity(): number {
+    return this.allocated;
+  }
+
   /** Rows drawn once they are sorted. */
   get rows(): number {
-    return Math.min(this.arrived, this.most);
+    return Math.min(this.arrived, this.most, this.kept);
   }
 
   /** Packed words of all rows. */
@@ -91,6 +99,7 @@ export class SplatLayer {
   write(packed: PackedSplats, firstRow: number): void {
     if (firstRow + packed.count > this.capacity) return;
     this.textures.write(packed, firstRow);
+    this.ends.add(firstRow + packed.count);
     this.arrived = Math.max(this.arrived, firstRow + packed.count);
     this.sorter.add(firstRow, packed.words);
     this.stale = true;
@@ -132,6 +141,15 @@ export class SplatLayer {
     this.changed();
   }
 
+  /** Draw only the chunks within the first rows, and free the memory of all others once they are not drawn. */
+  release(rows: number): void {
+    const whole = Math.max(...[...this.ends].filter((end) => end <= rows), 0);
+    // Of a chunk that is only partly there, later changes could not be written.
+    this.kept = this.arrived > rows && whole > 0 ? whole : Math.max(rows, 1);
+    this.stale = true;
+    this.changed();
+  }
+
   /** Make the textures again after the WebGL context was lost. */
   restore(): void {
     this.textures.allocate(this.gl);
@@ -165,6 +183,14 @@ export class SplatLayer {
     this.textures.delete(this.gl);
   }
 
+  /** Free the memory of released rows, once the drawing order is without them. */
+  private shrink(): void {
+    if (this.kept >= this.allocated || this.drawnRows > this.kept) return;
+    this.allocated = this.kept;
+    this.arrived = Math.min(this.arrived, this.kept);
+    this.textures.shrink(this.gl, this.kept);
+  }
+
   private async sort(forward: readonly number[]): Promise<void> {
     if (this.sorting) return;
     this.sorting = true;
@@ -175,6 +201,7 @@ export class SplatLayer {
     this.textures.writeOrder(order, rows);
     this.spare = order;
     this.sorted = { rows, forward };
+    this.shrink();
     this.sortMilliseconds = milliseconds;
     this.changed();
     // Rows that arrived meanwhile need not wait for a picture either.

@@ -10,9 +10,9 @@ const BYTES_AT_ONCE = 4 << 20;
 
 /** A texture of unsigned integers, one texel per splat, with a copy in memory from which changed lines are uploaded. */
 class RowTexture {
-  readonly words: Uint32Array;
+  words: Uint32Array;
   private texture: WebGLTexture | undefined;
-  private readonly height: number;
+  private height: number;
   /** Lines that differ from the texture. */
   private readonly changed = new Set<number>();
 
@@ -36,8 +36,22 @@ class RowTexture {
 
   /** Mark rows as changed. */
   touch(first: number, count: number): void {
-    const end = Math.ceil((first + count) / TEXTURE_WIDTH);
+    const end = Math.min(Math.ceil((first + count) / TEXTURE_WIDTH), this.height);
     for (let line = Math.floor(first / TEXTURE_WIDTH); line < end; line++) this.changed.add(line);
+  }
+
+  /** Free the memory of all but the first rows; `frame` is a framebuffer for the copy of what stays. */
+  shrink(gl: WebGL2RenderingContext, rows: number, frame: WebGLFramebuffer): void {
+    const before = this.texture!;
+    this.height = Math.max(1, Math.ceil(rows / TEXTURE_WIDTH));
+    this.words = this.words.slice(0, TEXTURE_WIDTH * this.height * this.channels);
+    for (const line of this.changed) if (line >= this.height) this.changed.delete(line);
+    gl.activeTexture(gl.TEXTURE0);
+    this.allocate(gl);
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, frame);
+    gl.framebufferTexture2D(gl.READ_FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, before, 0);
+    gl.copyTexSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 0, 0, TEXTURE_WIDTH, this.height);
+    gl.deleteTexture(before);
   }
 
   /** Upload about `mostBytes` of changed lines; return the number of bytes. */
@@ -111,6 +125,15 @@ export class SplatTextures {
       // WebGL fills textures with zeros, which need no upload.
       texture.touch(0, this.written);
     }
+  }
+
+  /** Free the memory of all but the first rows. */
+  shrink(gl: WebGL2RenderingContext, rows: number): void {
+    this.written = Math.min(this.written, rows);
+    const frame = gl.createFramebuffer();
+    for (const texture of this.all) texture.shrink(gl, rows, frame);
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, null);
+    gl.deleteFramebuffer(frame);
   }
 
   /** Write a chunk's rows. */
