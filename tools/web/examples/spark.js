@@ -7,6 +7,7 @@ import { firstPose } from "./pose.js";
 
 const canvas = document.querySelector("canvas");
 const output = document.querySelector("output");
+addEventListener("error", ({ error }) => (output.textContent = error.message));
 const parameters = new URLSearchParams(location.search);
 const url = parameters.get("scene") ?? "scene.cogs";
 
