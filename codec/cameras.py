@@ -113,3 +113,8 @@ class Camera:
         """Centre in world coordinates, (3,) float64."""
         centre: NDArray[np.float64] = -self.rotation.T @ self.translation
         return centre
+
+    @property
+    def focal_px(self) -> float:
+        """Geometric mean of the focal lengths, px."""
+        return math.sqrt(self.fx * self.fy)

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .capture import Capture
 from .errors import DataError
 from .trained_arrays import TRAINED_NAMES, as_floats, log_scales, logits, wxyz
 
@@ -55,6 +56,9 @@ class SceneInfo:
     antialiased : bool
         Whether opacities are rescaled by the area that the kernel adds (Mip-Splatting, section
         4.2).
+    capture : Capture
+        Viewpoints of the training pictures, by which splats keep their trained thickness in
+        pictures of any size; none where they are not known, and of anti-aliased scenes.
     """
 
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -62,6 +66,7 @@ class SceneInfo:
     colour_space: str = "srgb"
     kernel_px: float = 0.3
     antialiased: bool = False
+    capture: Capture = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -363,9 +363,7 @@ def render(
 
     splats = _splats(scene)
     camera = camera or _first_view(scene, splats, threads)
-    config = RenderConfig(
-        splats.info.kernel_px, splats.info.antialiased, background=background, threads=threads
-    )
+    config = RenderConfig(background=background, threads=threads)
     return rasterise(splats, camera, config)
 
 

@@ -310,10 +310,7 @@ def _view_error(
     """Return the mean squared error of a compensated prefix in one reference view."""
     prefix = compensation.apply(splats.take(slice(0, size)), chunks)
     config = RenderConfig(
-        references.kernels[view],
-        prefix.info.antialiased,
-        near_plane=references.near_plane,
-        threads=1,
+        near_plane=references.near_plane, reduction=references.reductions[view], threads=1
     )
     drawn = np.clip(render(prefix, references.cameras[view], config), 0.0, 1.0)
     return float(np.mean(np.square(drawn - references.pictures[view], dtype=np.float64)))

@@ -79,10 +79,7 @@ class PrefixEvaluator:
         count = thread_count(threads)
         by_view = views_at_once or executor is not None
         self._executor = executor or LocalThreads(count if by_view else 1)
-        info = source.info
-        self._config = RenderConfig(
-            info.kernel_px, info.antialiased, threads=1 if by_view else count
-        )
+        self._config = RenderConfig(threads=1 if by_view else count)
         draw = partial(_draw, config=self._config)
         self._expected = list(self._executor.map(draw, views, source))
 

@@ -132,7 +132,7 @@ def _view_gradient(
         row_colours(prefix, np.arange(len(prefix), dtype=np.int32), camera),
         camera,
         references.pictures[view],
-        kernel_px=references.kernels[view],
+        reduction=references.reductions[view],
         near_plane=references.near_plane,
     )
 

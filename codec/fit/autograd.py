@@ -25,12 +25,12 @@ class _Render(torch.autograd.Function):  # type: ignore[misc]
 
     @staticmethod
     def forward(
-        ctx: Any, camera: Camera, config: RenderConfig, *tensors: torch.Tensor
+        ctx: Any, camera: Camera, config: RenderConfig, info: SceneInfo, *tensors: torch.Tensor
     ) -> torch.Tensor:
         """Render the tensors of a scene; return the (H, W, 3) picture."""
         ctx.save_for_backward(*tensors)
         values: dict[str, Any] = dict(zip(Gradients.names(), map(_array, tensors), strict=True))
-        ctx.forward_pass = render_forward(Splats(**values), camera, config)
+        ctx.forward_pass = render_forward(Splats(**values, info=info), camera, config)
         return torch.from_numpy(ctx.forward_pass.picture).to(tensors[0].device)
 
     @staticmethod
@@ -41,7 +41,7 @@ class _Render(torch.autograd.Function):  # type: ignore[misc]
         gradients = Gradients.zeros(ctx.forward_pass.splats)
         ctx.forward_pass.backward(_array(by_outputs[0].contiguous()), gradients)
         values = [getattr(gradients, name) for name in Gradients.names()]
-        return (None, None, *(torch.from_numpy(value).to(means.device) for value in values))
+        return (None, None, None, *(torch.from_numpy(value).to(means.device) for value in values))
 
 
 def render(
@@ -53,6 +53,7 @@ def render(
     shN: torch.Tensor,
     camera: Camera,
     config: RenderConfig | None = None,
+    info: SceneInfo | None = None,
 ) -> torch.Tensor:
     """Render splats as a PyTorch operation that is differentiable by all six tensors.
 
@@ -71,8 +72,10 @@ def render(
     camera : Camera
         Camera in the frame of the means.
     config : RenderConfig or None
-        Render settings. By default, the 3DGS kernel of 0.3 px² without anti-aliasing, over black,
-        on the CPU. With ``device="cuda"``, forward and backward pass run on the GPU.
+        Render settings. By default, over black and on the CPU. With ``device="cuda"``, forward and
+        backward pass run on the GPU.
+    info : SceneInfo or None
+        Kernel and anti-aliasing; None for those of 3DGS.
 
     Returns
     -------
@@ -99,8 +102,8 @@ def render(
     >>> bool(tensors[0].grad.abs().max() > 0)
     True
     """
-    info = SceneInfo()
-    config = config or RenderConfig(kernel_px=info.kernel_px)
     tensors = (means, scales, quats, opacities, sh0, shN)
-    picture: torch.Tensor = _Render.apply(camera, config, *tensors)
+    picture: torch.Tensor = _Render.apply(
+        camera, config or RenderConfig(), info or SceneInfo(), *tensors
+    )
     return picture

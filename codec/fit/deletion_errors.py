@@ -26,7 +26,7 @@ def _view_errors(
 ) -> tuple[NDArray[np.int32], F64]:
     """Return the rows of the splats that one view shows, and the deletion error of each in it."""
     camera, config = views.cameras[number], views.configs[number]
-    footprints = project(splats, camera, kernel_px=config.kernel_px, antialiased=config.antialiased)
+    footprints = project(splats, camera, reduction=config.reduction)
     colours = footprint_colours(splats, camera, footprints)
     picture = render(splats, camera, config)
     present = np.ones(len(footprints), np.bool_)

@@ -233,8 +233,7 @@ class ForwardPass:
             np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float64),
             camera.width,
             camera.height,
-            float(self.config.kernel_px),
-            self.config.antialiased,
+            self.footprints.added,
             gradients.means,
             gradients.scales,
             gradients.quats,
@@ -262,11 +261,11 @@ def render_forward(
     Parameters
     ----------
     splats : Splats
-        Scene to render; rows that cannot be drawn are skipped.
+        Scene to render, with the kernel of `Splats.info`; rows that cannot be drawn are skipped.
     camera : Camera
         Camera in the frame of the means.
     config : RenderConfig or None
-        Render settings. By default, kernel and anti-aliasing of `Splats.info` over black.
+        Render settings; None for the defaults.
 
     Returns
     -------
@@ -286,21 +285,14 @@ def render_forward(
     >>> by_centres.shape[0] == len(forward.footprints), bool(np.abs(gradients.sh0).max() > 0)
     (True, True)
     """
-    info = splats.info
-    config = config or RenderConfig(kernel_px=info.kernel_px, antialiased=info.antialiased)
+    config = config or RenderConfig()
     if config.device == "cuda":
         view = cuda_view(CudaScene(splats), camera, config)
         picture = view.picture(config.background)
         return ForwardPass(
             splats, camera, config, view.footprints, view.colours, picture, (), (), view
         )
-    footprints = project(
-        splats,
-        camera,
-        kernel_px=config.kernel_px,
-        antialiased=config.antialiased,
-        near_plane=config.near_plane,
-    )
+    footprints = project(splats, camera, reduction=config.reduction, near_plane=config.near_plane)
     colours = footprint_colours(splats, camera, footprints, sh_degree=config.sh_degree)
     present = np.ones(len(footprints), np.bool_)
     picture = np.empty((camera.height, camera.width, 3), np.float32)

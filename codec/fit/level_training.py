@@ -338,8 +338,7 @@ def _targets(
         if [picture.shape for picture in pictures] != sizes:
             raise ValueError(f"{len(pictures)} pictures, expected one per camera, of its size")
         return list(pictures)
-    info = source.info
-    settings = RenderConfig(kernel_px=info.kernel_px, antialiased=info.antialiased, threads=1)
+    settings = RenderConfig(threads=1)
     targets = []
     renders = ordered_map(
         lambda camera: render(source, camera, settings), cameras, thread_count(config.threads)
@@ -382,10 +381,7 @@ def _train_level(
         Splits splats; also selects the learning rates of levels that start from points.
     """
     scene = with_values(scene, {name: getattr(scene, name).copy() for name in Gradients.names()})
-    info = scene.info
-    settings = RenderConfig(
-        kernel_px=info.kernel_px, antialiased=info.antialiased, threads=config.threads
-    )
+    settings = RenderConfig(threads=config.threads)
     adam, gradients = SplatAdam(scene), Gradients.zeros(scene)
     axes = _middle_axes(scene)
     from_points = densification is not None

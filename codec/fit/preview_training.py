@@ -318,10 +318,10 @@ def _quality_for_size(prepared: PreparedScene, size: int) -> float:
 
 
 def _as_training_views(references: ReferenceViews, splats: Splats) -> TrainingViews:
-    """Return reference views as training views, with the anti-aliasing setting of a scene."""
+    """Return reference views as training views."""
     configs = [
-        RenderConfig(kernel, splats.info.antialiased, near_plane=references.near_plane, threads=1)
-        for kernel in references.kernels
+        RenderConfig(near_plane=references.near_plane, reduction=reduction, threads=1)
+        for reduction in references.reductions
     ]
     given = references.given
     return TrainingViews(references.cameras, configs, references.pictures, given, given)

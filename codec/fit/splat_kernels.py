@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 from cogsplat.codec.compiling import called_with
 from cogsplat.codec.geometry import sh
 from cogsplat.codec.render.jit import inner_kernel, kernel
-from cogsplat.codec.render.projection import FLAT, GUARD, NARROW, SHEAR, fill_rotation
+from cogsplat.codec.render.projection import (
+    FILTER,
+    FLAT,
+    GUARD,
+    NARROW,
+    SHEAR,
+    THICKNESS,
+    fill_rotation,
+)
 from cogsplat.codec.render.shading import sh_terms
 
 from .tile_kernels import BY_RED, GU, GUU, GUV, GV, GVV, G
@@ -155,8 +163,7 @@ def add_shape_gradients(
     intrinsics: F64,
     width: int,
     height: int,
-    kernel_px: float,
-    antialiased: bool,
+    added: F32,
     by_means: F32,
     by_scales: F32,
     by_quats: F32,
@@ -179,10 +186,8 @@ def add_shape_gradients(
         Camera pose, and fx, fy, cx, cy.
     width, height : int
         Size of the picture, px.
-    kernel_px : float
-        Variance added to projected covariances, px².
-    antialiased : bool
-        Whether opacities were scaled down by the area that the kernel adds.
+    added : (M, 2) float32
+        Array of `Footprints`. Its dependence on the means is neglected.
     by_means, by_scales, by_quats, by_opacities : (N, 3), (N, 3), (N, 4), (N,) float32
         Gradients w.r.t. means, log scales, quaternions and logits, changed in place.
     by_centres : (M, 2) float64
@@ -253,9 +258,10 @@ def add_shape_gradients(
         xy = 2.0 * narrow * (sheared * guu + root_flat * guv)
         yy = sheared * sheared * guu + 2.0 * sheared * root_flat * guv
         yy = 2.0 * (yy + root_flat * root_flat * gvv)
-        if antialiased:
+        if added[row, FILTER] > 0.0:
             # The log of the opacity factor is half the difference of ln det of the covariance
-            # without and with the kernel.
+            # without and with the filter.
+            thickness = float(added[row, THICKNESS])
             var_x = scaled[0, 0] ** 2 + scaled[0, 1] ** 2 + scaled[0, 2] ** 2
             var_y = scaled[1, 0] ** 2 + scaled[1, 1] ** 2 + scaled[1, 2] ** 2
             cov = 0.0
@@ -265,6 +271,9 @@ def add_shape_gradients(
                 k = (j + 1) % 3
                 area = scaled[0, j] * scaled[1, k] - scaled[0, k] * scaled[1, j]
                 det += area * area
+            det += thickness * (var_x + var_y) + thickness * thickness
+            var_x += thickness
+            var_y += thickness
             if det > 0.0:
                 xx += 0.5 * g * (var_y / det - 2.0 * narrow * narrow)
                 xy -= 0.5 * g * (cov / det + 2.0 * narrow * sheared)

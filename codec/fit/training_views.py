@@ -15,7 +15,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import RenderConfig, render
-from cogsplat.codec.splats import SceneInfo, Splats
+from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.codec.views.view_sets import jitter, sample_evenly
 
@@ -76,17 +76,9 @@ class TrainingViews:
         return len(self.cameras)
 
 
-def _render_config(
-    info: SceneInfo, factor: int, background: Background, device: str
-) -> RenderConfig:
+def _render_config(factor: int, background: Background, device: str) -> RenderConfig:
     """Return the render settings of a view whose picture is downscaled by `factor` per axis."""
-    return RenderConfig(
-        info.kernel_px / (factor * factor),
-        info.antialiased,
-        background=background,
-        threads=1,
-        device=device,
-    )
+    return RenderConfig(background=background, reduction=factor, threads=1, device=device)
 
 
 def _downscaling_factor(camera: Camera, max_pixels: int) -> int:
@@ -226,7 +218,7 @@ def make_training_views(
     for number in range(len(views) - len(covering), len(views)):
         factors[number] *= min(_COVERING_FACTOR, views[number].width, views[number].height)
     small = [downscale_camera(*pair) for pair in zip(views, factors, strict=True)]
-    configs = [_render_config(source.info, factor, background, device) for factor in factors]
+    configs = [_render_config(factor, background, device) for factor in factors]
     chosen_photos = [] if photos is None else [photos[number] for number in chosen]
     pictures = [downscale_picture(*pair) for pair in zip(chosen_photos, factors, strict=False)]
     to_render = list(zip(small, configs, strict=True))[len(pictures) :]

@@ -112,7 +112,7 @@ def view_gains(
     camera: Camera,
     target: NDArray[np.float32],
     *,
-    kernel_px: float,
+    reduction: float = 1.0,
     near_plane: float = NEAR,
 ) -> tuple[NDArray[np.int32], NDArray[np.float64], float]:
     """Measure the marginal gain of every splat of a stage in one view.
@@ -127,8 +127,8 @@ def view_gains(
         Camera in the frame of the means.
     target : (H, W, 3) float32
         Picture of the whole scene over black, in the scene's colour space.
-    kernel_px : float
-        Variance added to projected covariances, px².
+    reduction : float
+        See `projection.project`.
     near_plane : float
         Camera-space depth up to which nothing is drawn, scene units.
 
@@ -141,13 +141,7 @@ def view_gains(
     error : float
         Squared error of the picture; see `marginal_gains`.
     """
-    footprints = project(
-        splats.shapes,
-        camera,
-        kernel_px=kernel_px,
-        antialiased=splats.scene.info.antialiased,
-        near_plane=near_plane,
-    )
+    footprints = project(splats.shapes, camera, reduction=reduction, near_plane=near_plane)
     colours = footprint_colours(splats.scene, camera, footprints, rows=splats.rows)
     found, error = marginal_gains(footprints, colours, present[footprints.index], target)
     return footprints.index, found, error
@@ -198,7 +192,7 @@ def _view_gains(
         stage.present,
         references.cameras[view],
         references.pictures[view],
-        kernel_px=references.kernels[view],
+        reduction=references.reductions[view],
         near_plane=references.near_plane,
     )
 

@@ -1,11 +1,10 @@
-"""Views of a scene on a CUDA device, projected by gsplat.
+"""Views of a scene on a CUDA device, drawn with gsplat.
 
-gsplat (Ye et al. 2024) computes centres, conics, opacity factors, colours, tile lists by depth, and
-pairs of a pixel and a splat. The weight of each pair is computed here by the rules of `blending`,
+The CPU projects, so that every splat is as thick as in other pictures. gsplat (Ye et al. 2024)
+computes colours, tile lists by depth, and pairs of a pixel and a splat. The weight of each pair is computed here by the rules of `blending`,
 because gsplat caps alpha at 0.999 and 3DGS at 0.99.
 
-Results agree with the CPU only up to rounding. The device adds in a different order in every run,
-gsplat projects in float32, and splats with equal float32 depths keep the order of their rows.
+Results agree with the CPU only up to rounding: the device adds in a different order in every run.
 """
 
 from __future__ import annotations
@@ -17,14 +16,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR
+from cogsplat.codec.geometry.frustum import NEAR
 from cogsplat.codec.geometry.sh import COLOUR_OFFSET
 from cogsplat.codec.splats import Splats
 
 from .blend_weights import PEAK, SQUARE, WEIGHT
 from .cuda_device import cuda_device, within_device_memory
 from .cuda_pairs import Pairs, drawn_pairs
-from .projection import OPACITY, Footprints, X, Y
+from .projection import (
+    FLAT,
+    HALF_HEIGHT,
+    NARROW,
+    OPACITY,
+    SHEAR,
+    Footprints,
+    X,
+    Y,
+    project,
+)
 from .sensitivities import COLUMNS
 from .tiles import TILE
 
@@ -40,7 +49,8 @@ _BAND_PIXELS: Final = 1 << 17
 # in front of a drawn one is ten times as dense in gsplat: a factor of 100 more than covers it.
 _OPEN: Final = 100.0
 _ALL: Final = 1 << 30
-_FAR: Final = 3e38
+# Larger than any picture, px; tiles of float32 boxes stay exact.
+_LARGEST_RADIUS: Final = 1 << 22
 
 
 class CudaView:
@@ -51,46 +61,26 @@ class CudaView:
     Attributes
     ----------
     footprints : Footprints
-        Footprints of M splats, equal to `projection.project` up to rounding.
+        Footprints of M splats, from `projection.project`.
     colours : (M, 3) float32
         Colours of the footprints in this view.
     """
 
-    def __init__(
-        self,
-        camera: Camera,
-        rows: Tensor,
-        radii: Tensor,
-        depths: Tensor,
-        ellipse: Tensor,
-        conics: Tensor,
-        colours: Tensor,
-    ) -> None:
+    def __init__(self, camera: Camera, footprints: Footprints, colours: Tensor) -> None:
         import torch
 
         self._camera = camera
         self._drawn: tuple[tuple[float, ...], Tensor] | None = None
-        # Nearest first, ties by row.
-        nearest = depths.argsort(stable=True)
-        self._radii, self._depths = radii[nearest].int(), depths[nearest]
-        self._ellipse, self._conics = ellipse[nearest], conics[nearest]
-        self._colours = colours[nearest].double()
-        self.colours: F32 = colours[nearest].cpu().numpy()
-        centre, reach = ellipse[nearest, Y], ellipse[nearest, -1]
-        covered = torch.stack(
-            [
-                (centre - reach - 0.5).clamp(min=0.0).ceil(),
-                (centre + reach - 0.5).clamp(max=camera.height - 1.0).floor() + 1.0,
-            ],
-            dim=1,
-        )
-        order = rows[nearest].argsort().argsort()
-        self.footprints = Footprints(
-            index=rows[nearest].int().cpu().numpy(),
-            order=order.int().cpu().numpy(),
-            ellipse=self._ellipse.cpu().numpy(),
-            rows=covered.int().cpu().numpy(),
-        )
+        self.footprints = footprints
+        self.colours: F32 = colours.cpu().numpy()
+        device = colours.device
+        self._colours = colours.double()
+        self._ellipse = torch.tensor(footprints.ellipse, device=device)
+        # Footprints are sorted, and gsplat sorts by depth: a footprint's number stands for it.
+        self._depths = torch.arange(1, len(footprints) + 1, device=device, dtype=torch.float32)
+        conics, radii = _conics_and_radii(footprints)
+        self._conics = torch.tensor(conics, device=device)
+        self._radii = torch.tensor(radii, device=device)
 
     def picture(self, background: Sequence[float]) -> F32:
         """Return the picture over a background, (H, W, 3) float32; see `rasteriser.render`."""
@@ -232,8 +222,31 @@ class CudaView:
         return np.asarray(tensor.cpu().numpy(), np.float64)
 
 
+def _conics_and_radii(footprints: Footprints) -> tuple[F32, NDArray[np.int32]]:
+    """Return gsplat's form of ellipses: inverse covariances xx, xy, yy, and half sizes in px.
+
+    Returns
+    -------
+    conics : (M, 3) float32
+        Inverse covariances, 1/px².
+    radii : (M, 2) int32
+        Half width and half height of the box around the pixels that a footprint may reach.
+    """
+    ellipse = footprints.ellipse.astype(np.float64)
+    narrow, shear, flat = ellipse[:, NARROW], ellipse[:, SHEAR], ellipse[:, FLAT]
+    # The exponent is -(narrow · (dx - shear · dy))² - flat · dy².
+    xx = 2.0 * narrow * narrow
+    conics = np.stack([xx, -xx * shear, xx * shear * shear + 2.0 * flat], axis=1)
+    half_height = ellipse[:, HALF_HEIGHT]
+    # var_x = 1 / xx + shear² · var_y, and the half sizes are to each other as the deviations.
+    half_width = half_height * np.sqrt(2.0 * flat / xx + shear * shear)
+    reach = np.stack([half_width, half_height], axis=1)
+    radii = np.ceil(np.minimum(reach * (1.0 + 1e-6) + 0.01, _LARGEST_RADIUS))
+    return conics.astype(np.float32), radii.astype(np.int32)
+
+
 class CudaScene:
-    """Splats of a scene on the CUDA device.
+    """Splats of a scene, whose views are drawn on the CUDA device.
 
     Parameters
     ----------
@@ -252,27 +265,22 @@ class CudaScene:
         device = cuda_device()
         import torch
 
-        rows = np.flatnonzero(~splats.invalid_rows())
+        self._splats = splats
         with within_device_memory():
-            self._rows = torch.tensor(rows, device=device)
-            means, scales, quats, opacities, sh0, shN = (
-                torch.tensor(array if len(rows) == len(splats) else array[rows], device=device)
-                for array in (
-                    splats.means, splats.scales, splats.quats, splats.opacities, splats.sh0,
-                    splats.shN,
-                )
-            )  # fmt: skip
-            self._means, self._quats = means, quats
-            self._scales_linear, self._opacities_unit = scales.exp(), opacities.sigmoid()
-            self._coefficients = torch.cat([sh0[:, None], shN], dim=1)
-        self._sh_degree = splats.sh_degree
+            self._means = torch.tensor(splats.means, device=device)
+            self._coefficients = torch.cat(
+                [
+                    torch.tensor(splats.sh0, device=device)[:, None],
+                    torch.tensor(splats.shN, device=device),
+                ],
+                dim=1,
+            )
 
     def view(
         self,
         camera: Camera,
         *,
-        kernel_px: float,
-        antialiased: bool,
+        reduction: float = 1.0,
         near_plane: float = NEAR,
         sh_degree: int | None = None,
     ) -> CudaView:
@@ -280,95 +288,23 @@ class CudaScene:
 
         Parameters
         ----------
-        camera, kernel_px, antialiased, near_plane
-            See `projection.project`.
+        camera, reduction, near_plane
+            See `projection.project`, which projects on the CPU.
         sh_degree : int or None
             Highest SH degree used; None for the scene's own.
         """
-        with within_device_memory():
-            return self._view(camera, kernel_px, antialiased, near_plane, sh_degree)
-
-    def _view(
-        self,
-        camera: Camera,
-        kernel_px: float,
-        antialiased: bool,
-        near_plane: float,
-        sh_degree: int | None,
-    ) -> CudaView:
-        """Project and shade the scene with gsplat."""
         import gsplat
         import torch
 
-        device = self._means.device
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = camera.rotation, camera.translation
-        lens = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
-        radii, centres, depths, conics, factors = gsplat.fully_fused_projection(
-            self._means,
-            None,
-            self._quats,
-            self._scales_linear,
-            torch.tensor(pose, dtype=torch.float32, device=device)[None],
-            torch.tensor(lens, dtype=torch.float32, device=device)[None],
-            camera.width,
-            camera.height,
-            eps2d=kernel_px,
-            near_plane=near_plane,
-            far_plane=_FAR,
-            calc_compensations=antialiased,
-            opacities=self._opacities_unit,
-        )
-        opacities = self._opacities_unit
-        if antialiased:
-            opacities = opacities * factors[0]
-        shown = ((radii[0] > 0).all(dim=1) & (opacities >= ALPHA_MIN)).nonzero()[:, 0]
-        ellipse, on_picture = _ellipse(
-            camera, centres[0, shown].double(), conics[0, shown].double(), opacities[shown].double()
-        )
-        shown = shown[on_picture]
-        position = torch.tensor(camera.position, dtype=torch.float32, device=device)
-        degree = self._sh_degree if sh_degree is None else min(self._sh_degree, sh_degree)
-        colours = gsplat.spherical_harmonics(
-            degree, self._means[shown] - position, self._coefficients[shown]
-        )
-        return CudaView(
-            camera,
-            rows=self._rows[shown],
-            radii=radii[0, shown],
-            depths=depths[0, shown],
-            ellipse=ellipse[on_picture].float(),
-            conics=conics[0, shown],
-            colours=(colours + COLOUR_OFFSET).clamp(min=0.0),
-        )
-
-
-def _ellipse(
-    camera: Camera, centres: Tensor, conics: Tensor, opacities: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Return the rows of `Footprints.ellipse`, and a mask of ellipses that reach a pixel centre.
-
-    Parameters
-    ----------
-    camera : Camera
-        Camera of the picture.
-    centres : (n, 2) tensor
-        Centres of the ellipses, px.
-    conics : (n, 3) tensor
-        Inverse covariances xx, xy, yy, 1/px².
-    opacities : (n,) tensor
-        Opacities, 0 to 1.
-    """
-    import torch
-
-    x, y = centres.unbind(1)
-    a, b, c = conics.unbind(1)
-    flat = 0.5 * (c - b * b / a)
-    cut = (opacities / ALPHA_MIN).log()
-    half_height = (cut / flat).sqrt()
-    reach = half_height * (c / a).sqrt()
-    half_width = (2.0 * cut / a).sqrt()
-    on_picture = (x + reach > 0.5) & (x - reach < camera.width - 0.5)
-    on_picture &= (y + half_height > 0.5) & (y - half_height < camera.height - 0.5)
-    columns = (x, y, (0.5 * a).sqrt(), -b / a, flat, opacities, half_width, half_height)
-    return torch.stack(columns, dim=1), on_picture
+        footprints = project(self._splats, camera, reduction=reduction, near_plane=near_plane)
+        with within_device_memory():
+            device = self._means.device
+            shown = torch.tensor(footprints.index, device=device).long()
+            position = torch.tensor(camera.position, dtype=torch.float32, device=device)
+            own = self._splats.sh_degree
+            colours = gsplat.spherical_harmonics(
+                own if sh_degree is None else min(own, sh_degree),
+                self._means[shown] - position,
+                self._coefficients[shown],
+            )
+            return CudaView(camera, footprints, (colours + COLOUR_OFFSET).clamp(min=0.0))

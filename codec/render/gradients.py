@@ -31,12 +31,15 @@ from .blending import (
     store_lane_sums,
 )
 from .jit import kernel
-from .projection import FLAT, NARROW, SHEAR, Footprints, project
+from .projection import FILTER, FLAT, NARROW, SHEAR, THICKNESS, Footprints, project
 from .tiles import TILE, add_pair_sums, tile_lists
 
 _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 _TWO = np.float32(2.0)
+
+# Least determinant divided by, px⁴: that of a flat splat without thickness is 0.
+_TINY = 1e-30
 
 # Number of derivatives (w.r.t. ln alpha, ln scale), and their offsets in the lanes of a tile.
 _SUMS = 2
@@ -45,7 +48,7 @@ _BY_ALPHA, _BY_SCALE = (np.uintp(k * TILE) for k in range(_SUMS))
 
 @called_with(
     "int64, int64, int64[::1], int32[::1], float32[:, ::1], int32[:, ::1], float32[:, ::1], "
-    "boolean[::1], float32[:, :, ::1], float32, float32[:, ::1]"
+    "boolean[::1], float32[:, :, ::1], float32[:, ::1], float32[:, ::1]"
 )
 @kernel
 def _differentiate(
@@ -58,7 +61,7 @@ def _differentiate(
     colours: NDArray[np.float32],
     present: NDArray[np.bool_],
     target: NDArray[np.float32],
-    kernel_px: np.float32,
+    added: NDArray[np.float32],
     sums: NDArray[np.float32],
 ) -> float:
     """Differentiate the squared error of a picture w.r.t. ln alpha and ln scale of its splats.
@@ -74,8 +77,8 @@ def _differentiate(
         Arguments of `blend_tile`.
     target : (H, W, 3) float32
         Target picture over black, in the scene's colour space.
-    kernel_px : float32
-        Variance added to projected covariances, px².
+    added : (M, 2) float32
+        `Footprints.added`.
     sums : (P, 2) float32
         Output: both derivatives, summed over the pixels of each pair of a tile and a splat.
 
@@ -111,6 +114,7 @@ def _differentiate(
                 ellipse[i], top, left
             )
             red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
+            widening = added[i, THICKNESS] + added[i, FILTER]
             lanes[:] = _ZERO
             first_row, last_row = rows_in_tile(rows[i], top, num_rows)
             for y in range(first_row, last_row):
@@ -143,12 +147,12 @@ def _differentiate(
                     # A capped alpha has derivative 0.
                     moves = drawn & (raw <= ALPHA_MAX)
                     slope = slope if moves else _ZERO
-                    # Gradient of the exponent in the image, 1/px. It corrects for the kernel, the
-                    # part of the projected covariance that does not scale with the splat.
+                    # Gradient of the exponent in the image, 1/px. It corrects for the part of the
+                    # projected covariance that does not scale with the splat.
                     along = _TWO * narrow * u
                     across = _TWO * flat * dy - shear * along
                     wider = _TWO * (u * u - row_exponent)
-                    wider -= kernel_px * (along * along + across * across)
+                    wider -= widening * (along * along + across * across)
                     wider = wider if moves else _ZERO
                     lanes[lane + _BY_ALPHA] += slope
                     lanes[lane + _BY_SCALE] += slope * wider
@@ -178,18 +182,23 @@ class Gradient:
     error: float
 
 
-def _opacity_by_scale(footprints: Footprints, kernel_px: float) -> NDArray[np.float64]:
-    """Return the derivative of ln opacity, anti-aliased, w.r.t. the log scale, (M,)."""
+def _opacity_by_scale(footprints: Footprints) -> NDArray[np.float64]:
+    """Return the derivative of ln opacity, rescaled for the filter, w.r.t. the log scale, (M,)."""
     ellipse = footprints.ellipse.astype(np.float64)
+    thickness, blur = footprints.added.astype(np.float64).T
     var_y = 0.5 / ellipse[:, FLAT]
     det = 0.5 * var_y / ellipse[:, NARROW] ** 2
     cov = ellipse[:, SHEAR] * var_y
-    bare_x = (det + cov * cov) / var_y - kernel_px
-    bare_y = var_y - kernel_px
+    bare_x = (det + cov * cov) / var_y - thickness - blur
+    bare_y = var_y - thickness - blur
     bare = bare_x * bare_y - cov * cov
-    # With s the factor on the scales: det = s⁴ bare + s² kernel trace + kernel².
-    slope: NDArray[np.float64] = 2.0 - (2.0 * bare + kernel_px * (bare_x + bare_y)) / det
-    return slope
+    trace = bare_x + bare_y
+    trained = bare + thickness * trace + thickness * thickness
+    # With s the factor on the scales and v the variance added, a determinant is
+    # s⁴ bare + s² v trace + v². The opacity has the factor √(trained ÷ det).
+    by_trained = (2.0 * bare + thickness * trace) / np.maximum(trained, _TINY)
+    slope: NDArray[np.float64] = by_trained - (2.0 * bare + (thickness + blur) * trace) / det
+    return np.where(blur > 0.0, slope, 0.0)
 
 
 def gradient(
@@ -198,7 +207,7 @@ def gradient(
     camera: Camera,
     target: NDArray[np.float32],
     *,
-    kernel_px: float,
+    reduction: float = 1.0,
     near_plane: float = NEAR,
 ) -> Gradient:
     """Differentiate the squared error of a picture w.r.t. the opacities and sizes of its splats.
@@ -206,7 +215,7 @@ def gradient(
     Parameters
     ----------
     splats : Splats
-        Splats of the picture, N rows, with the anti-aliasing of ``splats.info``. Their SH
+        Splats of the picture, N rows, with the kernel of ``splats.info``. Their SH
         coefficients are not used.
     colours : (n, 3) float32
         Colours of the splats seen from the camera (`shading.row_colours`); at least N rows.
@@ -214,8 +223,8 @@ def gradient(
         Camera in the frame of the means.
     target : (H, W, 3) float32
         Target picture over black, in the scene's colour space.
-    kernel_px : float
-        Variance added to projected covariances, px².
+    reduction : float
+        See `projection.project`.
     near_plane : float
         Camera-space depth up to which nothing is drawn, scene units.
 
@@ -223,10 +232,7 @@ def gradient(
     -------
     Gradient
     """
-    antialiased = splats.info.antialiased
-    footprints = project(
-        splats, camera, kernel_px=kernel_px, antialiased=antialiased, near_plane=near_plane
-    )
+    footprints = project(splats, camera, reduction=reduction, near_plane=near_plane)
     shown = colours[footprints.index]
     everything = np.ones(len(footprints), np.bool_)
     sums = np.zeros((len(footprints), _SUMS), np.float64)
@@ -243,14 +249,12 @@ def gradient(
             shown,
             everything,
             target,
-            np.float32(kernel_px),
+            footprints.added,
             pair_sums,
         )
         add_pair_sums(lists.members, pair_sums, sums, 0)
     logits = splats.opacities[footprints.index].astype(np.float64)
-    by_scale = sums[:, 1]
-    if antialiased:
-        by_scale = by_scale + sums[:, 0] * _opacity_by_scale(footprints, kernel_px)
+    by_scale = sums[:, 1] + sums[:, 0] * _opacity_by_scale(footprints)
     return Gradient(
         footprints.index,
         sums[:, 0] * np.exp(-np.logaddexp(0.0, logits)),

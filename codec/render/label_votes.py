@@ -102,8 +102,7 @@ def label_votes(
     votes : (M, count) float64
         Sum of T·alpha over the pixels of each label, px.
     """
-    info = splats.info
-    footprints = project(splats, camera, kernel_px=info.kernel_px, antialiased=info.antialiased)
+    footprints = project(splats, camera)
     votes = np.zeros((len(footprints), count), np.float64)
     for lists in tile_lists(footprints, camera.width, camera.height):
         _vote(

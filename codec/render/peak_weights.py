@@ -96,13 +96,7 @@ def peak_weights(
     peaks : (M,) float32
         Largest T·alpha in a pixel; 0 for hidden splats.
     """
-    footprints = project(
-        splats,
-        camera,
-        kernel_px=splats.info.kernel_px,
-        antialiased=splats.info.antialiased,
-        near_plane=near_plane,
-    )
+    footprints = project(splats, camera, near_plane=near_plane)
     peaks = np.zeros(len(footprints), np.float32)
     _peaks(footprints.ellipse, footprints.rows, camera.width, camera.height, peaks)
     return footprints.index, peaks

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.capture import training_pixel
 from cogsplat.codec.compiling import called_with
 from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR
 from cogsplat.codec.splats import Splats
@@ -26,8 +27,15 @@ _SLACK = 1e-6
 # Limit of a footprint's values, px or powers: the squares of larger values overflow float32.
 _HUGE = 1e18
 
-# Columns of `Footprints.ellipse`.
+# Variance of a uniform distribution over a pixel, px².
+_PIXEL_VARIANCE = 1.0 / 12.0
+# The pixel of a picture counts as that of training when their areas differ by less than this share:
+# rounding of a position must not blur the picture of a training camera.
+_SAME_PIXEL = 1e-6
+
+# Columns of `Footprints.ellipse`, and of `Footprints.added`.
 X, Y, NARROW, SHEAR, FLAT, OPACITY, HALF_WIDTH, HALF_HEIGHT = range(8)
+THICKNESS, FILTER = range(2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +57,16 @@ class Footprints:
         anti-aliased), half width along the centre's row and half height (px) at alpha 1/255.
     rows : (M, 2) int32
         Half-open range of image rows that may be covered.
+    added : (M, 2) float32
+        Variances added to the projected covariance, px²: the trained thickness, then the filter
+        for which the opacity is rescaled.
     """
 
     index: NDArray[np.int32]
     order: NDArray[np.int32]
     ellipse: NDArray[np.float32]
     rows: NDArray[np.int32]
+    added: NDArray[np.float32]
 
     def __len__(self) -> int:
         return len(self.index)
@@ -106,8 +118,8 @@ def slack(centre: float, extent: float) -> float:
 
 @called_with(
     "float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[::1], float64[:, ::1], "
-    "float64[::1], float64[::1], int64, int64, float64, boolean, float64, int32[::1], "
-    "float64[::1], float32[:, ::1], int32[:, ::1]"
+    "float64[::1], float64[::1], float64[::1], float64[::1], int64, int64, float64, int32[::1], "
+    "float64[::1], float32[:, ::1], int32[:, ::1], float32[:, ::1]"
 )
 @kernel
 def _project(
@@ -118,19 +130,28 @@ def _project(
     rotation: NDArray[np.float64],
     translation: NDArray[np.float64],
     intrinsics: NDArray[np.float64],
+    variances: NDArray[np.float64],
+    pixel: NDArray[np.float64],
     width: int,
     height: int,
-    kernel_px: float,
-    antialiased: bool,
     near_plane: float,
     index: NDArray[np.int32],
     depths: NDArray[np.float64],
     ellipse: NDArray[np.float32],
     rows: NDArray[np.int32],
+    added: NDArray[np.float32],
 ) -> int:
     """Write the footprints that may reach a pixel to the outputs and return their number.
 
     Every comparison is written so that NaN fails it.
+
+    Parameters
+    ----------
+    variances : (2,) float64
+        Thickness and filter of every splat, px², where `pixel` is empty; else the thickness in
+        pixels of training, and 0.
+    pixel : (5,) or (0,) float64
+        Training pixel (`capture.training_pixel`), empty for one thickness and filter.
     """
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     guard_x = GUARD * width / (2.0 * fx)
@@ -138,6 +159,8 @@ def _project(
     low_x, high_x = -cx / fx - guard_x, (width - cx) / fx + guard_x
     low_y, high_y = -cy / fy - guard_y, (height - cy) / fy + guard_y
     r = rotation
+    thickness, blur = variances[THICKNESS], variances[FILTER]
+    sized = len(pixel) > 0
     count = 0
     for i in range(len(means)):
         mx, my, mz = float(means[i, 0]), float(means[i, 1]), float(means[i, 2])
@@ -187,16 +210,29 @@ def _project(
         # Cauchy-Binet: a sum of squares, because var_x var_y - cov² cancels for thin splats.
         n0, n1, n2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
         det_bare = n0 * n0 + n1 * n1 + n2 * n2
-        det = det_bare + kernel_px * (var_x + var_y) + kernel_px * kernel_px
-        var_x += kernel_px
-        var_y += kernel_px
-        if not (det > 0.0 and var_y > 0.0):
-            continue
-        if antialiased:
+        if sized:
+            # Areas of the pixel of training over this picture's, at the splat.
+            dx, dy, dz = mx - pixel[0], my - pixel[1], mz - pixel[2]
+            area = pixel[3] * (dx * dx + dy * dy + dz * dz) + pixel[4]
+            share = area * fx * fy / (z * z * (1.0 + x * x + y * y))
+            if abs(share - 1.0) < _SAME_PIXEL:
+                share = 1.0
+            thickness = variances[THICKNESS] * share
+            blur = _PIXEL_VARIANCE * (1.0 - share) if share < 1.0 else 0.0
+        det = det_bare + thickness * (var_x + var_y) + thickness * thickness
+        var_x += thickness
+        var_y += thickness
+        if blur > 0.0:
             # Mip-Splatting, section 4.2: the wider footprint keeps the splat's total opacity.
-            opacity *= math.sqrt(det_bare / det)
+            det_trained = det
+            det += blur * (var_x + var_y) + blur * blur
+            var_x += blur
+            var_y += blur
+            opacity *= math.sqrt(det_trained / det)
             if not opacity >= ALPHA_MIN:
                 continue
+        if not (det > 0.0 and var_y > 0.0):
+            continue
 
         cut = math.log(opacity / ALPHA_MIN)
         half_height = math.sqrt(2.0 * cut * var_y)
@@ -225,6 +261,8 @@ def _project(
         ellipse[count, OPACITY] = opacity
         ellipse[count, HALF_WIDTH] = half_width
         ellipse[count, HALF_HEIGHT] = half_height
+        added[count, THICKNESS] = thickness
+        added[count, FILTER] = blur
         # Clamped as floats: a huge splat would overflow the integers.
         rows[count, 0] = math.ceil(max(py - edge_y - 0.5, 0.0))
         rows[count, 1] = math.floor(min(py + edge_y - 0.5, height - 1.0)) + 1
@@ -233,9 +271,9 @@ def _project(
 
 
 def project(
-    splats: Splats, camera: Camera, *, kernel_px: float, antialiased: bool, near_plane: float = NEAR
+    splats: Splats, camera: Camera, *, reduction: float = 1.0, near_plane: float = NEAR
 ) -> Footprints:
-    """Project a scene into a camera.
+    """Project a scene into a camera, with the kernel of ``splats.info``.
 
     Parameters
     ----------
@@ -243,22 +281,29 @@ def project(
         Scene; splats that cannot be drawn (NaN, zero quaternions) are ignored.
     camera : Camera
         Camera in the frame of the means.
-    kernel_px : float
-        Variance added to the diagonal of the projected covariance, px².
-    antialiased : bool
-        Whether to rescale opacities by the area that the kernel adds (Mip-Splatting, section 4.2).
+    reduction : float
+        Factor by which the picture has fewer pixels per axis than those of training, at least 1.
+        Not used where the capture viewpoints tell, nor of anti-aliased scenes.
     near_plane : float
         Camera-space depth up to which nothing is drawn, scene units.
 
     Returns
     -------
     Footprints
+
+    Notes
+    -----
+    SPEC 8.7. Training added `kernel_px` to the covariance in each of its pictures, so a splat has
+    that thickness in pixels of training. Where pixels are larger, the splat is then filtered by
+    what the larger pixel has beyond that of training, and keeps its total opacity.
     """
     n = len(splats)
     index = np.empty(n, np.int32)
     depths = np.empty(n, np.float64)
     ellipse = np.empty((n, 8), np.float32)
     rows = np.empty((n, 2), np.int32)
+    added = np.empty((n, 2), np.float32)
+    variances, pixel = _view_kernel(splats, camera, reduction)
     count = _project(
         splats.means,
         splats.scales,
@@ -267,17 +312,35 @@ def project(
         camera.rotation,
         camera.translation,
         np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float64),
+        variances,
+        pixel,
         camera.width,
         camera.height,
-        float(kernel_px),
-        bool(antialiased),
         float(near_plane),
         index,
         depths,
         ellipse,
         rows,
+        added,
     )
     order = depth_order(depths[:count])
     return Footprints(
-        index[:count].take(order), order, ellipse.take(order, axis=0), rows.take(order, axis=0)
+        index[:count].take(order),
+        order,
+        ellipse.take(order, axis=0),
+        rows.take(order, axis=0),
+        added.take(order, axis=0),
     )
+
+
+def _view_kernel(
+    splats: Splats, camera: Camera, reduction: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the arguments ``variances`` and ``pixel`` of `_project`."""
+    info = splats.info
+    if info.antialiased:
+        return np.array([0.0, info.kernel_px]), np.empty(0)
+    if info.capture:
+        return np.array([info.kernel_px, 0.0]), training_pixel(info.capture, camera.position)
+    share = 1.0 / (reduction * reduction)
+    return np.array([info.kernel_px * share, _PIXEL_VARIANCE * (1.0 - share)]), np.empty(0)

@@ -32,16 +32,15 @@ class RenderConfig:
 
     Parameters
     ----------
-    kernel_px : float
-        Variance added to projected covariances, px²; 0.3 in 3DGS, 0.1 in Mip-Splatting.
-    antialiased : bool
-        Whether to rescale opacities by the area that the kernel adds (Mip-Splatting, section 4.2).
     background : tuple of float
         Background colour, RGB in the scene's colour space.
     near_plane : float
         Camera-space depth up to which nothing is drawn, scene units.
     sh_degree : int or None
         Highest SH degree used; None for the scene's own.
+    reduction : float
+        Factor by which the picture has fewer pixels per axis than those of training, at least 1.
+        Used only where ``info.capture`` does not tell.
     threads : int
         Number of threads; 0 for every core this process may use. The picture does not depend on it.
     device : str
@@ -49,18 +48,17 @@ class RenderConfig:
         differ by rounding, from run to run too (`cuda_views`).
     """
 
-    kernel_px: float = 0.3
-    antialiased: bool = False
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     near_plane: float = NEAR
     sh_degree: int | None = None
+    reduction: float = 1.0
     threads: int = 0
     device: str = "cpu"
 
     def __post_init__(self) -> None:
         require_finite(self)
-        if not self.kernel_px >= 0.0:
-            raise ValueError(f"kernel_px {self.kernel_px}, expected 0 or more")
+        if not self.reduction >= 1.0:
+            raise ValueError(f"reduction {self.reduction}, expected 1 or more")
         if not self.near_plane > 0.0:
             raise ValueError(f"near_plane {self.near_plane}, expected more than 0")
         if self.sh_degree is not None and not 0 <= self.sh_degree <= MAX_SH_DEGREE:
@@ -129,13 +127,7 @@ def _draw(
     """Render one view, or only the tiles that the (tiles in y, tiles in x) mask `wanted` marks."""
     if wanted is None:
         wanted = np.ones(_tile_counts(camera), np.bool_)
-    footprints = project(
-        splats,
-        camera,
-        kernel_px=config.kernel_px,
-        antialiased=config.antialiased,
-        near_plane=config.near_plane,
-    )
+    footprints = project(splats, camera, reduction=config.reduction, near_plane=config.near_plane)
     colours = footprint_colours(splats, camera, footprints, sh_degree=config.sh_degree)
     present = np.ones(len(footprints), np.bool_)
     background = np.array(config.background, np.float32)
@@ -163,11 +155,6 @@ def _tile_counts(camera: Camera) -> tuple[int, int]:
     return -(-camera.height // TILE), -(-camera.width // TILE)
 
 
-def _default_config(splats: Splats) -> RenderConfig:
-    """Return the default configuration: the scene's kernel and anti-aliasing, over black."""
-    return RenderConfig(kernel_px=splats.info.kernel_px, antialiased=splats.info.antialiased)
-
-
 def render(
     splats: Splats, camera: Camera, config: RenderConfig | None = None
 ) -> NDArray[np.float32]:
@@ -176,11 +163,11 @@ def render(
     Parameters
     ----------
     splats : Splats
-        Scene; splats that cannot be drawn are ignored.
+        Scene, drawn with the kernel of ``splats.info``; splats that cannot be drawn are ignored.
     camera : Camera
         Camera in the frame of the means (``info.origin`` is not applied).
     config : RenderConfig or None
-        None for the kernel and anti-aliasing of `Splats.info`, over black.
+        None for the defaults.
 
     Returns
     -------
@@ -211,7 +198,7 @@ def render(
     >>> image.shape, image.dtype.name
     ((48, 64, 3), 'float32')
     """
-    config = config or _default_config(splats)
+    config = config or RenderConfig()
     if config.device == "cuda":
         return cuda_view(CudaScene(splats), camera, config).picture(config.background)
     return _draw(splats, camera, config, thread_count(config.threads))
@@ -221,8 +208,7 @@ def cuda_view(scene: CudaScene, camera: Camera, config: RenderConfig) -> CudaVie
     """Project a scene on a CUDA device into a camera, with the settings of a `RenderConfig`."""
     return scene.view(
         camera,
-        kernel_px=config.kernel_px,
-        antialiased=config.antialiased,
+        reduction=config.reduction,
         near_plane=config.near_plane,
         sh_degree=config.sh_degree,
     )
@@ -248,7 +234,7 @@ def render_tiles(
         Pixels of the sampled tiles in the order of the image; the sample depends on the image size
         only.
     """
-    config = config or _default_config(splats)
+    config = config or RenderConfig()
     down, across = np.indices(_tile_counts(camera))
     # The offset per row of tiles is about a golden section, so the sample avoids rows and columns.
     wanted = (across + max(1, round(0.382 * every)) * down) % every == 0
@@ -293,7 +279,7 @@ def render_views(
     >>> [image.shape for image in render_views(splats, cameras)]
     [(48, 64, 3), (48, 64, 3)]
     """
-    config = config or _default_config(splats)
+    config = config or RenderConfig()
     threads = thread_count(config.threads)
     by_view = len(cameras) >= threads
     images: list[NDArray[np.float32]] = []

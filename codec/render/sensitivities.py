@@ -33,7 +33,16 @@ from .blending import (
     store_lane_sums,
 )
 from .jit import inner_kernel, kernel
-from .projection import FLAT, GUARD, NARROW, SHEAR, Footprints, fill_rotation
+from .projection import (
+    FILTER,
+    FLAT,
+    GUARD,
+    NARROW,
+    SHEAR,
+    THICKNESS,
+    Footprints,
+    fill_rotation,
+)
 from .tiles import TILE, TileLists, add_pair_sums
 
 _ZERO = np.float32(0.0)
@@ -267,7 +276,7 @@ def _quartic_sum(moments: NDArray[np.float64], c: float, p: float, q: float, r: 
 @called_with(
     "int32[::1], int32[::1], float32[:, ::1], float64[:], float32[:, ::1], "
     "float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[::1], float64[:, ::1], "
-    "float64[::1], float64[::1], int64, int64, boolean, float64[:, ::1]"
+    "float64[::1], float64[::1], int64, int64, float32[:, ::1], float64[:, ::1]"
 )
 @kernel
 def _moments_to_sensitivities(
@@ -285,7 +294,7 @@ def _moments_to_sensitivities(
     intrinsics: NDArray[np.float64],
     width: int,
     height: int,
-    antialiased: bool,
+    added: NDArray[np.float32],
     columns: NDArray[np.float64],
 ) -> None:
     """Convert the moments of footprints to `Sensitivities` of one view, in place.
@@ -307,8 +316,8 @@ def _moments_to_sensitivities(
         Arrays of the scene.
     rotation, translation, intrinsics, width, height
         Camera; intrinsics are fx, fy, cx, cy.
-    antialiased : bool
-        Whether opacities are rescaled (Mip-Splatting).
+    added : (M, 2) float32
+        `Footprints.added`.
     columns : (M, 13) float64
         Input: moments in the first columns. Output: sums of squared derivatives w.r.t. each value.
     """
@@ -383,6 +392,10 @@ def _moments_to_sensitivities(
             for k in range(j):
                 area = bare[k, 0] * down - bare[k, 1] * right
                 det += variances[j] * variances[k] * area * area
+        thickness = float(added[row, THICKNESS])
+        det += thickness * (var_x + var_y) + thickness * thickness
+        var_x += thickness
+        var_y += thickness
         for j in range(3):
             for k in range(j + 1):
                 # d(covariance) = strength · (a bᵀ + b aᵀ): axis j scaled, or rotated against k.
@@ -394,9 +407,9 @@ def _moments_to_sensitivities(
                     # Axes 1 and 2 rotate about axis 0, axes 2 and 0 about 1, axes 0 and 1 about 2.
                     column = _ROTATIONS + 3 - j - k
                 constant = 0.0
-                if antialiased and det > 0.0:
-                    # The logarithm of the opacity's factor is half the bare covariance's ln det
-                    # less half the widened one's, whose inverse is 2 (u, v)·(u, v).
+                if added[row, FILTER] > 0.0 and det > 0.0:
+                    # The logarithm of the opacity's factor is half the trained covariance's ln det
+                    # less half the filtered one's, whose inverse is 2 (u, v)·(u, v).
                     inner = var_y * bare[j, 0] * bare[k, 0] + var_x * bare[j, 1] * bare[k, 1]
                     inner -= cov * (bare[j, 0] * bare[k, 1] + bare[j, 1] * bare[k, 0])
                     widened = axes[j, 0] * axes[k, 0] + axes[j, 1] * axes[k, 1]
@@ -452,7 +465,7 @@ def view_sensitivities(
         np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float64),
         camera.width,
         camera.height,
-        splats.info.antialiased,
+        footprints.added,
         moments,
     )
     return moments

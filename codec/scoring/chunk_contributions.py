@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.executor import Executor, LocalThreads
-from cogsplat.codec.geometry.frustum import NEAR
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.blend_weights import WEIGHT, add_weights
 from cogsplat.codec.render.projection import project
@@ -86,13 +85,7 @@ def _shares_in_view(
     camera: Camera, splats: Splats, chunks: NDArray[np.int64], *, count: int
 ) -> F64:
     """Return each chunk's blending weights per pixel of one view, (count,)."""
-    footprints = project(
-        splats,
-        camera,
-        kernel_px=splats.info.kernel_px,
-        antialiased=splats.info.antialiased,
-        near_plane=NEAR,
-    )
+    footprints = project(splats, camera)
     sums = np.zeros((len(footprints), 3), np.float64)
     for lists in tile_lists(footprints, camera.width, camera.height):
         # No top K and no minimum: every weight counts.

@@ -246,13 +246,7 @@ def _score_view(
 ) -> _ViewScores:
     """Score one view; `view` is its camera and whether to measure sensitivities."""
     camera, sensitive = view
-    footprints = project(
-        splats,
-        camera,
-        kernel_px=splats.info.kernel_px,
-        antialiased=splats.info.antialiased,
-        near_plane=config.near_plane,
-    )
+    footprints = project(splats, camera, near_plane=config.near_plane)
     sums = np.zeros((len(footprints), 3), np.float64)
 
     def weigh(lists: TileLists) -> None:
@@ -294,12 +288,7 @@ def _score_on_device(
 ) -> _ViewScores:
     """Score one view on a CUDA device; `view` is as for `_score_view`."""
     camera, sensitive = view
-    shown = scene.view(
-        camera,
-        kernel_px=splats.info.kernel_px,
-        antialiased=splats.info.antialiased,
-        near_plane=config.near_plane,
-    )
+    shown = scene.view(camera, near_plane=config.near_plane)
     footprints, sums = shown.footprints, shown.weights(config.top_k, config.least_weight)
     columns = None
     if sensitive:

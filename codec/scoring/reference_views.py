@@ -35,8 +35,8 @@ class ReferenceViews:
     cameras : sequence of Camera
         Cameras whose pictures are reduced, by default to at most `PICTURE_PIXELS`: the given
         cameras, then their jittered copies.
-    kernels : sequence of float
-        Variance added to projected covariances, px² of each reduced picture.
+    reductions : sequence of float
+        Factor by which each picture is reduced, per axis.
     pictures : sequence of (H, W, 3) float32
         Renders over black, 0 to 1.
     weights : (V,) float64
@@ -49,7 +49,7 @@ class ReferenceViews:
     """
 
     cameras: Sequence[Camera]
-    kernels: Sequence[float]
+    reductions: Sequence[float]
     pictures: Sequence[NDArray[np.float32]]
     weights: NDArray[np.float64]
     given: int
@@ -109,11 +109,9 @@ def _evenly_spaced(views: Sequence[Camera], max_views: int) -> list[Camera]:
 def _picture(
     view: tuple[Camera, float], splats: Splats, *, near_plane: float, threads: int
 ) -> NDArray[np.float32]:
-    """Render one view; `view` is its camera and the variance of its kernel, px²."""
-    camera, kernel_px = view
-    config = RenderConfig(
-        kernel_px, splats.info.antialiased, near_plane=near_plane, threads=threads
-    )
+    """Render one view; `view` is its camera and the factor by which its picture is reduced."""
+    camera, reduction = view
+    config = RenderConfig(near_plane=near_plane, reduction=reduction, threads=threads)
     picture = render(splats, camera, config)
     return np.clip(picture, np.float32(0.0), np.float32(1.0), out=picture)
 
@@ -134,7 +132,7 @@ def render_references(
     Parameters
     ----------
     splats : Splats
-        Scene, drawn with the kernel and anti-aliasing of ``splats.info``.
+        Scene, drawn with the kernel of ``splats.info``.
     cameras : sequence of Camera
         Cameras in the frame of the means, at least one. If the cameras and their copies exceed
         `MAX_VIEWS`, an evenly spread sample of the cameras is used.
@@ -181,9 +179,8 @@ def render_references(
     else:
         chosen, copies = _evenly_spaced(cameras, MAX_VIEWS), []
     reduced = [_reduce(camera, pixels) for camera in [*chosen, *copies]]
-    info = splats.info
     views = [camera for camera, _ in reduced]
-    kernels = [info.kernel_px / (factor * factor) for _, factor in reduced]
+    reductions = [float(factor) for _, factor in reduced]
     threads = thread_count(threads)
     by_view = executor is not None or len(views) >= threads
     if executor is None:
@@ -192,7 +189,7 @@ def render_references(
     progress("reference views", 0, len(views))
     drawn = executor.map(
         partial(_picture, near_plane=near_plane, threads=1 if by_view else threads),
-        zip(views, kernels, strict=True),
+        zip(views, reductions, strict=True),
         splats,
     )
     for picture in drawn:
@@ -201,4 +198,4 @@ def render_references(
     weights = np.concatenate(
         [np.full(len(members), 1.0 / len(members)) for members in (chosen, copies) if members]
     )
-    return ReferenceViews(views, kernels, pictures, weights, len(chosen), near_plane)
+    return ReferenceViews(views, reductions, pictures, weights, len(chosen), near_plane)

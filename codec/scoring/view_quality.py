@@ -152,19 +152,11 @@ def view_qualities(
                 f"camera {camera.name!r}: {camera.width}x{camera.height} px, expected sides of "
                 f"at least {_SMALLEST_SIDE} px",
             )
-    configs = [
-        RenderConfig(
-            kernel_px=splats.info.kernel_px,
-            antialiased=splats.info.antialiased,
-            background=background,
-            threads=1,
-        )
-        for splats in (reference, other)
-    ]
+    config = RenderConfig(background=background, threads=1)
 
     def measure(camera: Camera) -> tuple[ViewQuality, bool]:
-        expected = render(reference, camera, configs[0])
-        found = render(other, camera, configs[1])
+        expected = render(reference, camera, config)
+        found = render(other, camera, config)
         has_splats = bool((expected != np.array(background, np.float32)).any())
         similarity = ssim(expected, found, border=ssim_border)
         return ViewQuality(camera.name, psnr(expected, found), similarity), has_splats

@@ -91,7 +91,31 @@ def covariance(splats, camera, row):
     return linear @ sigma @ linear.T, centre, depth
 
 
-def view(splats, camera, *, kernel_px=0.3, antialiased=False, background=(0, 0, 0), near_plane=0.2):
+# Viewpoints near to and far from `camera()`: some splats are drawn smaller than in training, some
+# larger.
+CAPTURE = ((0.5, -0.2, -2.0, 60.0), (-3.0, 1.0, -4.0, 25.0), (4.0, 2.0, 3.0, 40.0))
+INFOS = {
+    "usual": SceneInfo(),
+    "antialiased": SceneInfo(antialiased=True),
+    "captured": SceneInfo(capture=CAPTURE),
+}
+
+
+def added(splats, camera, row, reduction=1.0):
+    """Trained thickness and filter of a splat, px²."""
+    kernel_px, capture = splats.info.kernel_px, np.array(splats.info.capture, np.float64)
+    if splats.info.antialiased:
+        return 0.0, kernel_px
+    share = 1.0 / reduction**2
+    if len(capture):
+        nearness = np.linalg.norm(capture[:, :3] - camera.position, axis=1) ** -4.0
+        pixels = np.linalg.norm(capture[:, :3] - splats.means[row], axis=1) / capture[:, 3]
+        distance = np.linalg.norm(splats.means[row] - camera.position)
+        share = np.average(pixels**2, weights=nearness) * camera.fx * camera.fy / distance**2
+    return kernel_px * share, max(0.0, (1.0 - share) / 12.0)
+
+
+def view(splats, camera, *, reduction=1.0, background=(0, 0, 0), near_plane=0.2):
     n = len(splats)
     columns, lines = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     pixels = np.stack([columns.ravel(), lines.ravel()], axis=1)
@@ -110,11 +134,13 @@ def view(splats, camera, *, kernel_px=0.3, antialiased=False, background=(0, 0, 
         bare, centre, depth = projected[row]
         if depth <= near_plane:
             continue
-        wide = bare + kernel_px * np.eye(2)
+        thickness, blur = added(splats, camera, row, reduction)
+        trained = bare + thickness * np.eye(2)
+        wide = trained + blur * np.eye(2)
         with np.errstate(over="ignore"):
             opacity = 1.0 / (1.0 + np.exp(-float(splats.opacities[row])))
-        if antialiased:
-            opacity *= math.sqrt(max(0.0, np.linalg.det(bare) / np.linalg.det(wide)))
+        if blur:
+            opacity *= math.sqrt(max(0.0, np.linalg.det(trained) / np.linalg.det(wide)))
         offset = pixels - centre
         square = np.einsum("pi,ij,pj->p", offset, np.linalg.inv(wide), offset)
         alpha = np.minimum(ALPHA_MAX, opacity * np.exp(-0.5 * square))

@@ -53,8 +53,11 @@ def rotations(quats):
     return torch.stack([torch.stack(row, dim=1) for row in rows], dim=1)
 
 
-def picture(values, camera, *, kernel_px=0.3, antialiased=False, background=(0, 0, 0), near=0.2):
-    """Draw a dict of float64 tensors, named as in `Splats`: (H, W, 3)."""
+def picture(values, camera, added, *, background=(0, 0, 0), near=0.2):
+    """Draw a dict of float64 tensors, named as in `Splats`: (H, W, 3).
+
+    `added` holds the thickness and the filter of each splat, px², (N, 2).
+    """
     turn = torch.from_numpy(camera.rotation)
     position = torch.from_numpy(camera.position)
     offset = values["means"] - position
@@ -84,10 +87,13 @@ def picture(values, camera, *, kernel_px=0.3, antialiased=False, background=(0, 
     )
     spread = jacobian @ turn @ rotations(values["quats"]) @ torch.diag_embed(values["scales"].exp())
     bare = spread @ spread.transpose(1, 2)
-    wide = bare + kernel_px * torch.eye(2, dtype=torch.float64)
+    eye = torch.eye(2, dtype=torch.float64)
+    thickness, blur = (column[:, None, None] for column in torch.from_numpy(added).T)
+    trained = bare + thickness * eye
+    wide = trained + blur * eye
+    factor = (torch.linalg.det(trained) / torch.linalg.det(wide)).sqrt()
     opacity = torch.sigmoid(values["opacities"])
-    if antialiased:
-        opacity = opacity * (torch.linalg.det(bare) / torch.linalg.det(wide)).sqrt()
+    opacity = torch.where(blur[:, 0, 0] > 0, opacity * factor, opacity)
     centres = torch.stack([camera.fx * x + camera.cx, camera.fy * y + camera.cy], dim=1)
     lines, columns = np.mgrid[: camera.height, : camera.width] + 0.5
     pixels = torch.from_numpy(np.stack([columns.ravel(), lines.ravel()], axis=1))

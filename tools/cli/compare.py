@@ -282,10 +282,7 @@ def _draw_difference(
 
     pictures = []
     for splats in (first, second):
-        info = splats.info
         config = RenderConfig(
-            kernel_px=info.kernel_px,
-            antialiased=info.antialiased,
             background=background,
             threads=threads,
         )

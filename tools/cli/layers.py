@@ -287,8 +287,7 @@ def _render_all(splats: cogsplat.Splats, cameras: list[Camera], threads: int) ->
     """Return the renders of a scene at full size."""
     from cogsplat.codec.render.rasteriser import RenderConfig, render
 
-    info = splats.info
-    config = RenderConfig(kernel_px=info.kernel_px, antialiased=info.antialiased, threads=threads)
+    config = RenderConfig(threads=threads)
     return [render(splats, camera, config) for camera in cameras]
 
 

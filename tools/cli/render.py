@@ -113,10 +113,7 @@ def render(
             camera = _camera(scene, cameras, view, threads)
         if picture:
             camera = fitted(camera, *picture)
-        info = scene.splats.info
         config = RenderConfig(
-            kernel_px=info.kernel_px,
-            antialiased=info.antialiased,
             background=background,
             threads=threads,
             device=device,

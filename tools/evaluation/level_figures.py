@@ -135,8 +135,7 @@ def picture_figures(
     lpips : Lpips, optional
         Network of LPIPS; None to skip LPIPS.
     """
-    info = splats.info
-    config = RenderConfig(kernel_px=info.kernel_px, antialiased=info.antialiased, threads=threads)
+    config = RenderConfig(threads=threads)
     pairs = [
         (render(splats, camera, config), target)
         for camera, target in zip(cameras, targets, strict=True)

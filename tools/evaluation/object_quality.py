@@ -72,9 +72,7 @@ def object_pixels(
     """
     from cogsplat.codec.render.rasteriser import RenderConfig, render
 
-    config = RenderConfig(
-        kernel_px=splats.info.kernel_px, antialiased=splats.info.antialiased, threads=1
-    )
+    config = RenderConfig(threads=1)
     plain = splats.without_extras().with_sh_degree(0)
     weights = np.zeros((camera.height, camera.width, len(known)), np.float32)
     for start in range(0, len(known), _CHANNELS):
@@ -170,8 +168,6 @@ def object_qualities_of(
 
     def draw(splats: Splats, camera: Camera) -> NDArray[np.float32]:
         config = RenderConfig(
-            kernel_px=splats.info.kernel_px,
-            antialiased=splats.info.antialiased,
             background=background,
             threads=1,
         )

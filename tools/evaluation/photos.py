@@ -126,8 +126,6 @@ def _mean_psnr_db(
     from cogsplat.codec.render.rasteriser import RenderConfig, render
 
     config = RenderConfig(
-        kernel_px=splats.info.kernel_px,
-        antialiased=splats.info.antialiased,
         background=background,
         threads=1,
     )

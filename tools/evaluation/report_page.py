@@ -254,10 +254,7 @@ def _pictures(inputs: ReportInput) -> list[str]:
     from cogsplat.codec.render.rasteriser import RenderConfig, render
 
     whole = cogsplat.decode(inputs.path, threads=inputs.threads)
-    info = inputs.source.info
-    config = RenderConfig(
-        info.kernel_px, info.antialiased, inputs.background, threads=inputs.threads
-    )
+    config = RenderConfig(background=inputs.background, threads=inputs.threads)
     found = view_quality.view_qualities(
         inputs.source, whole, inputs.cameras,
         background=inputs.background, threads=inputs.threads,

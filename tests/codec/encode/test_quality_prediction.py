@@ -10,7 +10,7 @@ from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.quality_prediction import PrefixEvaluator, measure_whole, predict_quality
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.metrics import psnr
-from cogsplat.codec.render.rasteriser import RenderConfig, render
+from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.splats import SceneInfo, concatenate
 from cogsplat.codec.views.view_sets import sample_evenly
 
@@ -62,9 +62,7 @@ def test_an_empty_scene_has_nothing_to_predict():
 
 def test_quality_is_the_mean_over_the_views():
     source, other = scene(), encoded_in(1).decoded
-    settings = {"kernel_px": 0.1, "antialiased": True}
-    config = RenderConfig(**settings)
-    each = [psnr(render(source, v, config), render(other, v, config)) for v in views(3)]
+    each = [psnr(render(source, v), render(other, v)) for v in views(3)]
     evaluator = PrefixEvaluator(source, views(3))
     assert evaluator.psnr_db(other) == pytest.approx(np.mean(each))
     assert evaluator.psnr_db(source) == 100.0
@@ -155,8 +153,7 @@ def test_of_large_pictures_some_tiles_tell_what_all_do():
     ]
     other = encoded_in(1).decoded
     evaluator = PrefixEvaluator(scene(), large)
-    config = RenderConfig(kernel_px=0.1, antialiased=True)
-    exact = [psnr(render(scene(), v, config), render(other, v, config)) for v in large]
+    exact = [psnr(render(scene(), v), render(other, v)) for v in large]
     found = evaluator.views_db(other)
     assert found != exact
     np.testing.assert_allclose(found, exact, atol=0.5)

@@ -10,42 +10,41 @@ from gsplat_on_cpu import on_cpu
 
 from cogsplat.codec.fit.differentiable_rendering import Gradients, render_forward
 from cogsplat.codec.render.rasteriser import RenderConfig, render
-from cogsplat.codec.splats import Splats
+from cogsplat.codec.splats import SceneInfo, Splats
 
 torch = torch_oracle.torch
 
 BACKGROUND = (0.613, 0.01, 0.398)
 
 
-def derivatives(splats: Splats, camera, target, **settings):
+def derivatives(splats: Splats, camera, target, background):
     """Return the picture and the gradients of a squared error from the oracle."""
     values = {
         name: torch.from_numpy(getattr(splats, name).astype(np.float64)).requires_grad_()
         for name in Gradients.names()
     }
-    seen = torch_oracle.picture(values, camera, **settings)
+    added = np.array([oracle.added(splats, camera, row) for row in range(len(splats))])
+    seen = torch_oracle.picture(values, camera, added, background=background)
     (seen - torch.from_numpy(target.astype(np.float64))).square().sum().backward()
     found = {name: value.grad.numpy() for name, value in values.items()}
     return seen.detach().numpy(), found
 
 
-def small_scene(seed: int, degree: int, opacity: float = 1.5):
-    splats = oracle.scene(seed, n=30, degree=degree, opacity=opacity)
+def small_scene(seed: int, degree: int, opacity: float = 1.5, info: SceneInfo | None = None):
+    splats = oracle.scene(seed, n=30, degree=degree, opacity=opacity, info=info)
     camera = oracle.camera(angle=seed + 0.3, width=37, height=21, focal=24.0, shift=1.5)
     rng = np.random.default_rng(seed)
     target = rng.uniform(size=(camera.height, camera.width, 3)).astype(np.float32)
     return splats, camera, target
 
 
-@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("info", oracle.INFOS.values(), ids=oracle.INFOS)
 @pytest.mark.parametrize(("seed", "degree"), [(0, 0), (1, 1), (2, 2), (3, 3), (4, 3)])
-def test_gradients_match_the_oracle(seed, degree, antialiased):
-    splats, camera, target = small_scene(seed, degree)
-    config = RenderConfig(kernel_px=0.3, antialiased=antialiased, background=BACKGROUND)
+def test_gradients_match_the_oracle(seed, degree, info):
+    splats, camera, target = small_scene(seed, degree, info=info)
+    config = RenderConfig(background=BACKGROUND)
     forward = render_forward(splats, camera, config)
-    seen, expected = derivatives(
-        splats, camera, target, kernel_px=0.3, antialiased=antialiased, background=BACKGROUND
-    )
+    seen, expected = derivatives(splats, camera, target, BACKGROUND)
     # A pixel at which alpha is within rounding of 1/255 may fall to either side.
     same = np.abs(forward.picture - seen) < 1e-4
     assert same.mean() > 0.999
@@ -134,11 +133,11 @@ def test_infinite_opacities_and_invisible_splats_have_no_gradients():
     assert all(np.isfinite(getattr(found, name)).all() for name in Gradients.names())
 
 
-@pytest.mark.parametrize("antialiased", [False, True])
-def test_cuda_gradients_match_up_to_rounding(monkeypatch, antialiased):
-    splats, camera, target = small_scene(3, 2)
+@pytest.mark.parametrize("info", oracle.INFOS.values(), ids=oracle.INFOS)
+def test_cuda_gradients_match_up_to_rounding(monkeypatch, info):
+    splats, camera, target = small_scene(3, 2, info=info)
     splats.opacities[::4] = 9.0
-    config = RenderConfig(antialiased=antialiased, background=BACKGROUND)
+    config = RenderConfig(background=BACKGROUND)
     expected, wanted = render_forward(splats, camera, config), Gradients.zeros(splats)
     sums = expected.footprint_sums(2 * (expected.picture - target))
     centres = expected.add_gradients(sums, wanted)

@@ -24,7 +24,7 @@ def test_renders_are_the_ground_truth_of_cameras_and_copies():
     for camera, config, picture in zip(
         training_views.cameras, training_views.configs, training_views.pictures, strict=True
     ):
-        assert config == RenderConfig(0.1, True, background=background, threads=1)
+        assert config == RenderConfig(background=background, threads=1)
         np.testing.assert_array_equal(picture, np.clip(render(splats, camera, config), 0, 1))
     alone = make_training_views(splats, cameras, copies=False)
     assert len(alone) == alone.num_given == alone.num_on_path == 2
@@ -58,7 +58,7 @@ def test_covering_views_have_no_copies():
     assert last.name == "covering-000"
     assert (last.width, last.height) == (below[0].width // 2, below[0].height // 2)
     assert training_views.pictures[-1].shape == (last.height, last.width, 3)
-    assert training_views.configs[-1].kernel_px == training_views.configs[0].kernel_px / 4
+    assert training_views.configs[-1].reduction == 2 * training_views.configs[0].reduction
 
 
 def test_photos_are_the_ground_truth_of_cameras_only():
@@ -79,7 +79,7 @@ def test_large_pictures_are_downscaled():
     training_views = make_training_views(splats, [camera], photos=[photo], max_pixels=1500)
     small = training_views.cameras[0]
     assert (small.width, small.height, small.fx) == (40, 30, 30.0)
-    assert training_views.configs[0].kernel_px == 0.3 / 4
+    assert training_views.configs[0].reduction == 2
     drawn = render(splats, small, training_views.configs[0])
     assert np.abs(drawn - training_views.pictures[0]).mean() < 0.02
     white = np.ones((60, 81, 3), np.float32)

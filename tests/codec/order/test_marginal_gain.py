@@ -125,9 +125,7 @@ def test_gains_weigh_the_views(scene):
     expected = np.zeros(len(splats))
     for view in (0, 2):
         camera = references.cameras[view]
-        rows, found, _ = view_gains(
-            drawn, present, camera, references.pictures[view], kernel_px=0.3
-        )
+        rows, found, _ = view_gains(drawn, present, camera, references.pictures[view])
         expected[rows] += found / 3 / (camera.width * camera.height)
     np.testing.assert_allclose(total, expected, rtol=1e-12)
 

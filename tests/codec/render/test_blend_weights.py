@@ -12,7 +12,7 @@ from cogsplat.codec.render.tiles import tile_lists
 
 
 def _sums(splats, camera, top_k=0, threads=1, pairs_at_once=1 << 20):
-    footprints = project(splats, camera, kernel_px=0.3, antialiased=False)
+    footprints = project(splats, camera)
     sums = np.zeros((len(footprints), 3))
     for lists in tile_lists(footprints, camera.width, camera.height, pairs_at_once):
         add_weights(lists, footprints, camera, top_k, threads, sums)

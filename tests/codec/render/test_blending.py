@@ -97,7 +97,7 @@ def test_a_tile_is_open_while_one_pixel_is_live(pixel):
 
 def _tile(splats, camera, present=None, keep_rest=True):
     """Blend a picture of at most one tile: its state as (planes, 16, 16), and the stop."""
-    footprints = project(splats, camera, kernel_px=0.3, antialiased=False)
+    footprints = project(splats, camera)
     (lists,) = tile_lists(footprints, camera.width, camera.height)
     everything = np.ones(len(footprints), np.bool_)
     state = np.full(PLANES_COMPARED * PIXELS, 9.0, np.float32)
@@ -177,7 +177,7 @@ def test_a_reopened_tile_keeps_its_picture_and_clears_the_sums_of_hidden_pairs()
     wall.opacities[:] = np.inf
     splats = concatenate([splats, wall])
     expected, stop, pairs = _tile(splats, camera, keep_rest=False)
-    footprints = project(splats, camera, kernel_px=0.3, antialiased=False)
+    footprints = project(splats, camera)
     (lists,) = tile_lists(footprints, camera.width, camera.height)
     state = np.full(PLANES * PIXELS, 9.0, np.float32)
     sums = np.full((pairs, 2), 7.0, np.float32)

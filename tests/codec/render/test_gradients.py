@@ -6,28 +6,25 @@ import pytest
 
 from cogsplat.codec.render.gradients import gradient
 from cogsplat.codec.render.shading import row_colours
-from cogsplat.codec.splats import SceneInfo
 
 # Share of splats whose edge crosses a pixel's 1/255 within the difference.
 _ON_THE_EDGE = 0.1
 
 
-@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("info", oracle.INFOS.values(), ids=oracle.INFOS)
 @pytest.mark.parametrize("seed", range(2))
-def test_gradient_equals_finite_differences_of_brute_force(seed, antialiased):
-    info = SceneInfo(antialiased=antialiased)
+def test_gradient_equals_finite_differences_of_brute_force(seed, info):
     splats = oracle.scene(seed, n=24, degree=1, info=info)
     splats.opacities[0] = np.inf
     camera = oracle.camera(angle=seed, width=24, height=18, focal=20.0)
     target = np.full((camera.height, camera.width, 3), 0.4, np.float32)
-    kernel_px = 0.3
 
     def error(changed):
-        seen = oracle.view(changed, camera, kernel_px=kernel_px, antialiased=antialiased)
+        seen = oracle.view(changed, camera)
         return np.sum((seen.image - target) ** 2)
 
     colours = row_colours(splats, np.arange(len(splats), dtype=np.int32), camera)
-    found = gradient(splats, colours, camera, target, kernel_px=kernel_px)
+    found = gradient(splats, colours, camera, target)
     assert found.error == pytest.approx(error(splats), rel=1e-3)
     assert len(found.rows) > 10
     step = 5e-4

@@ -5,16 +5,15 @@ import oracle
 import pytest
 
 from cogsplat.codec.render.label_votes import label_votes
-from cogsplat.codec.splats import SceneInfo
 
 
-@pytest.mark.parametrize("antialiased", [False, True])
-def test_votes_are_the_weights_by_label(antialiased):
-    splats = oracle.scene(7, n=80, opacity=4.0, info=SceneInfo(antialiased=antialiased))
+@pytest.mark.parametrize("info", oracle.INFOS.values(), ids=oracle.INFOS)
+def test_votes_are_the_weights_by_label(info):
+    splats = oracle.scene(7, n=80, opacity=4.0, info=info)
     camera = oracle.camera(width=41, height=35)
     labels = np.random.default_rng(1).integers(0, 3, (35, 41)).astype(np.int32)
     index, votes = label_votes(splats, camera, labels, 4)
-    weights = oracle.view(splats, camera, antialiased=antialiased).weights
+    weights = oracle.view(splats, camera).weights
     expected = np.stack([weights[labels.ravel() == k].sum(axis=0) for k in range(4)], axis=1)
     found = np.zeros((80, 4))
     found[index] = votes

@@ -4,21 +4,20 @@ import pytest
 
 from cogsplat.codec.render.marginal_gains import marginal_gains
 from cogsplat.codec.render.projection import project
-from cogsplat.codec.render.rasteriser import RenderConfig, render
+from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.render.shading import row_colours
 from cogsplat.codec.splats import concatenate
 
 
 def _measure(splats, present, camera, target):
-    footprints = project(splats, camera, kernel_px=0.3, antialiased=False)
+    footprints = project(splats, camera)
     colours = row_colours(splats, footprints.index, camera)
     gains, error = marginal_gains(footprints, colours, present[footprints.index], target)
     return footprints.index, gains, error
 
 
 def _error(splats, camera, target):
-    config = RenderConfig(kernel_px=0.3)
-    drawn = render(splats, camera, config).astype(np.float64)
+    drawn = render(splats, camera).astype(np.float64)
     return np.sum((drawn - target) ** 2)
 
 

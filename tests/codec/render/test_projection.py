@@ -17,18 +17,21 @@ from cogsplat.codec.render.projection import (
     fill_rotation,
     project,
 )
-from cogsplat.codec.splats import empty
+from cogsplat.codec.splats import SceneInfo, empty
 
 
-@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("info", oracle.INFOS.values(), ids=oracle.INFOS)
 @pytest.mark.parametrize("shift", [0.0, 6.5])
-def test_footprints_are_the_projected_gaussians(antialiased, shift):
-    splats, camera = oracle.scene(1), oracle.camera(shift=shift)
-    footprints = project(splats, camera, kernel_px=0.3, antialiased=antialiased)
+def test_footprints_are_the_projected_gaussians(info, shift):
+    splats, camera = oracle.scene(1, info=info), oracle.camera(shift=shift)
+    footprints = project(splats, camera)
     assert len(footprints) > 30
     for row, index in enumerate(footprints.index):
         bare, centre, _ = oracle.covariance(splats, camera, index)
-        wide = bare + 0.3 * np.eye(2)
+        thickness, blur = oracle.added(splats, camera, index)
+        np.testing.assert_allclose(footprints.added[row], [thickness, blur], rtol=1e-6)
+        trained = bare + thickness * np.eye(2)
+        wide = trained + blur * np.eye(2)
         values = footprints.ellipse[row].astype(np.float64)
         np.testing.assert_allclose(values[[X, Y]], centre, rtol=1e-6, atol=1e-5)
         narrow, shear, flat = values[NARROW], values[SHEAR], values[FLAT]
@@ -36,8 +39,8 @@ def test_footprints_are_the_projected_gaussians(antialiased, shift):
         half_inverse = completed.T @ np.diag([narrow**2, 0.0]) @ completed + np.diag([0.0, flat])
         np.testing.assert_allclose(2 * half_inverse, np.linalg.inv(wide), rtol=1e-4, atol=1e-7)
         opacity = 1 / (1 + np.exp(-float(splats.opacities[index])))
-        if antialiased:
-            opacity *= np.sqrt(np.linalg.det(bare) / np.linalg.det(wide))
+        if blur:
+            opacity *= np.sqrt(np.linalg.det(trained) / np.linalg.det(wide))
         assert values[OPACITY] == pytest.approx(opacity, rel=1e-5)
         reach = 2 * np.log(opacity * 255)
         assert values[HALF_HEIGHT] ** 2 == pytest.approx(reach * wide[1, 1], rel=1e-4)
@@ -59,7 +62,7 @@ def test_nearest_comes_first_and_ties_keep_their_rows():
     splats = empty(0, 6)
     splats.means[:, 2] = [0.0, -1.0, 0.0, 1.0, -1.0, 0.0]
     camera = replace(oracle.camera(), rotation=np.eye(3))
-    assert project(splats, camera, kernel_px=0.3, antialiased=False).index.tolist() == [
+    assert project(splats, camera).index.tolist() == [
         1, 4, 0, 2, 5, 3,
     ]  # fmt: skip
 
@@ -69,9 +72,7 @@ def test_near_plane_is_open():
     splats.scales[:] = -3.0
     splats.means[:, 2] = np.array([-0.5, 0.0, 0.5], np.float32)
     camera = replace(oracle.camera(), rotation=np.eye(3), translation=np.array([0.0, 0.0, 1.0]))
-    assert project(
-        splats, camera, kernel_px=0.3, antialiased=False, near_plane=1.0
-    ).index.tolist() == [2]
+    assert project(splats, camera, near_plane=1.0).index.tolist() == [2]
 
 
 def test_rows_that_cannot_be_drawn_are_left_out():
@@ -86,7 +87,7 @@ def test_rows_that_cannot_be_drawn_are_left_out():
     splats.quats[6] = 0.0
     splats.quats[7] = np.nan
     splats.opacities[8] = -6.0  # below 1/255
-    footprints = project(splats, camera, kernel_px=0.3, antialiased=False)
+    footprints = project(splats, camera)
     assert footprints.index.min() > 8
     assert np.isfinite(footprints.ellipse).all()
 
@@ -95,13 +96,14 @@ def test_without_a_kernel_flat_splats_vanish_instead_of_dividing_by_zero():
     splats = empty(0, 2)
     splats.scales[0] = -200.0
     splats.scales[1] = -2.0
-    footprints = project(splats, oracle.camera(), kernel_px=0.0, antialiased=False)
+    splats = replace(splats, info=SceneInfo(kernel_px=0.0))
+    footprints = project(splats, oracle.camera())
     assert footprints.index.tolist() == [1]
 
 
 def test_visible_rows_are_sorted():
     splats = oracle.scene(6, n=60)
-    footprints = project(splats, oracle.camera(), kernel_px=0.3, antialiased=False)
+    footprints = project(splats, oracle.camera())
     rows = footprints.sorted_rows()
     np.testing.assert_array_equal(rows, np.sort(footprints.index))
     np.testing.assert_array_equal(rows[footprints.order], footprints.index)

@@ -8,8 +8,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from cogsplat.codec.capture import capture_of_cameras
 from cogsplat.codec.errors import Cancelled
+from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
 from cogsplat.codec.geometry import sh
+from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import RenderConfig, render, render_tiles, render_views
 from cogsplat.codec.splats import SceneInfo, Splats, empty
 
@@ -26,16 +29,55 @@ def _assert_same_picture(actual, expected):
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("info", oracle.INFOS.values(), ids=oracle.INFOS)
 @pytest.mark.parametrize("kernel_px", [0.3, 0.1])
-def test_picture_equals_brute_force(seed, antialiased, kernel_px):
-    splats, camera = oracle.scene(seed, n=150), oracle.camera(angle=seed, shift=2.0 * seed)
+def test_picture_equals_brute_force(seed, info, kernel_px):
+    splats = oracle.scene(seed, n=150, info=replace(info, kernel_px=kernel_px))
+    camera = oracle.camera(angle=seed, shift=2.0 * seed)
     background = (0.6, 0.0, 0.4)
-    config = RenderConfig(kernel_px=kernel_px, antialiased=antialiased, background=background)
-    expected = oracle.view(
-        splats, camera, kernel_px=kernel_px, antialiased=antialiased, background=background
+    expected = oracle.view(splats, camera, background=background)
+    found = render(splats, camera, RenderConfig(background=background))
+    _assert_same_picture(found, expected.image)
+
+
+@pytest.mark.parametrize("info", oracle.INFOS.values(), ids=oracle.INFOS)
+def test_reduced_picture_equals_brute_force(info):
+    splats, camera = oracle.scene(3, n=150, info=info), oracle.camera()
+    expected = oracle.view(splats, camera, reduction=4.0)
+    found = render(splats, camera, RenderConfig(reduction=4.0))
+    _assert_same_picture(found, expected.image)
+    usual = render(splats, camera)
+    assert np.array_equal(found, usual) == bool(info.antialiased or info.capture)
+
+
+def test_picture_of_a_training_camera_is_the_usual_one_to_the_bit():
+    splats, camera = oracle.scene(4, n=150), oracle.camera(angle=0.7)
+    others = [oracle.camera(angle=angle, focal=71.3) for angle in (0.1, 1.9)]
+    capture = capture_of_cameras([others[0], camera, others[1]])
+    # Viewpoints are stored as float32: a camera at such a place.
+    stored = np.array(capture[1][:3])
+    assert np.allclose(stored, camera.position, atol=1e-5)
+    camera = replace(
+        camera, translation=-camera.rotation @ stored, fx=capture[1][3], fy=capture[1][3]
     )
-    _assert_same_picture(render(splats, camera, config), expected.image)
+    captured = replace(splats, info=SceneInfo(capture=capture))
+    np.testing.assert_array_equal(render(captured, camera), render(splats, camera))
+    assert not np.array_equal(render(captured, others[0]), render(captured, camera))
+
+
+def test_small_and_far_pictures_are_the_full_picture_averaged():
+    """The right rule is far nearer to the average than the usual one, at any size."""
+    rng = np.random.default_rng(5)
+    splats = oracle.scene(5, n=400, opacity=3.0)
+    splats.means[:] *= 0.8
+    splats.scales[:] = rng.normal(-3.4, 0.4, size=(400, 3))
+    camera = oracle.camera(width=256, height=192, focal=230.0)
+    captured = replace(splats, info=SceneInfo(capture=capture_of_cameras([camera])))
+    full = render(splats, camera)
+    for factor in (2, 4, 8):
+        small, expected = downscale_camera(camera, factor), downscale_picture(full, factor)
+        right = psnr(expected, render(captured, small))
+        assert right > psnr(expected, render(splats, small)) + 6.0
 
 
 @pytest.mark.parametrize("degree", range(4))
@@ -71,9 +113,9 @@ def test_views_from_inside_the_scene_equal_brute_force():
 def test_config_comes_from_the_scene_when_none_is_given():
     info = SceneInfo(kernel_px=0.1, antialiased=True)
     splats, camera = oracle.scene(10, info=info), oracle.camera()
-    explicit = render(splats, camera, RenderConfig(kernel_px=0.1, antialiased=True))
-    np.testing.assert_array_equal(render(splats, camera), explicit)
-    assert not np.array_equal(explicit, render(splats, camera, RenderConfig()))
+    default = render(splats, camera)
+    np.testing.assert_array_equal(default, render(splats, camera, RenderConfig()))
+    assert not np.array_equal(default, render(replace(splats, info=SceneInfo()), camera))
 
 
 def test_empty_scene_is_background():
@@ -168,8 +210,8 @@ def test_no_views_give_no_pictures():
 @pytest.mark.parametrize(
     "options",
     [
-        {"kernel_px": -0.1},
-        {"kernel_px": math.nan},
+        {"reduction": 0.9},
+        {"reduction": math.nan},
         {"near_plane": 0.0},
         {"sh_degree": 4},
         {"threads": -1},
@@ -198,10 +240,10 @@ _wild = st.floats(width=32, allow_nan=True, allow_infinity=True) | st.sampled_fr
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     values=arrays.arrays(np.float32, (3, 11), elements=_wild),
-    antialiased=st.booleans(),
+    info=st.sampled_from(list(oracle.INFOS.values())),
     kernel_px=st.sampled_from([0.0, 0.3]),
 )
-def test_wild_splats_give_finite_pictures(values, antialiased, kernel_px):
+def test_wild_splats_give_finite_pictures(values, info, kernel_px):
     splats = Splats(
         means=np.ascontiguousarray(values[:, :3]),
         scales=np.ascontiguousarray(values[:, 3:6]),
@@ -209,10 +251,10 @@ def test_wild_splats_give_finite_pictures(values, antialiased, kernel_px):
         opacities=np.ascontiguousarray(values[:, 10]),
         sh0=np.ones((3, 3), np.float32),
         shN=np.zeros((3, 0, 3), np.float32),
+        info=replace(info, kernel_px=kernel_px),
     )
-    config = RenderConfig(antialiased=antialiased, kernel_px=kernel_px)
     camera = replace(oracle.camera(), rotation=np.eye(3))
-    picture = render(splats, camera, config)
+    picture = render(splats, camera)
     assert np.isfinite(picture).all()
     assert picture.min() >= 0.0
     assert picture.max() <= 1.0

@@ -11,7 +11,7 @@ from cogsplat.codec.render.shading import footprint_colours, row_colours
 def test_colours_are_those_that_are_drawn(degree):
     splats, camera = oracle.scene(3, n=80, degree=degree), oracle.camera()
     rows = np.flatnonzero(np.arange(80) % 3 > 0).astype(np.int32)
-    footprints = project(splats.take(rows), camera, kernel_px=0.3, antialiased=False)
+    footprints = project(splats.take(rows), camera)
     assert 20 < len(footprints) < len(rows)
     of_scene = rows[footprints.index]
     found = footprint_colours(splats, camera, footprints, rows=rows)
@@ -33,6 +33,6 @@ def test_colours_are_the_sum_of_the_bases(degree):
 def test_no_footprints_have_no_colours():
     splats, camera = oracle.scene(1, n=5), oracle.camera()
     splats.means[:] = np.nan
-    footprints = project(splats, camera, kernel_px=0.3, antialiased=False)
+    footprints = project(splats, camera)
     found = footprint_colours(splats, camera, footprints)
     assert found.shape == (0, 3)

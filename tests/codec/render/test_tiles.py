@@ -8,7 +8,7 @@ from cogsplat.codec.splats import empty
 
 
 def _footprints(splats, camera):
-    return project(splats, camera, kernel_px=0.3, antialiased=False)
+    return project(splats, camera)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -28,12 +28,11 @@ def _close(actual, expected, scale):
 
 
 @pytest.mark.parametrize("top_k", [0, 1, 3, 20])
-@pytest.mark.parametrize("antialiased", [False, True])
-def test_scores_equal_brute_force(top_k, antialiased):
-    info = SceneInfo(antialiased=antialiased)
+@pytest.mark.parametrize("info", oracle.INFOS.values(), ids=oracle.INFOS)
+def test_scores_equal_brute_force(top_k, info):
     splats = oracle.scene(3, n=150, info=info)
     scores = score(splats, CAMERAS, ScoreConfig(top_k=top_k, jitter=False))
-    seen = [oracle.view(splats, camera, antialiased=antialiased) for camera in CAMERAS]
+    seen = [oracle.view(splats, camera) for camera in CAMERAS]
     pixels = sum(camera.width * camera.height for camera in CAMERAS)
     kept = [oracle.top_weights(view, top_k).sum(axis=0) for view in seen]
     contribution = np.mean(kept, axis=0)

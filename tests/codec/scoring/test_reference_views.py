@@ -21,12 +21,12 @@ def test_reference_views_show_the_scene_small(scene):
     assert len(references.cameras) == len(references.pictures) == len(references.weights) == 9
     assert references.given == 3
     np.testing.assert_allclose(references.weights, [1 / 3] * 3 + [1 / 6] * 6)
-    for camera, picture, kernel_px in zip(
-        references.cameras, references.pictures, references.kernels, strict=True
+    for camera, picture, reduction in zip(
+        references.cameras, references.pictures, references.reductions, strict=True
     ):
         assert picture.shape == (camera.height, camera.width, 3)
         assert PICTURE_PIXELS / 2 < camera.width * camera.height <= PICTURE_PIXELS
-        assert kernel_px == pytest.approx(0.3 / 25)
+        assert reduction == 5.0
         assert picture.min() >= 0
         assert picture.max() <= 1
 
@@ -36,9 +36,9 @@ def test_reference_views_may_be_smaller(scene):
     some = splats.take(np.arange(3))
     large = [replace(c, width=4 * 310, height=4 * 200, fx=900.0, fy=900.0) for c in cameras]
     references = render_references(some, large, jittered=False, pixels=PICTURE_PIXELS // 4)
-    for camera, kernel_px in zip(references.cameras, references.kernels, strict=True):
+    for camera, reduction in zip(references.cameras, references.reductions, strict=True):
         assert camera.width * camera.height <= PICTURE_PIXELS // 4
-        assert kernel_px == pytest.approx(0.3 / 100)
+        assert reduction == 10.0
     with pytest.raises(ValueError, match="0 pixels"):
         render_references(some, large, pixels=0)
 

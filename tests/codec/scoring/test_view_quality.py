@@ -27,8 +27,8 @@ def test_each_view_is_compared_as_rendered(scene: Splats) -> None:
     other = replace(scene.take(slice(0, 1000)), info=replace(scene.info, kernel_px=0.1))
     found = view_quality.view_qualities(scene, other, CAMERAS, background=(0.2, 0.3, 0.4))
     for camera, quality in zip(CAMERAS, found, strict=True):
-        first = render(scene, camera, RenderConfig(0.3, background=(0.2, 0.3, 0.4)))
-        second = render(other, camera, RenderConfig(0.1, background=(0.2, 0.3, 0.4)))
+        config = RenderConfig(background=(0.2, 0.3, 0.4))
+        first, second = (render(splats, camera, config) for splats in (scene, other))
         assert quality == view_quality.ViewQuality(
             camera.name, psnr(first, second), ssim(first, second)
         )

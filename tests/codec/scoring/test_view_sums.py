@@ -83,7 +83,7 @@ def test_without_views_all_sums_are_zero():
 
 def test_values_of_footprints_are_sorted_by_row():
     splats = oracle.scene(6, n=60)
-    footprints = project(splats, oracle.camera(), kernel_px=0.3, antialiased=False)
+    footprints = project(splats, oracle.camera())
     values = np.stack([footprints.index, -footprints.index], axis=1).astype(np.float64)
     found = sort_by_row(footprints, values)
     np.testing.assert_array_equal(found[:, 0], np.sort(footprints.index))

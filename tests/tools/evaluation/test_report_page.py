@@ -10,7 +10,7 @@ from PIL import Image
 from running import SPLATS, Run, SmallScene
 
 import cogsplat
-from cogsplat.codec.render.rasteriser import RenderConfig, render
+from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.scoring import view_quality
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.tools.evaluation.byte_inventory import stored_sizes
@@ -46,11 +46,10 @@ def photos(small: SmallScene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Renders of the source as if they had been taken of the real thing."""
     folder = tmp_path_factory.mktemp("photos")
     scene = cogsplat.read(small.ply)
-    config = RenderConfig(scene.info.kernel_px, scene.info.antialiased)
     for camera in cogsplat.read_cameras(small.cameras):
         path = folder / camera.name
         # Names of cameras made up here have no extension: PNG all the same.
-        write_png(to_image(render(scene, camera, config)), path)
+        write_png(to_image(render(scene, camera)), path)
     return folder
 
 

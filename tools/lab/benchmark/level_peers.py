@@ -138,8 +138,7 @@ def measure_quality(
     lpips : Lpips, optional
         Network that also measures LPIPS; by default only PSNR and SSIM are measured.
     """
-    info = splats.info
-    drawing = RenderConfig(kernel_px=info.kernel_px, antialiased=info.antialiased)
+    drawing = RenderConfig()
     full = [render(splats, camera, drawing) for camera in tests]
     small = {
         scale: [downscale_camera(camera, scale) for camera in tests] for scale in config.scales

@@ -144,10 +144,7 @@ def measure(
     only : sequence of str
         Names of the variants to run; empty for all.
     """
-    info = splats.info
-    drawing = RenderConfig(
-        kernel_px=info.kernel_px, antialiased=info.antialiased, background=background
-    )
+    drawing = RenderConfig(background=background)
 
     def figures(scene: Splats, views: Sequence[Camera], expected: Sequence[F32]) -> list[float]:
         drawn = (np.clip(render(scene, view, drawing), 0.0, 1.0) for view in views)

@@ -245,8 +245,7 @@ def _renderer(camera: Camera, threads: int) -> Callable[[Splats], NDArray[np.flo
     from cogsplat.codec.render.rasteriser import RenderConfig, render
 
     def draw(splats: Splats) -> NDArray[np.float32]:
-        info = splats.info
-        config = RenderConfig(info.kernel_px, info.antialiased, threads=threads)
+        config = RenderConfig(threads=threads)
         return render(splats, replace(camera, name=""), config)
 
     return draw

@@ -124,9 +124,7 @@ def _sheet(splats: Splats, cameras: Sequence[Camera], threads: int, progress: Pr
     """Return a contact sheet of renders."""
     from cogsplat.codec.render.rasteriser import RenderConfig, render_views
 
-    config = RenderConfig(
-        kernel_px=splats.info.kernel_px, antialiased=splats.info.antialiased, threads=threads
-    )
+    config = RenderConfig(threads=threads)
     small = [fitted(camera, *THUMBNAIL) for camera in cameras]
     images = render_views(splats, small, config, progress=progress)
     return contact_sheet(images, [camera.name for camera in cameras])

@@ -163,8 +163,6 @@ class Evaluator:
         from cogsplat.codec.render.rasteriser import RenderConfig, render
 
         config = RenderConfig(
-            kernel_px=splats.info.kernel_px,
-            antialiased=splats.info.antialiased,
             background=self._background,
             threads=1,
         )
