@@ -47,20 +47,111 @@ def capture_of_cameras(cameras: Sequence[Camera]) -> Capture:
     >>> len(capture_of_cameras(cameras)) == min(len(cameras), 32)
     True
     """
-    if not cameras:
+    rows = np.array([[*camera.position, camera.focal_px] for camera in cameras]).reshape(-1, 4)
+    return _spread(rows.astype(np.float32), _STORED)
+
+
+def _spread(viewpoints: NDArray[np.float32], count: int) -> Capture:
+    """Choose `count` of (n, 4) viewpoints at most, by positions, farthest first."""
+    if len(viewpoints) > count:
+        positions = viewpoints[:, :3].astype(np.float64)
+        chosen = [int(np.argmin(np.square(positions - positions.mean(axis=0)).sum(axis=1)))]
+        nearest = np.square(positions - positions[chosen[0]]).sum(axis=1)
+        while len(chosen) < count:
+            nearest[chosen[-1]] = -1.0
+            chosen.append(int(np.argmax(nearest)))
+            distances = np.square(positions - positions[chosen[-1]]).sum(axis=1)
+            nearest = np.minimum(nearest, distances)
+        viewpoints = viewpoints[sorted(chosen)]
+    return tuple((x, y, z, focal) for x, y, z, focal in viewpoints.tolist())
+
+
+def moved_capture(
+    capture: Capture, linear: NDArray[np.float64], translation: NDArray[np.float64] | None = None
+) -> Capture:
+    """Move viewpoints with their scene: ``new = linear @ old + translation``.
+
+    Parameters
+    ----------
+    capture : Capture
+        Viewpoints to move.
+    linear : (3, 3) float64
+        Rotation, reflection or scaling of the means, or several of these.
+    translation : (3,) float64, optional
+        Translation after it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cogsplat.codec.capture import moved_capture
+    >>> moved_capture(((0.0, 0.0, -4.0, 100.0),), 2.0 * np.eye(3))
+    ((0.0, 0.0, -8.0, 100.0),)
+    """
+    rows = np.array(capture, np.float64).reshape(-1, 4)
+    rows[:, :3] = rows[:, :3] @ linear.T
+    if translation is not None:
+        rows[:, :3] += translation
+    return _spread(rows.astype(np.float32), MAX_VIEWPOINTS)
+
+
+def merged_capture(captures: Sequence[Capture]) -> Capture:
+    """Join the viewpoints of several scenes in one frame.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        Viewpoints of each scene.
+
+    Returns
+    -------
+    Capture
+        All different viewpoints, or `MAX_VIEWPOINTS` of them; none if a scene has none, for then
+        the thickness of its splats is not known.
+
+    Examples
+    --------
+    >>> from cogsplat.codec.capture import merged_capture
+    >>> front, back = (0.0, 0.0, -4.0, 100.0), (0.0, 0.0, 4.0, 100.0)
+    >>> len(merged_capture([(front,), (front, back)])), merged_capture([(front,), ()])
+    (2, ())
+    """
+    if not all(captures):
         return ()
-    positions = np.stack([camera.position for camera in cameras])
-    nearest = np.square(positions - positions.mean(axis=0)).sum(axis=1)
-    chosen = [int(np.argmin(nearest))]
-    nearest = np.square(positions - positions[chosen[0]]).sum(axis=1)
-    while len(chosen) < min(_STORED, len(cameras)):
-        nearest[chosen[-1]] = -1.0
-        chosen.append(int(np.argmax(nearest)))
-        nearest = np.minimum(nearest, np.square(positions - positions[chosen[-1]]).sum(axis=1))
-    rows = np.array(
-        [[*cameras[row].position, cameras[row].focal_px] for row in sorted(chosen)], np.float32
-    )
-    return tuple((float(x), float(y), float(z), float(focal)) for x, y, z, focal in rows)
+    different = dict.fromkeys(viewpoint for capture in captures for viewpoint in capture)
+    return _spread(np.array(list(different), np.float32).reshape(-1, 4), MAX_VIEWPOINTS)
+
+
+def capture_around(centre: NDArray[np.float64], distance: float, focal_px: float) -> Capture:
+    """Make viewpoints all around an object, for a capture whose cameras are not known.
+
+    Parameters
+    ----------
+    centre : (3,) float64
+        Middle of the object, in the space of the means.
+    distance : float
+        Distance of the training cameras from it, scene units.
+    focal_px : float
+        Focal length of the training pictures, px.
+
+    Returns
+    -------
+    Capture
+        32 viewpoints spread evenly over a sphere (Swinbank and Purser 2006, Fibonacci grid).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cogsplat.codec.capture import capture_around
+    >>> len(capture_around(np.zeros(3), 4.0, 800.0))
+    32
+    """
+    number = np.arange(_STORED) + 0.5
+    height = 1.0 - 2.0 * number / _STORED
+    angle = np.pi * (1.0 + np.sqrt(5.0)) * number
+    ring = np.sqrt(1.0 - height * height)
+    directions = np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1)
+    rows = np.column_stack([centre + distance * directions, np.full(_STORED, focal_px)])
+    return _spread(rows.astype(np.float32), _STORED)
 
 
 def training_pixel(capture: Capture, position: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -353,6 +353,18 @@ class Splats:
             return self
         return replace(self, shN=np.ascontiguousarray(self.shN[:, : sh_coefficients(degree) - 1]))
 
+    def with_capture(self, capture: Capture) -> Splats:
+        """Return the scene with capture viewpoints, where it has none and can use them.
+
+        Parameters
+        ----------
+        capture : Capture
+            Viewpoints in the space of the means; they are not used by anti-aliased scenes.
+        """
+        if self.info.capture or self.info.antialiased:
+            return self
+        return replace(self, info=replace(self.info, capture=capture))
+
     def invalid_rows(self) -> NDArray[np.bool_]:
         """Return a mask of the rows that cannot be drawn: NaN, infinite values, zero quaternions.
 

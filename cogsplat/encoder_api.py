@@ -112,7 +112,7 @@ def encode(
     True
     """
     from .codec.encode import pipeline
-    from .codec.encode.look_of_request import find_look_of
+    from .codec.encode.look_of_request import find_look_of, with_capture_of
     from .codec.encode.stage_costs import stage_costs
 
     _require_output(path, force, scene, cameras)
@@ -139,6 +139,7 @@ def encode(
         if isinstance(progress, OverallProgress):
             progress.plan(stage_costs(len(splats), request))
         look, request = find_look_of(splats, _with_stored_look(scene, request))
+        splats = with_capture_of(splats, request, look)
         described = _description_of(scene) if description is None else description
         metadata = FileMetadata(look, request.stored_cameras, described)
         encoded = pipeline.encode(
@@ -207,6 +208,7 @@ def tune(
     >>> len(cogsplat.decode("tuned.cogs")) < len(cogsplat.read("scene.ply"))
     True
     """
+    from .codec.capture import capture_of_cameras
     from .codec.fit import tuning
     from .codec.fit.tune_config import TuneConfig, TuneRequest
     from .codec.fit.tuning_views import choose_tuning_views
@@ -214,8 +216,8 @@ def tune(
 
     _require_output(path, force, scene, cameras)
     config = config or TuneConfig()
-    splats = _splats(scene).without_extras()
     given = None if cameras is None else _views(cameras)
+    splats = _splats(scene).without_extras().with_capture(capture_of_cameras(given or ()))
     views = choose_tuning_views(splats, given, threads=config.train.threads, progress=progress)
     request = TuneRequest(views, _target(target, scene), config)
     look = find_first_look(splats, given, threads=config.train.threads)
@@ -263,6 +265,7 @@ def layers(
     >>> len(cogsplat.decode("levels.cogs", level=0)) < len(cogsplat.decode("levels.cogs"))
     True
     """
+    from .codec.capture import capture_of_cameras
     from .codec.fit.level_encoding import make_levels
     from .codec.fit.train_config import LevelsConfig, LevelsRequest
     from .codec.views.first_look_search import find_first_look
@@ -278,6 +281,7 @@ def layers(
         views: Sequence[Camera] = planned.views + planned.covering_views
     else:
         views = _views(cameras)
+        splats = splats.with_capture(capture_of_cameras(views))
     encoded = make_levels(splats, LevelsRequest(views, config), progress=progress)
     given = None if cameras is None else views
     look = find_first_look(splats, given, threads=config.threads)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.executor import Executor, LocalThreads
 from cogsplat.codec.order.orders import split_name
+from cogsplat.codec.views.trained_at import parse_trained_at
 from cogsplat.codec.views.view_text import parse_view, unit_up
 from cogsplat.codec.workspace import IN_MEMORY, Workspace
 
@@ -42,6 +43,10 @@ class EncodeRequest:
         None estimates it from the cameras or the splats.
     view : str or Camera, optional
         First view for viewers, or its text (`view_text.parse_view`). None chooses one.
+    trained_at : str, optional
+        Size and field of view of the pictures of training (`trained_at.parse_trained_at`), by which
+        viewers draw splats as thick as in training. None takes those of the scene, else of
+        `cameras`.
     config : EncodeConfig
         Contents of the file. With planned views, its nominal quality is the PSNR in the planned
         test views, to about 1 dB (`rate_control.search_nominal`).
@@ -65,7 +70,7 @@ class EncodeRequest:
         An unknown preset; the order ``gain`` with scores and no cameras; a target for the profile
         `near-lossless`; an executor or a preview together with a memory limit.
     DataError
-        ``bad-view-text``: `up` or `view` states no direction or pose.
+        ``bad-view-text``: `up`, `view` or `trained_at` cannot be parsed.
 
     Examples
     --------
@@ -81,6 +86,7 @@ class EncodeRequest:
     stored_cameras: Sequence[Camera] = ()
     up: str | ArrayLike | None = None
     view: str | Camera | None = None
+    trained_at: str | None = None
     config: EncodeConfig = field(default_factory=EncodeConfig)
     score_config: ScoreConfig | None = None
     preset: str = DEFAULT_PRESET
@@ -94,6 +100,8 @@ class EncodeRequest:
             unit_up(self.up)
         if isinstance(self.view, str):
             parse_view(self.view)
+        if self.trained_at is not None:
+            parse_trained_at(self.trained_at)
         if self.preset not in PRESETS:
             raise ValueError(f"preset {self.preset!r}, expected one of {tuple(PRESETS)}")
         gain = split_name(self.config.order)[0] == "gain"

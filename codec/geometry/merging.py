@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cogsplat.codec.capture import merged_capture, moved_capture
 from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.codec.splats import Splats, concatenate, sh_coefficients
 
@@ -73,7 +74,16 @@ def merge(parts: Sequence[Splats]) -> Splats:
         extras = {name: part.extras[name] for name in kept}
         turned = convert_axes(replace(part, extras=extras), first.axes)
         placed.append(_at_origin(_with_degree(turned, degree), first.origin, number))
-    return concatenate(placed)
+    capture = merged_capture([part.info.capture for part in placed])
+    if not capture and any(part.info.capture for part in placed):
+        warnings.warn(
+            "not all parts know the viewpoints of their training pictures; in small pictures, all "
+            "are drawn as thick as usual",
+            CogsplatWarning,
+            stacklevel=2,
+        )
+    merged = concatenate(placed)
+    return replace(merged, info=replace(merged.info, capture=capture))
 
 
 def _shared_extras(parts: Sequence[Splats]) -> list[str]:
@@ -114,4 +124,5 @@ def _at_origin(part: Splats, origin: tuple[float, float, float], number: int) ->
             f"part {number}: {int(lost.sum()):,} centres exceed float32 relative to the first "
             "part's origin, expected origins nearer to each other",
         )
-    return replace(part, means=means, info=replace(part.info, origin=origin))
+    capture = moved_capture(part.info.capture, np.eye(3), shift)
+    return replace(part, means=means, info=replace(part.info, origin=origin, capture=capture))

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.capture import moved_capture
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.splats import MAX_SH_DEGREE, Extra, Splats, sh_coefficients
 
@@ -158,7 +159,12 @@ def convert_axes(splats: Splats, axes: str) -> Splats:
         quats=quats,
         shN=rotate_sh(splats.shN, change.matrix),
         extras=_rotate_normals(splats.extras, change.matrix),
-        info=replace(splats.info, axes=axes, origin=(origin[0], origin[1], origin[2])),
+        info=replace(
+            splats.info,
+            axes=axes,
+            origin=(origin[0], origin[1], origin[2]),
+            capture=moved_capture(splats.info.capture, change.matrix),
+        ),
     )
 
 
@@ -293,7 +299,11 @@ def transform(
             quats=quats.astype(np.float32),
             shN=rotate_sh(splats.shN, turn),
             extras=_rotate_normals(splats.extras, turn),
-            info=replace(splats.info, origin=(x, y, z)),
+            info=replace(
+                splats.info,
+                origin=(x, y, z),
+                capture=moved_capture(splats.info.capture, linear, np.array(translation)),
+            ),
         )
 
 

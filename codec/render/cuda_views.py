@@ -1,8 +1,8 @@
 """Views of a scene on a CUDA device, drawn with gsplat.
 
 The CPU projects, so that every splat is as thick as in other pictures. gsplat (Ye et al. 2024)
-computes colours, tile lists by depth, and pairs of a pixel and a splat. The weight of each pair is computed here by the rules of `blending`,
-because gsplat caps alpha at 0.999 and 3DGS at 0.99.
+computes colours, tile lists by depth, and pairs of a pixel and a splat. The weight of each pair is
+computed here by the rules of `blending`, because gsplat caps alpha at 0.999 and 3DGS at 0.99.
 
 Results agree with the CPU only up to rounding: the device adds in a different order in every run.
 """

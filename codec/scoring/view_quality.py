@@ -111,7 +111,8 @@ def view_qualities(
 ) -> tuple[ViewQuality, ...]:
     """Measure PSNR and SSIM between two scenes in each view.
 
-    Each scene is rendered with the kernel in its `Splats.info`.
+    Each scene is rendered with the kernel in its `Splats.info`. Where one of them knows its capture
+    viewpoints, they are used for both.
 
     Parameters
     ----------
@@ -153,6 +154,7 @@ def view_qualities(
                 f"at least {_SMALLEST_SIDE} px",
             )
     config = RenderConfig(background=background, threads=1)
+    reference, other = share_capture(reference, other)
 
     def measure(camera: Camera) -> tuple[ViewQuality, bool]:
         expected = render(reference, camera, config)
@@ -174,6 +176,18 @@ def view_qualities(
             f"{len(cameras)} views of the reference show background only, expected some splats",
         )
     return tuple(qualities)
+
+
+def share_capture(reference: Splats, other: Splats) -> tuple[Splats, Splats]:
+    """Return two versions of a scene, both with the capture viewpoints that either knows.
+
+    A file says how large the pixels of training were and the PLY that it was made of may not: their
+    pictures would differ by the drawing and not by the splats.
+    """
+    return (
+        reference.with_capture(other.info.capture),
+        other.with_capture(reference.info.capture),
+    )
 
 
 def compare(

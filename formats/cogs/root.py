@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.capture import MAX_VIEWPOINTS, Capture
 from cogsplat.codec.errors import DataError, FormatError, UnsupportedError
 from cogsplat.codec.metrics import PSNR_CAP_DB
 from cogsplat.codec.segments.attributes import AttributeType
@@ -175,7 +176,7 @@ class Root:
     sh_degree : int
         SH degree, 0 to 3.
     info : SceneInfo
-        Conventions of the scene: origin, axes, colour space, kernel.
+        Conventions of the scene: origin, axes, colour space, kernel, capture viewpoints.
     box : (6,) float64
         Bounding box of the splats with their extents: minimum corner, maximum corner; scene units.
     codebooks : sequence of CodebookEntry
@@ -280,6 +281,8 @@ def root_map(root: Root) -> dict[str, Value]:
         value["up"] = [float(x) for x in root.up]
     if root.core_box is not None:
         value["core_box"] = [float(x) for x in root.core_box]
+    if info.capture:
+        value["capture"] = _column(np.array(info.capture), "<f4")
     if root.attributes:
         value["attributes"] = [_attribute_value(kind) for kind in root.attributes]
     if root.levels:
@@ -431,6 +434,8 @@ def parse_root(value: Value, where: str) -> Root:
         )
     up = _up(root) if root.has("up") else None
     core_box = _box(root, "core_box", within=box) if root.has("core_box") else None
+    if root.has("capture"):
+        info = replace(info, capture=_capture(root))
     attributes = _attributes(root, where)
     levels = _levels(root, where)
     entries = root.array("pages", layout.MAX_PAGES) if root.has("pages") else []
@@ -491,6 +496,20 @@ def _up(root: CheckedMap) -> F64:
     if not abs(square - 1.0) <= _UNIT_TOLERANCE:
         raise root.error("up", f"{up}, of squared length {square:g}, expected a unit vector")
     return np.array(up)
+
+
+def _capture(root: CheckedMap) -> Capture:
+    """Return the checked capture viewpoints."""
+    rows = root.column("capture", "<f4", None, 4).astype(np.float64)
+    if not 1 <= len(rows) <= MAX_VIEWPOINTS:
+        raise root.error("capture", f"{len(rows)} viewpoints, expected 1 to {MAX_VIEWPOINTS}")
+    if not (np.isfinite(rows).all() and (rows[:, 3] > 0).all()):
+        raise root.error(
+            "capture",
+            "NaN, infinite, or a focal length of 0 or less, expected finite positions "
+            "and positive focal lengths",
+        )
+    return tuple((x, y, z, focal) for x, y, z, focal in rows.tolist())
 
 
 def _axes(root: CheckedMap) -> str:

@@ -39,6 +39,8 @@ def dropped_info(info: SceneInfo, *, antialiased: bool = False) -> list[str]:
         dropped.append(f"the kernel of {info.kernel_px:g} px²")
     if info.antialiased and not antialiased:
         dropped.append("the anti-aliasing flag")
+    if info.capture:
+        dropped.append("the capture viewpoints, without which small pictures are drawn too thick")
     return dropped
 
 

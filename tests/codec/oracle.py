@@ -93,7 +93,7 @@ def covariance(splats, camera, row):
 
 # Viewpoints near to and far from `camera()`: some splats are drawn smaller than in training, some
 # larger.
-CAPTURE = ((0.5, -0.2, -2.0, 60.0), (-3.0, 1.0, -4.0, 25.0), (4.0, 2.0, 3.0, 40.0))
+CAPTURE = ((0.5, -0.25, -2.0, 60.0), (-3.0, 1.0, -4.0, 25.0), (4.0, 2.0, 3.0, 40.0))
 INFOS = {
     "usual": SceneInfo(),
     "antialiased": SceneInfo(antialiased=True),

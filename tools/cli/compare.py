@@ -277,16 +277,12 @@ def _draw_difference(
     """Write a picture of both scenes and their difference in one view."""
     from cogsplat.codec.render.rasteriser import RenderConfig
     from cogsplat.codec.render.rasteriser import render as draw
+    from cogsplat.codec.scoring.view_quality import share_capture
     from cogsplat.tools.pictures.difference import difference_image
     from cogsplat.tools.pictures.png import write_png
 
-    pictures = []
-    for splats in (first, second):
-        config = RenderConfig(
-            background=background,
-            threads=threads,
-        )
-        pictures.append(draw(splats, camera, config))
+    config = RenderConfig(background=background, threads=threads)
+    pictures = [draw(splats, camera, config) for splats in share_capture(first, second)]
     write_png(difference_image(*pictures), out, force=force)
 
 

@@ -45,6 +45,7 @@ from cogsplat.tools.terminal.options import (
     target_psnr_option,
     threads_option,
     top_k_option,
+    trained_at_option,
     up_option,
 )
 from cogsplat.tools.terminal.output import (
@@ -118,7 +119,7 @@ _GROUPS: Final = {
         "--masks",
     ),
     "Scoring": ("--no-jitter", "--top-k", "--eval-every"),
-    "First view": ("--view", "--up"),
+    "First view and drawing": ("--view", "--up", "--trained-at"),
     "Contents of the file": (
         "--prune",
         "--no-prune",
@@ -228,6 +229,7 @@ _GROUPS: Final = {
 @click.option("--no-prune", is_flag=True, help="Keep every splat.")
 @no_extras_option
 @up_option
+@trained_at_option
 @click.option(
     "--describe",
     type=PATH,

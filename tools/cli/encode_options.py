@@ -49,6 +49,7 @@ class EncodeOptions:
     no_prune: bool
     no_extras: bool
     up: str | None
+    trained_at: str | None
     store_cameras: bool
     no_jitter: bool
     top_k: int | None
@@ -161,6 +162,7 @@ class EncodeOptions:
                 request,
                 cameras=views,
                 up=self.up,
+                trained_at=self.trained_at,
                 view=view,
                 score_config=replace(scoring, device=self.device),
                 target=target,

@@ -206,6 +206,7 @@ def _cogs_report(
         "colour_space": root.info.colour_space,
         "kernel_px": root.info.kernel_px,
         "antialiased": root.info.antialiased,
+        "capture": [list(viewpoint) for viewpoint in root.info.capture],
         "first_view": None
         if view is None
         else {
@@ -256,6 +257,7 @@ def _print_root(path: Path, version: str, file: CogsFile, cameras: int | None) -
         ("origin", _origin(root.info)),
         ("frame", f"axes {root.info.axes}, colour {root.info.colour_space}"),
         ("kernel", f"{root.info.kernel_px:g} px², {smoothing}"),
+        ("trained at", _trained_at(root.info)),
         (
             "first view",
             f"{view.width}x{view.height} px at {_numbers(view.position)}" if view else "none",
@@ -381,6 +383,7 @@ def _scene_report(path: Path, splats: Splats, file_bytes: int) -> dict[str, obje
         "colour_space": splats.info.colour_space,
         "kernel_px": splats.info.kernel_px,
         "antialiased": splats.info.antialiased,
+        "capture": [list(viewpoint) for viewpoint in splats.info.capture],
         "extras": [
             {"name": kind.name, "type": kind.dtype, "components": kind.components}
             for kind in attribute_types(splats.extras)
@@ -414,6 +417,14 @@ def _print_scene(path: Path, splats: Splats, file_bytes: int) -> None:
     if rows:
         print_line("")
         print_table(("attribute", "least", "largest", "not finite"), rows)
+
+
+def _trained_at(info: SceneInfo) -> str:
+    """Return how many viewpoints of training are known, and their focal lengths."""
+    if not info.capture:
+        return "not known"
+    least, most = (bound(focal for *_, focal in info.capture) for bound in (min, max))
+    return f"{len(info.capture)} viewpoints, focal lengths of {least:.5g} to {most:.5g} px"
 
 
 def _origin(info: SceneInfo) -> str:

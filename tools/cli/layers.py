@@ -204,6 +204,7 @@ class LayersOptions:
 
 def _layers(options: LayersOptions) -> None:
     """Run the command."""
+    from cogsplat.codec.capture import capture_of_cameras
     from cogsplat.codec.fit.level_encoding import make_levels
     from cogsplat.codec.fit.train_config import LevelsRequest
     from cogsplat.codec.views.first_look_search import find_first_look
@@ -219,6 +220,7 @@ def _layers(options: LayersOptions) -> None:
             views, tests = hold_out(load_cameras(path), options.eval_every)
             if not views:
                 raise click.UsageError(f"--eval-every {options.eval_every} holds out all cameras")
+            splats = splats.with_capture(capture_of_cameras(views))
         else:
             views, tests = plan_cameras(splats, threads=threads, progress=stages), []
         _require_pixels(views, max(config.scales))

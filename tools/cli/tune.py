@@ -283,6 +283,7 @@ class TuneOptions:
 
 def _tune(options: TuneOptions) -> None:
     """Run the command."""
+    from cogsplat.codec.capture import capture_of_cameras
     from cogsplat.codec.fit import tuning
     from cogsplat.codec.views.first_look_search import find_first_look
 
@@ -296,6 +297,7 @@ def _tune(options: TuneOptions) -> None:
             splats = drop_invalid_splats(given.splats, options.scene).without_extras()
             if not len(splats):
                 raise DataError("empty-scene", f"{options.scene}: 0 splats, expected some to train")
+            splats = splats.with_capture(capture_of_cameras(cameras or ()))
         request = options.request(splats, cameras, given.file_bytes, stages)
         names = [view.name for view in request.views.cameras]
         run = fingerprint(splats, f"{request.target} {request.config} {names}")

@@ -16,6 +16,7 @@ from cogsplat.codec.encode.config import (
 from cogsplat.codec.metrics import SSIM_BORDERS
 from cogsplat.codec.render.cuda_device import DEVICES, cuda_device
 from cogsplat.codec.splats import MAX_SH_DEGREE
+from cogsplat.codec.views.trained_at import parse_trained_at
 from cogsplat.codec.views.view_text import parse_up
 from cogsplat.tools.terminal.values import FiniteNumber
 
@@ -235,6 +236,24 @@ def up_option(command: Command) -> Command:
         help="Direction against gravity: x,y,z, or one of +x, -x, +y, -y, +z, -z.  [default: "
         "estimated from the cameras or the splats]",
     )(command)
+
+
+def trained_at_option(command: Command) -> Command:
+    """Add ``--trained-at``."""
+    return click.option(
+        "--trained-at",
+        type=_trained_at_text,
+        metavar="W,FOV[,D]",
+        help="Pictures of training: width in px, horizontal field of view in degrees, and distance "
+        "of the cameras from the scene's middle; or unknown. With it, splats are drawn as thick as "
+        "in training at any picture size.  [default: the cameras, if given]",
+    )(command)
+
+
+def _trained_at_text(text: str) -> str:
+    """Check the text of ``--trained-at``."""
+    parse_trained_at(text)
+    return text
 
 
 def _up_text(text: str) -> str:

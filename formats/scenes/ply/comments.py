@@ -6,10 +6,14 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
+import numpy as np
+
+from cogsplat.codec.capture import MAX_VIEWPOINTS
 from cogsplat.codec.errors import DataError, FormatError
 from cogsplat.codec.splats import SceneInfo
 
 _COMMENT = "cogsplat"
+_LARGEST: Final = float(np.finfo(np.float32).max)
 _AXES = ({"R", "L"}, {"U", "D"}, {"F", "B"})
 
 # Comment of Brush, gsplat and splat-transform in scenes trained with Mip-Splatting's filter.
@@ -39,6 +43,10 @@ def scene_comments(info: SceneInfo) -> list[str]:
     if info.antialiased != default.antialiased:
         comments.append(f"{_COMMENT} antialiased {str(bool(info.antialiased)).lower()}")
         comments.append(_MIP_COMMENT)
+    comments += [
+        f"{_COMMENT} capture {' '.join(repr(float(number)) for number in viewpoint)}"
+        for viewpoint in info.capture
+    ]
     try:
         parse_scene_info(comments, "scene info")
     except FormatError as error:
@@ -67,6 +75,7 @@ def parse_scene_info(comments: Sequence[str], where: str) -> SceneInfo:
     default = SceneInfo()
     origin, axes, colour_space = default.origin, default.axes, default.colour_space
     kernel_px, antialiased, marked = default.kernel_px, default.antialiased, False
+    capture: list[tuple[float, float, float, float]] = []
     for comment in comments:
         match comment.split(" "):
             case ["cogsplat", "origin", x, y, z] if _finite(x, y, z):
@@ -79,18 +88,24 @@ def parse_scene_info(comments: Sequence[str], where: str) -> SceneInfo:
                 kernel_px = float(value)
             case ["cogsplat", "antialiased", ("true" | "false") as value]:
                 antialiased = value == "true"
+            case ["cogsplat", "capture", x, y, z, focal] if (
+                _is_viewpoint(x, y, z, focal) and len(capture) < MAX_VIEWPOINTS
+            ):
+                capture.append((float(x), float(y), float(z), float(focal)))
             case _ if comment.strip() == _MIP_COMMENT:
                 marked = True
             case [
                 "cogsplat",
-                ("origin" | "axes" | "colour_space" | "kernel_px" | "antialiased") as key,
+                (
+                    "origin" | "axes" | "colour_space" | "kernel_px" | "antialiased" | "capture"
+                ) as key,
                 *_,
             ]:
                 raise FormatError(
                     "ply-bad-comment",
                     f"{where}: {comment[:80]!r}, expected a valid value of {key}",
                 )
-    return SceneInfo(origin, axes, colour_space, kernel_px, antialiased or marked)
+    return SceneInfo(origin, axes, colour_space, kernel_px, antialiased or marked, tuple(capture))
 
 
 def _finite(*words: str) -> bool:
@@ -99,6 +114,14 @@ def _finite(*words: str) -> bool:
         return all(math.isfinite(float(word)) for word in words)
     except ValueError:
         return False
+
+
+def _is_viewpoint(x: str, y: str, z: str, focal: str) -> bool:
+    """Return whether words are a position and a focal length above 0, all finite as float32."""
+    words = (x, y, z, focal)
+    if not (_finite(*words) and max(abs(float(word)) for word in words) <= _LARGEST):
+        return False
+    return bool(np.float32(focal) > 0)
 
 
 def _is_axes(name: str) -> bool:

@@ -10,6 +10,7 @@ from io import BufferedReader
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.capture import moved_capture
 from cogsplat.codec.errors import StorageError, TruncatedError
 from cogsplat.codec.splats import Extra, SceneInfo, Splats
 from cogsplat.codec.workspace import IN_MEMORY, Zeros
@@ -169,7 +170,8 @@ def read_ply(
     if arrays["means"].dtype == np.float64:
         arrays["means"], offset = split_origin(arrays["means"].astype(np.float64), where)
         x, y, z = (a + b for a, b in zip(info.origin, offset, strict=True))
-        info = replace(info, origin=(x, y, z))
+        capture = moved_capture(info.capture, np.eye(3), -np.array(offset))
+        info = replace(info, origin=(x, y, z), capture=capture)
     with np.errstate(over="ignore"):
         narrow = {name: values.astype(np.float32, copy=False) for name, values in arrays.items()}
     return Splats(
@@ -311,8 +313,12 @@ def write_ply_parts(
     dtypes = dict.fromkeys(["x", "y", "z", *NORMALS], "f4")
     if absolute:
         dtypes |= dict.fromkeys(fields["means"], "f8")
-    info = replace(splats.info, origin=SceneInfo().origin) if absolute else splats.info
-    origin = np.array(splats.info.origin)
+    info, origin = splats.info, np.array(splats.info.origin)
+    if absolute:
+        # In float64: of positions on the globe, float32 keeps half a metre.
+        x, y, z = info.origin
+        placed = tuple((a + x, b + y, c + z, focal) for a, b, c, focal in info.capture)
+        info = replace(info, origin=SceneInfo().origin, capture=placed)
     dtypes |= {f"f_dc_{c}": "f4" for c in range(3)}
     dtypes |= {f"f_rest_{k}": "f4" for k in range(3 * rest)}
     dtypes |= {"opacity": "f4"} | {f"scale_{k}": "f4" for k in range(3)}

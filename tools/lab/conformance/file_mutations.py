@@ -36,7 +36,7 @@ _ODD_VALUES: Final[tuple[Value, ...]] = (
     [[[[[[[[[0]]]]]]]]], {}, {"a": 0}, {"a!": 0},
 )  # fmt: skip
 _ODD_KEYS: Final = ("a", "b!", "!", "", "__proto__", "constructor", "splats", "pages", "quality",
-                "layer", "first_view", "up", "core_box", "target", "attributes", "kind",
+                "layer", "first_view", "up", "core_box", "capture", "target", "attributes", "kind",
                 "name")  # fmt: skip
 _PREAMBLE_FIELDS: Final = ((8, "H"), (10, "H"), (12, "I"), (16, "Q"), (24, "I"), (28, "I"),
                            (40, "B"), (59, "B"))  # fmt: skip

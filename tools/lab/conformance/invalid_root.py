@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 
 from cogsplat.formats.cogs.canonical_msgpack import Value
 from cogsplat.formats.cogs.layout import MAGIC
@@ -193,8 +194,22 @@ def roots() -> list[Invalid]:
         value("core-box-five", "core_box", numbers[:5], "five numbers"),
         value("core-box-turned", "core_box", [1.0, *numbers[:5]], "minimum above maximum"),
         value("core-box-outside", "core_box", [*numbers[:5], 8.5], "a corner outside the box"),
+        value("capture-none", "capture", b"", "no viewpoint"),
+        value("capture-65", "capture", _viewpoint() * 65, "65 viewpoints"),
+        value("capture-nan", "capture", _viewpoint(y=math.nan), "NaN"),
+        value("capture-infinite", "capture", _viewpoint(y=math.inf), "an infinite position"),
+        value("capture-focal", "capture", _viewpoint(focal=0.0), "a focal length of 0"),
+        value(
+            "capture-short", "capture", _viewpoint()[:15], "15 bytes of a viewpoint", "root-columns"
+        ),
+        wrong("capture-array", "capture", [0.0, 0.0, 0.0, 1.0], "an array for a bin"),
         *_codebooks(),
     ]
+
+
+def _viewpoint(*, y: float = 2.0, focal: float = 500.0) -> bytes:
+    """Return a capture viewpoint."""
+    return struct.pack("<4f", 1.0, y, -3.0, focal)
 
 
 def _page() -> Value:

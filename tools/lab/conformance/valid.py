@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -368,10 +369,13 @@ def _root_values() -> Valid:
         first_view=view,
         up=[0.0, -0.6, 0.8],
         core_box=[-8.0, -7.5, -3.0, 2.0, 2.5, 8.0],
+        capture=struct.pack("<8f", 1.5, -2.0, 0.25, 640.0, -1e30, 0.0, 1e-30, 0.5),
     )
     rows = [ChunkRow(6, (-4.5, -8.0, -4.0, 4.0, 4.0, 8.5), 12.5, 1, 2, 3, 41.25)]
     data = build(Draft(root, [Group(_chunk(6, 1, 0), rows)]))
-    note = "origin, axes, colour space, kernel, first view, up, layer, cell, object, quality"
+    note = (
+        "origin, axes, colour space, kernel, first view, up, capture, layer, cell, object, quality"
+    )
     return Valid("root-values", data, ("4.2", "4.4", "5.4"), note)
 
 

@@ -59,9 +59,19 @@ export interface SceneInfo {
   readonly up: readonly number[] | undefined;
   /** Bounding box as `box`, without stray splats such as floaters and sky. */
   readonly coreBox: readonly number[] | undefined;
+  /** Viewpoints of the training pictures, by which a renderer keeps the trained thickness of splats; may be empty. */
+  readonly capture: readonly Viewpoint[];
   readonly attributes: readonly AttributeEntry[];
   /** Levels, coarsest first; empty for a scene without levels. */
   readonly levels: readonly LevelEntry[];
+}
+
+/** Viewpoint of a training picture (SPEC 4.2). */
+export interface Viewpoint {
+  /** In the space of the means. */
+  readonly position: readonly [number, number, number];
+  /** Focal length of the full picture, px. */
+  readonly focalPx: number;
 }
 
 /** The root: scene, codebooks, pages, and the tables of the root itself. */
@@ -72,6 +82,9 @@ export interface Root {
   readonly segments: SegmentTable;
   readonly chunks: ChunkTable;
 }
+
+/** Viewpoints of the training pictures at most (SPEC 4.2). */
+const MAX_VIEWPOINTS = 64;
 
 /** Largest difference between the squared length of a direction and 1 (SPEC 4.2). */
 const UNIT_TOLERANCE = 1e-3;
@@ -97,6 +110,7 @@ export function readRoot(bytes: Uint8Array): Root {
   const firstView = fields.has("first_view") ? readPinhole(fields.fields("first_view")) : undefined;
   const up = fields.has("up") ? readUp(fields) : undefined;
   const coreBox = fields.has("core_box") ? readBox(fields, "core_box", box) : undefined;
+  const capture = fields.has("capture") ? readCapture(fields) : [];
   const attributes = fields.has("attributes") ? readAttributeEntries(fields) : [];
   const levels = fields.has("levels") ? readLevels(fields) : [];
   const pages = fields.has("pages") ? fields.maps("pages", 128, readPageEntry) : [];
@@ -116,6 +130,7 @@ export function readRoot(bytes: Uint8Array): Root {
     firstView,
     up,
     coreBox,
+    capture,
     attributes,
     levels,
   } as const;
@@ -131,6 +146,20 @@ function readBox(fields: Fields, key: string, within?: readonly number[]): numbe
     throw fields.outOfRange(key, "a corner outside the box of the scene");
   }
   return box;
+}
+
+/** Read the viewpoints of the training pictures. */
+function readCapture(fields: Fields): Viewpoint[] {
+  const column = fields.column("capture", 16);
+  const count = column.byteLength / 16;
+  if (count < 1 || count > MAX_VIEWPOINTS) throw fields.outOfRange("capture", `${count} viewpoints`);
+  return Array.from({ length: count }, (_, row) => {
+    const [x, y, z, focalPx] = [0, 4, 8, 12].map((at) => column.getFloat32(16 * row + at, true)) as [number, number, number, number];
+    if (![x, y, z, focalPx].every(Number.isFinite) || !(focalPx > 0)) {
+      throw fields.outOfRange("capture", `the viewpoint ${[x, y, z, focalPx]}`);
+    }
+    return { position: [x, y, z], focalPx };
+  });
 }
 
 /** Read the direction against gravity. */
