@@ -139,6 +139,7 @@ test("what our PLY says of its scene is heard", () => {
     linear: false,
     kernelPx: 0.3,
     antialiased: false,
+    capture: [],
   });
   const told = readPlyHeader(
     header([
@@ -147,10 +148,21 @@ test("what our PLY says of its scene is heard", () => {
       "comment cogsplat kernel_px 0.1",
       "comment cogsplat colour_space linear",
       "comment SplatRenderMode: mip",
+      "comment cogsplat capture 1.0 -2.5 3.0 640.0",
+      "comment cogsplat capture 1.0 2.0 3.0 0.0",
+      "comment cogsplat capture 1.0 2.0 3.0",
     ]),
   )!;
   assert.deepEqual(told.origin, [1.5, 0, -2]);
-  assert.deepEqual(told.scene, { splats: 7, shDegree: 0, axes: "RUB", linear: true, kernelPx: 0.1, antialiased: true });
+  assert.deepEqual(told.scene, {
+    splats: 7,
+    shDegree: 0,
+    axes: "RUB",
+    linear: true,
+    kernelPx: 0.1,
+    antialiased: true,
+    capture: [{ position: [1, -2.5, 3], focalPx: 640 }],
+  });
   assert.equal(readPlyHeader(header([]).subarray(0, 60)), undefined);
   assert.throws(() => readPlyHeader(new TextEncoder().encode("solid cube\nfacet")), /neither a \.cogs file nor a PLY/);
   const mesh = new TextEncoder().encode("ply\nformat ascii 1.0\nelement vertex 3\nend_header\n");

@@ -32,6 +32,7 @@ interface BabylonEffect {
   setFloat(name: string, value: number): unknown;
   setFloat2(name: string, x: number, y: number): unknown;
   setFloat3(name: string, x: number, y: number, z: number): unknown;
+  setFloat4(name: string, x: number, y: number, z: number, w: number): unknown;
   setMatrix3x3(name: string, values: Float32Array): unknown;
 }
 
@@ -103,7 +104,10 @@ const PREMULTIPLIED_OVER = 8;
 /** Uniforms that GLSL declares as int or bool. */
 const INTEGERS = new Set(["count", "degree", "antialiased", "compensated", "levelled"]);
 /** Uniforms of a picture. */
-const OF_PICTURE = ["count", "rotation", "translation", "cameraPosition", "focal", "viewport", "middle", "depth"];
+const OF_PICTURE = [
+  ...["count", "rotation", "translation", "cameraPosition", "focal", "viewport", "middle", "depth"],
+  ...["trainingPixel", "trainingRest"],
+];
 
 /**
  * Stream a scene into a mesh of Babylon.js, drawn by the rules of SPEC 8.7.
@@ -201,6 +205,8 @@ function setUniforms(effect: BabylonEffect, uniforms: Uniforms): void {
   for (const [name, value] of Object.entries(uniforms)) {
     if (INTEGERS.has(name)) effect.setInt(name, Number(value));
     else if (typeof value === "object" && value.length === 9) effect.setMatrix3x3(name, Float32Array.from(value));
+    else if (typeof value === "object" && value.length === 4)
+      effect.setFloat4(name, value[0]!, value[1]!, value[2]!, value[3]!);
     else if (typeof value === "object" && value.length === 3) effect.setFloat3(name, value[0]!, value[1]!, value[2]!);
     else if (typeof value === "object") effect.setFloat2(name, value[0]!, value[1]!);
     else effect.setFloat(name, Number(value));

@@ -1,5 +1,6 @@
 import type { StreamedScene } from "../loader/streamed_scene.js";
 import { DEFAULT_RANGES, SH_WORDS } from "../scene/packed_splats.js";
+import { trainingPixel } from "../scene/training_pixel.js";
 import { PackedRows, TEXTURE_WIDTH } from "./packed_rows.js";
 import { type AdapterOptions, streamRows, wantedDegree } from "./row_stream.js";
 import { SortedRows } from "./sorted_rows.js";
@@ -103,7 +104,8 @@ export class ShadedScene {
   draw(matrices: PictureMatrices, world: ArrayLike<number>, size: readonly [number, number]): Uniforms {
     const { forward, uniforms } = uniformsOf(matrices, world, size);
     this.sorting.look(forward);
-    return { ...uniforms, count: this.count };
+    const pixel = trainingPixel(this.scene.info.capture, uniforms.cameraPosition as readonly number[]);
+    return { ...uniforms, trainingPixel: pixel.slice(0, 4), trainingRest: pixel[4], count: this.count };
   }
 
   close(): void {

@@ -105,6 +105,7 @@ const FORMATS = {
 const FIRST_PICTURE = {
   ...{ count: 0, rotation: new Float32Array(9), translation: [0, 0, 0], cameraPosition: [0, 0, 0] },
   ...{ focal: [1, 1], viewport: [1, 1], middle: [0, 0], depth: [0, 0] },
+  ...{ trainingPixel: [0, 0, 0, 0], trainingRest: 0 },
 };
 
 /**

@@ -154,7 +154,12 @@ function readCapture(fields: Fields): Viewpoint[] {
   const count = column.byteLength / 16;
   if (count < 1 || count > MAX_VIEWPOINTS) throw fields.outOfRange("capture", `${count} viewpoints`);
   return Array.from({ length: count }, (_, row) => {
-    const [x, y, z, focalPx] = [0, 4, 8, 12].map((at) => column.getFloat32(16 * row + at, true)) as [number, number, number, number];
+    const [x, y, z, focalPx] = [0, 4, 8, 12].map((at) => column.getFloat32(16 * row + at, true)) as [
+      number,
+      number,
+      number,
+      number,
+    ];
     if (![x, y, z, focalPx].every(Number.isFinite) || !(focalPx > 0)) {
       throw fields.outOfRange("capture", `the viewpoint ${[x, y, z, focalPx]}`);
     }

@@ -1,3 +1,4 @@
+import type { Viewpoint } from "../container/root.js";
 import type { PlyScene } from "./ply_messages.js";
 
 /** Length of a header at most, bytes; one of 3DGS at SH degree 3 has about 1,500. */
@@ -107,10 +108,21 @@ export function readPlyHeader(bytes: Uint8Array): PlyLayout | undefined {
       linear: said.get("colour_space") === "linear",
       kernelPx: Number(said.get("kernel_px") ?? 0.3),
       antialiased: said.get("antialiased") === "true" || lines.includes("comment SplatRenderMode: mip"),
+      capture: lines.flatMap((line) => {
+        const comment = COMMENT.exec(line);
+        return comment?.[1] === "capture" ? readViewpoint(comment[2]!) : [];
+      }),
     },
     origin,
     headerBytes,
     stride,
     columns: [...names, ...shN].map(at),
   };
+}
+
+/** Return the viewpoint that a comment states, relative to the file's zero; none where it is not one. */
+function readViewpoint(text: string): Viewpoint[] {
+  const [x, y, z, focalPx, ...more] = text.split(" ").map(Number) as [number, number, number, number];
+  const known = more.length === 0 && [x, y, z, focalPx].every(Number.isFinite) && focalPx > 0;
+  return known ? [{ position: [x, y, z], focalPx }] : [];
 }

@@ -1,3 +1,4 @@
+import type { Viewpoint } from "../container/root.js";
 import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
 
 /** A PLY to read: source, number of rows, and packing. */
@@ -28,6 +29,8 @@ export interface PlyScene {
   readonly linear: boolean;
   readonly kernelPx: number;
   readonly antialiased: boolean;
+  /** Viewpoints of the training pictures, in the space of the packed means; may be empty. */
+  readonly capture: readonly Viewpoint[];
 }
 
 /** Messages of the reader, in this order: header, rows, and the end or an error. */

@@ -1,5 +1,6 @@
 import { LONGEST_PAUSE, lateness, lengthOf, readParts, withinPause } from "../loader/byte_source.js";
 import { type PackedSplats, type PackRanges, SH_WORDS } from "../scene/packed_splats.js";
+import { movedCapture } from "../scene/training_pixel.js";
 import type { Meter } from "./meter.js";
 import { type PlyLayout, readPlyHeader } from "./ply_header.js";
 import type { PlyRequest, PlyResponse } from "./ply_messages.js";
@@ -114,10 +115,15 @@ class PlyRows {
       if (this.origin === undefined) {
         this.origin = meanPosition(values, layout, rows);
         const { origin: fileOrigin } = layout;
+        const { origin: zero } = this;
         const scene = {
           ...layout.scene,
           fileOrigin,
-          origin: this.origin.map((value, axis) => value + fileOrigin[axis]!),
+          origin: zero.map((value, axis) => value + fileOrigin[axis]!),
+          capture: movedCapture(
+            layout.scene.capture,
+            zero.map((value) => -value),
+          ),
         };
         this.post({ type: "scene", scene, totalBytes: this.totalBytes }, []);
       }

@@ -1,3 +1,5 @@
+import type { Viewpoint } from "../container/root.js";
+import { movedCapture, trainingPixel } from "../scene/training_pixel.js";
 import {
   COMPOSITE_SHADER,
   FRAGMENT_SHADER,
@@ -5,7 +7,7 @@ import {
   VERTEX_SHADER,
   WHOLE_PICTURE_SHADER,
 } from "./shaders.js";
-import type { SplatLayer } from "./splat_layer.js";
+import type { LayerScene, SplatLayer } from "./splat_layer.js";
 
 /** Camera of a picture: x_camera = R·x + t in the space of the means, x right, y down, z forward. */
 export interface View {
@@ -120,7 +122,8 @@ export class SplatRenderer {
       if (i === 0) gl.scissor(divide, 0, width - divide, height);
       else gl.scissor(0, 0, divide, height);
       const whole = layer.prepare(eye?.forward ?? view.rotation.slice(6, 9));
-      this.drawLayer(layer, viewInSpace(view, view.origin, layer.scene.origin), options.degree, width, height);
+      const capture = captureOf(layer.scene, layers);
+      this.drawLayer(layer, capture, viewInSpace(view, view.origin, layer.scene.origin), options.degree, width, height);
       return whole;
     });
     gl.disable(gl.SCISSOR_TEST);
@@ -152,7 +155,14 @@ export class SplatRenderer {
     this.gl.deleteProgram(this.composite.program);
   }
 
-  private drawLayer(layer: SplatLayer, view: View, degree: number, width: number, height: number): void {
+  private drawLayer(
+    layer: SplatLayer,
+    capture: readonly Viewpoint[],
+    view: View,
+    degree: number,
+    width: number,
+    height: number,
+  ): void {
     const { gl, splats } = this;
     const { rotation: r, translation: t, principal = [0, 0] } = view;
     gl.useProgram(splats.program);
@@ -168,6 +178,9 @@ export class SplatRenderer {
     gl.uniform2f(splats.uniform("viewport"), width, height);
     gl.uniform1f(splats.uniform("kernel"), layer.scene.kernelPx);
     gl.uniform1i(splats.uniform("antialiased"), Number(layer.scene.antialiased));
+    const [x, y, z, area, rest] = trainingPixel(capture, position);
+    gl.uniform4f(splats.uniform("trainingPixel"), x, y, z, area);
+    gl.uniform1f(splats.uniform("trainingRest"), rest);
     gl.uniform2f(splats.uniform("rgbRange"), layer.ranges.rgbMin, layer.ranges.rgbMax);
     gl.uniform1f(splats.uniform("shRange"), layer.ranges.shRange);
     const { hasLevels, shDegree } = layer.scene;
@@ -196,6 +209,16 @@ export class SplatRenderer {
 /** Error of a browser or a machine without WebGL 2. */
 export class NoWebGlError extends Error {
   override readonly name = "NoWebGlError";
+}
+
+/** Return the viewpoints of a scene, else those of the version of it that is drawn beside it. */
+function captureOf(scene: LayerScene, layers: readonly SplatLayer[]): readonly Viewpoint[] {
+  const known = [scene, ...layers.map((layer) => layer.scene)].find(({ capture }) => capture.length > 0);
+  if (known === undefined || known === scene) return scene.capture;
+  return movedCapture(
+    known.capture,
+    known.origin.map((value, axis) => value - scene.origin[axis]!),
+  );
 }
 
 /** Return a view in the space of another scene's means. */

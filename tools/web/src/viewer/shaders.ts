@@ -35,6 +35,8 @@ uniform vec2 middle;         // of the picture, in halves of it
 uniform vec2 depth;          // the depth of a z is x + y / z, and 0 in pictures of splats alone
 uniform float kernel;        // px^2, added to projected covariances
 uniform bool antialiased;
+uniform vec4 trainingPixel;  // its area is w times the squared distance from xyz, plus trainingRest; w of 0: not known
+uniform float trainingRest;
 uniform vec2 rgbRange;
 uniform float shRange;
 
@@ -131,11 +133,22 @@ void main() {
   float a = dot(u, u), b = dot(u, v), c = dot(v, v);
   // A sum of squares, where a·c − b·b of thin splats cancels.
   vec3 across = cross(u, v);
-  float before = dot(across, across);
-  float determinant = before + kernel * (a + c) + kernel * kernel;
-  a += kernel; c += kernel;
+  float determinant = dot(across, across);
+  // The trained thickness, then the filter that keeps the opacity in sum (SPEC 8.7), px^2.
+  float thickness = antialiased ? 0.0 : kernel, blur = antialiased ? kernel : 0.0;
+  if (trainingPixel.w > 0.0 && !antialiased) {
+    vec3 aside = mean - trainingPixel.xyz, away = mean - cameraPosition;
+    float share = (trainingPixel.w * dot(aside, aside) + trainingRest) * abs(focal.x * focal.y) / dot(away, away);
+    thickness = kernel * share;
+    blur = max(0.0, 1.0 - share) / 12.0;
+  }
+  determinant += thickness * (a + c) + thickness * thickness;
+  a += thickness; c += thickness;
+  float before = determinant;
+  determinant += blur * (a + c) + blur * blur;
+  a += blur; c += blur;
   if (!(determinant > 0.0)) return;
-  if (antialiased) opacity *= sqrt(before / determinant);
+  opacity *= sqrt(before / determinant);
   if (opacity < ALPHA_MIN) return;
 
   // The ellipse where alpha falls to 1/255, by the eigenvectors of the covariance.

@@ -1,4 +1,5 @@
 import type { Shifts } from "../container/compensation.js";
+import type { Viewpoint } from "../container/root.js";
 import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
 import type { DepthSorter } from "./depth_sorter.js";
 import { TEXTURE_WIDTH } from "./shaders.js";
@@ -15,6 +16,8 @@ export interface LayerScene {
   /** Variance added to projected covariances, pixels². */
   readonly kernelPx: number;
   readonly antialiased: boolean;
+  /** Viewpoints of the training pictures; may be empty. */
+  readonly capture: readonly Viewpoint[];
   /** Whether opacities differ between levels (SPEC 5.11). */
   readonly hasLevels: boolean;
 }
