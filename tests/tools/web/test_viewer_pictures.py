@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -95,3 +95,27 @@ def test_pictures_equal_our_renders_as_bytes_arrive(
             cogsplat.decode(shown.path)
         )
         page.close()
+
+
+def test_small_near_and_far_pictures_are_as_thick_as_in_training(
+    browser: Browser, terrace: Shown
+) -> None:
+    # As the file says, training was in pictures of 160x120: these are near, nearer, and far.
+    files = {**linked_page("terrace"), "scene.cogs": terrace.path.read_bytes()}
+    whole = cogsplat.decode(terrace.path)
+    usual = replace(whole, info=replace(whole.info, capture=()))
+    with running(FaultyServer(files)) as server:
+        for width, height, back in ((240, 180, 1.0), (640, 480, 1.0), (240, 180, 3.0)):
+            camera = synth_cameras(48, width, height)[8]
+            # Back along the direction of view, with the same target in the middle.
+            moved = camera.translation + np.array([0.0, 0.0, (back - 1.0) * 6.0])
+            camera = replace(camera, translation=moved)
+            page = browser.new_page(viewport={"width": width, "height": height})
+            page.goto(server.url)
+            look_from(page, camera)
+            wait_until(page, "s.state === 'complete' && s.upToDate")
+            found = picture(page)
+            assert psnr(found, np.clip(render(whole, camera), 0, 1)) >= SAME_DB
+            if width == 640:
+                assert psnr(found, np.clip(render(usual, camera), 0, 1)) < SAME_DB
+            page.close()
