@@ -14,8 +14,11 @@ from cogsplat.codec.capture import (
     training_pixel,
 )
 from cogsplat.codec.errors import CogsplatWarning, DataError
+from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
+from cogsplat.codec.geometry.baked_thickness import bake_thickness
 from cogsplat.codec.geometry.merging import merge
 from cogsplat.codec.geometry.transforms import convert_axes, transform, transform_camera
+from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.projection import FILTER, THICKNESS, project
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.scoring.view_quality import share_capture
@@ -129,3 +132,29 @@ def test_other_texts_are_refused(text):
     with pytest.raises(DataError) as caught:
         parse_trained_at(text)
     assert caught.value.code == "bad-view-text"
+
+
+def test_baked_thickness_is_that_of_the_nearest_viewpoint():
+    splats = oracle.scene(6, n=20).with_capture(oracle.CAPTURE)
+    baked = bake_thickness(splats)
+    assert (baked.info.antialiased, baked.info.capture) == (True, ())
+    pixels = [np.linalg.norm(splats.means - v[:3], axis=1) / v[3] for v in oracle.CAPTURE]
+    expected = np.exp(2 * splats.scales) + 0.3 * np.min(pixels, axis=0)[:, None] ** 2
+    np.testing.assert_allclose(np.exp(2 * baked.scales), expected, rtol=1e-4)
+    with pytest.raises(DataError) as caught:
+        bake_thickness(oracle.scene(6, n=20))
+    assert caught.value.code == "no-capture"
+
+
+def test_baked_scenes_are_nearly_right_in_an_antialiased_renderer():
+    rng = np.random.default_rng(5)
+    splats = oracle.scene(5, n=400, opacity=3.0)
+    splats.means[:] *= 0.8
+    splats.scales[:] = rng.normal(-3.4, 0.4, size=(400, 3))
+    camera = oracle.camera(width=256, height=192, focal=230.0)
+    baked = bake_thickness(splats.with_capture(capture_of_cameras([camera])))
+    full = render(splats, camera)
+    for factor in (2, 4, 8):
+        small, expected = downscale_camera(camera, factor), downscale_picture(full, factor)
+        found = psnr(expected, render(baked, small))
+        assert found > psnr(expected, render(splats, small)) + 2.0

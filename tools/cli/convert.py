@@ -101,7 +101,9 @@ class _FileOrFolder(OutputPath):
 @click.argument("out", type=_FileOrFolder(), metavar="OUT")
 @writing_options(OUTPUT_FORMATS, "Without it, OUT's extension names the format.")
 @edit_options
-@cameras_option("For COGS output only. Without it, views are planned around the scene.")
+@cameras_option(
+    "For COGS output and --bake-kernel. Without it, views are planned around the scene."
+)
 @partial_option
 @limits_option
 @threads_option
@@ -135,7 +137,7 @@ def convert(
     if to_folder and writing.format_name not in (None, COGS_NAME):
         raise click.UsageError(f"--format {writing.format_name} with {out}, expected a file")
     name = COGS_NAME if to_folder else output_format(out, writing)
-    require_cogs_for_cameras(cameras, out, name)
+    require_cogs_for_cameras(cameras, out, name, baked=writing.bake_kernel)
     copied = (
         name == COGS_NAME
         and is_cogs(source)

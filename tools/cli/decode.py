@@ -99,7 +99,7 @@ def decode(
         chunks, least_splats, size, sh_degree, objects, refine, compensate, writing.extras, level
     )
     with Stages(shown=not (quiet or as_json)) as stages:
-        if format_.name == "ply" and not compensate and level is None:
+        if format_.name == "ply" and not (compensate or writing.bake_kernel) and level is None:
             scene, decoded = _decode_into_ply(
                 cogs, part, out, absolute=writing.absolute, force=force, threads=threads, to=stages
             )

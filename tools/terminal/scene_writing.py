@@ -34,6 +34,8 @@ class SceneWriting:
         One of `VERSIONS` for an SPZ; None for the default.
     extras : bool
         Whether attributes without effect on the picture are written.
+    bake_kernel : bool
+        Whether the trained thickness is added to the scales, and the scene is anti-aliased.
     """
 
     format_name: str | None = None
@@ -41,6 +43,7 @@ class SceneWriting:
     spz_precision: str | None = None
     spz_version: int | None = None
     extras: bool = True
+    bake_kernel: bool = False
 
     def require(self, out: Path, name: str) -> None:
         """Raise if an option applies only to formats other than that of the output.
@@ -55,7 +58,8 @@ class SceneWriting:
         Raises
         ------
         click.UsageError
-            ``--absolute`` without PLY, or ``--spz-precision`` or ``--spz-version`` without SPZ.
+            ``--absolute`` without PLY, ``--spz-precision`` or ``--spz-version`` without SPZ, or
+            ``--bake-kernel`` with COGS.
         """
         if self.absolute and name != "ply":
             raise click.UsageError(f"--absolute with {out} as {name}, expected a PLY")
@@ -63,6 +67,11 @@ class SceneWriting:
             raise click.UsageError(f"--spz-precision with {out} as {name}, expected an SPZ")
         if self.spz_version is not None and name != "spz":
             raise click.UsageError(f"--spz-version with {out} as {name}, expected an SPZ")
+        if self.bake_kernel and name == "cogs":
+            raise click.UsageError(
+                f"--bake-kernel with {out} as COGS, expected another format: a COGS file stores "
+                "the viewpoints of training themselves"
+            )
 
 
 def no_extras_option(command: Command) -> Command:
@@ -77,7 +86,7 @@ def no_extras_option(command: Command) -> Command:
 def writing_options(
     names: Sequence[str], without: str
 ) -> Callable[[Callable[..., object]], Callable[..., object]]:
-    """Return the options ``--format --no-extras --absolute --spz-…``, passed on as ``writing``.
+    """Return the options that `SceneWriting` holds, passed on as ``writing``.
 
     Parameters
     ----------
@@ -96,10 +105,13 @@ def writing_options(
             spz_precision: str | None,
             spz_version: str | None,
             no_extras: bool,
+            bake_kernel: bool,
             **others: object,
         ) -> object:
             version = None if spz_version is None else int(spz_version)
-            chosen = SceneWriting(format_name, absolute, spz_precision, version, not no_extras)
+            chosen = SceneWriting(
+                format_name, absolute, spz_precision, version, not no_extras, bake_kernel
+            )
             return command(writing=chosen, **others)
 
         options = [
@@ -123,6 +135,13 @@ def writing_options(
                 "and 2 stores rotations more coarsely.",
             ),
             no_extras_option,
+            click.option(
+                "--bake-kernel",
+                is_flag=True,
+                help="For other viewers: add the thickness that splats were trained with to their "
+                "scales, and mark the scene as anti-aliased. Small and far pictures are then "
+                "nearly as trained, full-size pictures slightly softer.",
+            ),
         ]
         decorated: Callable[..., object] = writing
         for option in reversed(options):

@@ -12,7 +12,9 @@ import click
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.capture import capture_of_cameras
 from cogsplat.codec.errors import CogsplatWarning
+from cogsplat.codec.geometry.baked_thickness import bake_thickness
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.scenes.registry import WRITABLE
 from cogsplat.formats.storage.atomic import storage_errors
@@ -80,16 +82,20 @@ def output_format(out: Path, writing: SceneWriting) -> str:
     return name
 
 
-def require_cogs_for_cameras(cameras: Path | None, out: Path, name: str) -> None:
-    """Raise an error if cameras are given for an output in another format than COGS.
+def require_cogs_for_cameras(
+    cameras: Path | None, out: Path, name: str, *, baked: bool = False
+) -> None:
+    """Raise an error if cameras are given for an output that does not use them.
 
     Raises
     ------
     click.UsageError
-        There are cameras, and `name` is another format than COGS.
+        There are cameras, `name` is another format than COGS, and no kernel is baked.
     """
-    if cameras is not None and name != COGS_NAME:
-        raise click.UsageError(f"--cameras with {out}, expected an output that ends in .cogs")
+    if cameras is not None and name != COGS_NAME and not baked:
+        raise click.UsageError(
+            f"--cameras with {out}, expected an output that ends in .cogs, or --bake-kernel"
+        )
 
 
 def write_any(
@@ -116,7 +122,8 @@ def write_any(
     force : bool
         Whether an existing file may be replaced.
     cameras : sequence of Camera or None
-        Cameras that a COGS file is scored in; None to plan views.
+        Cameras that a COGS file is scored in, or that tell the thickness to bake; None to plan
+        views.
     threads : int
     stages : Stages
         Receives the stages of encoding and writing.
@@ -137,6 +144,8 @@ def write_any(
     notes = notes or SceneNotes()
     if not writing.extras:
         splats = splats.without_extras()
+    if writing.bake_kernel:
+        splats = bake_thickness(splats.with_capture(capture_of_cameras(cameras or ())))
     if name == COGS_NAME:
         from cogsplat.codec.encode.config import EncodeConfig
         from cogsplat.codec.encode.request import EncodeRequest
