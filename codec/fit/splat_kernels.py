@@ -146,7 +146,7 @@ def add_colour_gradients(
 @called_with(
     "int32[::1], float64[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], "
     "float32[:, ::1], float32[::1], float64[:, ::1], float64[::1], float64[::1], int64, int64, "
-    "float64, boolean, float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[::1], "
+    "float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[::1], "
     "float64[:, ::1], int64, int64"
 )
 @kernel

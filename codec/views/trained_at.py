@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.capture import Capture, capture_around
 from cogsplat.codec.errors import DataError
+from cogsplat.codec.finite_fields import require_finite
 
 _EXPECTED: Final = "expected WIDTH,FOV or WIDTH,FOV,DISTANCE, such as 1600,60, or unknown"
 # Fields of view, degrees.
@@ -35,6 +36,9 @@ class TrainedAt:
     width: float = 0.0
     fov_deg: float = 60.0
     distance: float | None = None
+
+    def __post_init__(self) -> None:
+        require_finite(self)
 
     def capture(self, core_box: NDArray[np.float64]) -> Capture:
         """Return viewpoints around a scene; none where the width is not known.
