@@ -61,7 +61,7 @@ def draw_shifts(
             drawn_opacities[i] = opacities[i] + np.float32(by_opacity)
 
 
-@called_with("int32[::1], float64[:], float64[::1], float64, float64[:, ::1]")
+@called_with("int32[::1], float64[::1], float64[::1], float64, float64[:, ::1]")
 @kernel
 def add_gradient(
     rows: NDArray[np.int32], by_scale: F64, by_opacity: F64, weight: float, gradients: F64
