@@ -52,7 +52,7 @@ test("released rows leave the GPU's memory once they are not drawn, at the end o
   const gpu = new CountingContext();
   const layer = new SplatLayer(
     gpu.context,
-    { ...SCENE, antialiased: false, hasLevels: false },
+    { ...SCENE, antialiased: false, capture: [], hasLevels: false },
     DEFAULT_RANGES,
     Infinity,
     (rows) => new DepthSorter(rows, undefined, assert.fail),
