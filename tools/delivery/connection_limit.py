@@ -152,10 +152,16 @@ class OpenConnections:
                 connection.close()
 
 
-def limit_buffers(listener: socket.socket) -> None:
-    """Limit the kernel's buffers of the connections that a listening socket accepts."""
+def prepare_listener(listener: socket.socket) -> None:
+    """Limit the kernel's buffers of the connections that a listening socket accepts.
+
+    Their short packets are sent at once. Otherwise the end of a response waits some 40 ms for the
+    peer's acknowledgement of its beginning (Nagle's algorithm). asyncio sets this option only for
+    sockets of known protocol, which those of `socket.create_server` are not.
+    """
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
 def connection_limit(most: int = MAX_CONNECTIONS) -> int:

@@ -32,7 +32,7 @@ from .connection_limit import (
     Connection,
     OpenConnections,
     connection_limit,
-    limit_buffers,
+    prepare_listener,
 )
 from .file_app import READ_HEADERS, SEND_FILE, FileApp, Message, Receive, Send, refuse
 from .threaded_server import HOST
@@ -114,7 +114,7 @@ class FileServer:
         with storage_errors(f"{host}:{port}"):
             self._socket = socket.create_server((host, port), family=family, backlog=_BACKLOG)
         self._socket.setblocking(False)
-        limit_buffers(self._socket)
+        prepare_listener(self._socket)
         most = MAX_CONNECTIONS if certificate is None else _MAX_TLS_CONNECTIONS
         self.connections = OpenConnections(connection_limit(most))
         self.requests = 0

@@ -20,7 +20,7 @@ from .connection_limit import (
     MAX_HEAD_BYTES,
     OpenConnections,
     connection_limit,
-    limit_buffers,
+    prepare_listener,
 )
 
 HOST: Final = "127.0.0.1"
@@ -58,7 +58,7 @@ class ThreadedServer(ThreadingHTTPServer):
 
     def server_bind(self) -> None:
         """Bind without the reverse DNS lookup of `HTTPServer`, which can be slow."""
-        limit_buffers(self.socket)
+        prepare_listener(self.socket)
         socketserver.TCPServer.server_bind(self)
         self.server_name, self.server_port = HOST, int(self.server_address[1])
 

@@ -181,6 +181,13 @@ def large(tmp_path):
     return path
 
 
+def test_short_packets_are_sent_at_once(scene):
+    with served(scene) as server, connected(server):
+        wait_for(lambda: len(server.connections) == 1)
+        (peer,) = server.connections._connections
+        assert peer.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
 def test_connections_that_a_peer_closed_are_released(scene, large):
     with served(scene.parent) as server:
         peers = []

@@ -150,6 +150,15 @@ def test_connections_of_a_burst_do_not_wait(tmp_path: Path) -> None:
             peers.enter_context(socket.create_connection(address, timeout=0.9))
 
 
+def test_short_packets_are_sent_at_once(server: SceneServer) -> None:
+    with socket.create_connection((HOST, server.server_port), timeout=60) as peer:
+        peer.sendall(b"GET /scene.cogs HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert peer.recv(1)
+        (accepted,) = server.connections._connections
+        assert isinstance(accepted, socket.socket)
+        assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
 def test_silent_peers_are_closed(server: SceneServer, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection_limit, "IDLE_SECONDS", 0.2)
     for sent in (b"", b"GET /scene"):
