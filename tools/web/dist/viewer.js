@@ -51,7 +51,7 @@ uniform vec2 middle;         // of the picture, in halves of it
 uniform vec2 depth;          // the depth of a z is x + y / z, and 0 in pictures of splats alone
 uniform float kernel;        // px^2, added to projected covariances
 uniform bool antialiased;
-uniform vec4 trainingPixel;  // its area is w times the squared distance from xyz, plus trainingRest; w of 0: not known
+uniform vec4 trainingPixel;  // its area is w times the squared distance from xyz, plus trainingRest, not known where w is 0
 uniform float trainingRest;
 uniform vec2 rgbRange;
 uniform float shRange;
@@ -248,7 +248,7 @@ button { font: inherit; color: inherit; }
 .loading { position: absolute; inset: 0; display: grid; place-content: center; justify-items: center; gap: 14px;
   background: #000; color: #d6dae1; text-align: center; padding: 24px; pointer-events: none; transition: opacity .35s, visibility .35s; }
 .shown .loading, .failed .loading { opacity: 0; visibility: hidden; }
-.failed:not(.shown) output { visibility: hidden; }
+.failed:not(.shown) .foot { display: none; }
 .poster { position: absolute; inset: 0; width: 100%; height: 100%; object-fit: cover; cursor: default; }
 .loading:has(.poster:not([hidden])) > :is(.spinner, #hint) { display: none; }
 .start { position: relative; width: 76px; height: 76px; padding: 20px; border: 0; border-radius: 50%; background: #000a; color: #fff; cursor: pointer; pointer-events: auto; box-shadow: 0 0 0 2px #fff8; }

@@ -17,6 +17,7 @@ import { StreamedScene } from "../src/loader/streamed_scene.js";
 import { DEFAULT_RANGES, unpackSplats } from "../src/scene/packed_splats.js";
 import { SceneFile } from "../src/scene/scene_file.js";
 import { concatenate, type Splats } from "../src/scene/splats.js";
+import { FRAGMENT_SHADER, VERTEX_SHADER } from "../src/viewer/shaders.js";
 import { vectorBytes } from "./vectors.js";
 
 const kernels = await loadKernels();
@@ -210,6 +211,10 @@ test("babylon: points go where the axes take them, in a world of either handedne
       assert.deepEqual(corner, Array.from(Float32Array.from(scene.info.box).subarray(3 * first, 3 * first + 3)));
     }
   }
+});
+
+test("no comment of the shaders has a semicolon, after which Babylon.js breaks lines for WebGPU", () => {
+  for (const shader of [VERTEX_SHADER, FRAGMENT_SHADER]) assert.doesNotMatch(shader, /\/\/.*;/);
 });
 
 test("the uniforms of a picture are the same in a world of either handedness", () => {

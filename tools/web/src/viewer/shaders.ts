@@ -35,7 +35,7 @@ uniform vec2 middle;         // of the picture, in halves of it
 uniform vec2 depth;          // the depth of a z is x + y / z, and 0 in pictures of splats alone
 uniform float kernel;        // px^2, added to projected covariances
 uniform bool antialiased;
-uniform vec4 trainingPixel;  // its area is w times the squared distance from xyz, plus trainingRest; w of 0: not known
+uniform vec4 trainingPixel;  // its area is w times the squared distance from xyz, plus trainingRest, not known where w is 0
 uniform float trainingRest;
 uniform vec2 rgbRange;
 uniform float shRange;
