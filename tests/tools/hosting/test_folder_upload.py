@@ -24,6 +24,7 @@ from cogsplat.tools.hosting.folder_upload import (
 from cogsplat.tools.hosting.object_store import Bucket
 
 NOW = timedelta(0)
+VECTORS = Path(__file__).resolve().parents[2] / "vectors" / "valid"
 
 
 class Recorded(Bucket):
@@ -94,6 +95,23 @@ def test_damage_is_not_sent(folder: Path) -> None:
         put(folder, bucket)
     assert bucket.read("manifest.cogsm") is None
     assert bucket.read(f"segments/{largest.name}") is None
+
+
+def test_pages_of_a_manifest_are_in_use_with_all_that_they_list(tmp_path: Path) -> None:
+    folder = tmp_path / "scene"
+    cogsplat.unpack(VECTORS / "pages.cogs", folder)
+    bucket = Recorded(MemoryStore())
+    put(folder, bucket)
+    assert find_unused(bucket, older_than=NOW).names == []
+    with closing(FolderSource(folder)) as source:
+        page = next(iter(source.page_objects()))
+    bucket.delete([page])
+    # What a missing page lists is not known, so nothing may be deleted.
+    with pytest.raises(DataError) as refused:
+        find_unused(bucket, older_than=NOW)
+    assert refused.value.code == "no-manifest"
+    assert put(folder, bucket) == 1
+    assert find_unused(bucket, older_than=NOW).names == []
 
 
 def test_only_segments_that_no_manifest_needs_are_deleted(
