@@ -95,7 +95,8 @@ def few_vectors(tmp_path: Path) -> Path:
     codes = ("segment-crc", "segment-hash")
     manifest["invalid"] = [e for e in manifest["invalid"] if e["code"] in codes]
     manifest["folders"] = [e for e in manifest["folders"] if e["name"] == "one-splat"]
-    manifest["invalid_folders"] = [e for e in manifest["invalid_folders"] if e["code"] in codes]
+    broken = "folder-flip"
+    manifest["invalid_folders"] = [e for e in manifest["invalid_folders"] if e["name"] == broken]
     assert len(manifest["valid"]) == 3
     assert len(manifest["folders"]) == len(manifest["invalid_folders"]) == 1
     assert {e["code"] for e in manifest["invalid"]} == set(codes)
@@ -107,7 +108,6 @@ def few_vectors(tmp_path: Path) -> Path:
                 name = f"{entry['name']}.{suffix}"
                 (folder / kind / name).write_bytes((vectors / kind / name).read_bytes())
     shutil.copytree(vectors / "folders" / "one-splat", folder / "folders" / "one-splat")
-    broken = manifest["invalid_folders"][0]["name"]
     shutil.copytree(vectors / "invalid-folders" / broken, folder / "invalid-folders" / broken)
     (folder / "manifest.json").write_text(json.dumps(manifest))
     return folder

@@ -74,12 +74,12 @@ def test_a_scene_is_replaced_with_force_only(run: Run, described: Path, tmp_path
     assert described.read_bytes() == before
 
 
-def test_a_folder_gets_one_object(run: Run, described: Path, tmp_path: Path) -> None:
+def test_a_folder_gets_a_new_manifest_alone(run: Run, described: Path, tmp_path: Path) -> None:
     folder = tmp_path / "scene"
     assert run("convert", described, f"{folder}/").code == 0
     count = len(list((folder / "segments").iterdir()))
     told = run("describe", folder, "--title", "New", "--force", "--json").json
-    assert len(list((folder / "segments").iterdir())) == count + 1
+    assert len(list((folder / "segments").iterdir())) == count
     assert told["bytes_written"] < 20_000
     assert run("check", folder).code == 0
 
