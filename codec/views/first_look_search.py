@@ -353,7 +353,8 @@ def _views_inside(
             angles = np.arctan2(offsets @ other, offsets @ side)
             shown = weights[picture.index] * picture.visibility
             for heading in range(_HEADINGS):
-                turned = np.angle(np.exp(1j * (angles - 2.0 * math.pi * heading / _HEADINGS)))
+                turned = np.abs(angles - 2.0 * math.pi * heading / _HEADINGS)
+                turned = np.minimum(turned, 2.0 * math.pi - turned)
                 looks[heading] += float(np.sum(shown, where=np.abs(turned) < _HALF_VIEW))
         camera = inside(place, 2.0 * math.pi * int(looks.argmax()) / _HEADINGS, up)
         found.append(_Candidate(camera, SmallPicture.draw(scene, camera), 1.0))

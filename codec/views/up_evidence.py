@@ -51,6 +51,8 @@ _LEAST_LIGHT: Final = 0.03
 _WALLS, _LEVEL, _SYMMETRY, _TALL = 12.0, 24.0, 44.0, -2.6
 _FOOTING, _BASE, _TOP, _LIGHT, _LOW = 6.2, 2.1, -1.0, 3.5, -7.1
 _GROUND: Final = 3.0
+# Share of level flat area below which a direction has no ground worth scoring.
+_LEAST_LEVEL_SHARE: Final = 0.04
 # Bounds of the least reach of the base: an object that leans over its base by more still leans.
 _LEAST_FOOTING, _MOST_FOOTING = -0.3, 0.4
 
@@ -143,7 +145,9 @@ class UpEvidence:
         light = axes @ self.shading
         scores, levels = np.empty(len(candidates)), np.empty(len(candidates))
         for row, axis in enumerate(axes):
-            both = [self.surfaces.level_score(axis), self.surfaces.level_score(-axis)]
+            both = [0.0, 0.0]
+            if level[row] >= _LEAST_LEVEL_SHARE:
+                both = [self.surfaces.level_score(axis), self.surfaces.level_score(-axis)]
             ground = _GROUND * min(1.0, max(-1.0, both[0] - both[1]))
             upright = _WALLS * walls[row] + _LEVEL * level[row] + _SYMMETRY * self._symmetry(axis)
             tall, low, (least, mean), (top_least, top_mean) = self._stance(axis)
@@ -181,8 +185,9 @@ class UpEvidence:
         ordered = np.sort(heights)
         bottom, top = float(ordered[stray]), float(ordered[-1 - stray])
         height = max(top - bottom, 1e-12)
-        fifth = max(0, len(reaches) - 5)
-        whole = np.maximum(np.partition(reaches, fifth, axis=0)[fifth], 0.05)
+        part = reaches[::2]
+        third = max(0, len(part) - 3)
+        whole = np.maximum(np.partition(part, third, axis=0)[third], 0.05)
         ends = []
         for end in (heights < bottom + _END * height, heights > top - _END * height):
             shares = np.clip(reaches[end].max(axis=0, initial=-np.inf) / whole, -1.0, 1.0)
@@ -203,7 +208,7 @@ def _shading(surfaces: Surfaces, means: F64, flat: F64) -> F64:
 
     The outer side of a surface is the side with less area near it.
     """
-    part, areas = means[::3], surfaces.areas[::3]
+    part, areas = means[::5], surfaces.areas[::5]
     ahead = part @ surfaces.normals.T - (means * surfaces.normals).sum(axis=1)
     squares = np.square(part).sum(axis=1)[:, None] + np.square(means).sum(axis=1)
     squares = np.maximum(squares - 2.0 * part @ means.T, 0.0)
