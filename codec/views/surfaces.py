@@ -1,4 +1,4 @@
-"""Surfaces of a scene, sampled by its splats: planes, and what rests on them."""
+"""Surfaces of a scene, sampled by its splats: planes, and the mass above a plane."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ _ROUNDS: Final = 10
 _LEAST_MEAN: Final = 0.2
 
 # Log likelihood ratio to the usual up from which on another direction is up. In 103 scenes with the
-# right usual up, the ratio of the best other direction is at most 6.0, and 3.8 in all but two.
+# right usual up, the ratio of the best other direction is at most 6.0, and 4.7 in all but two.
 _LEAST_RATIO: Final = 6.5
 # The same of a direction with large level surfaces, and its least level score: of rooms whose usual
 # up is the normal of a wall, ratios are 5.9 and above.
