@@ -19,7 +19,6 @@ camera.addComponent("camera", { clearColor: new pc.Color(0, 0, 0), nearClip: 0.2
 app.root.addChild(camera);
 
 const scene = await StreamedScene.open(url, { service: (index) => new DecoderPool(index) });
-if (parameters.get("rules") !== "own") drawBySpec(pc, app, scene);
 const shown = streamToPlayCanvas(scene, pc, app.graphicsDevice, {
   application: app,
   leastRows: parameters.get("rules") === "own" ? 0 : 65_536,
@@ -31,6 +30,7 @@ entity.addComponent("gsplat", { resource: shown.resource });
 entity.setLocalRotation(...shown.rotation);
 entity.setLocalPosition(...shown.position);
 app.root.addChild(entity);
+if (parameters.get("rules") !== "own") drawBySpec(pc, app, scene, entity);
 look(firstPose(scene.info, Math.PI / 4));
 
 /** Put the camera where a pose of `pose.js` says. */

@@ -21,11 +21,11 @@ const splatRenderer = new spark.SparkRenderer({ renderer, accumExtSplats: true, 
 world.add(splatRenderer);
 
 const scene = await StreamedScene.open(url, { service: (index) => new DecoderPool(index) });
-if (parameters.get("rules") !== "own") drawBySpec(splatRenderer, scene);
 const shown = streamToSpark(scene, spark, {
   degree: Number(parameters.get("degree") ?? 3),
   onUpload: (rows) => (output.textContent = `${rows.toLocaleString()} of ${scene.info.splats.toLocaleString()} splats`),
 });
+if (parameters.get("rules") !== "own") drawBySpec(splatRenderer, scene, shown.mesh);
 world.add(shown.mesh);
 look(firstPose(scene.info, THREE.MathUtils.degToRad(camera.fov)));
 renderer.setAnimationLoop(() => {

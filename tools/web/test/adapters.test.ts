@@ -439,58 +439,114 @@ function rotate([x, y, z, w]: readonly number[], v: readonly number[]): number[]
   return v.map((value, i) => value + w! * t[i]! + u[i]!);
 }
 
-const KERNEL = { info: { antialiased: false, kernelPx: 0.3 } as never };
+const KERNEL = { info: { antialiased: false, kernelPx: 0.3, capture: [] } as unknown as StreamedScene["info"] };
+const TRAINED = { info: { ...KERNEL.info, capture: [{ position: [1, 2, 3], focalPx: 10 }] as const } };
+/** Twice as large and shifted along x, seen from 5 before the zero: the viewpoint is at 7, 4, 1. */
+const MOVED = [2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 2, 0, 5, 0, 0, 1];
+const VIEW = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, -5, 1];
+const SEEN = [7, 4, 1, 1 / 100];
+
+/** Settings of a renderer of Spark with a vertex shader; `cameras` are those it has drawn. */
+function sparkSettings(vertexShader: string) {
+  const cameras: unknown[] = [];
+  return {
+    material: { vertexShader, needsUpdate: false, uniforms: {} as Record<string, { value: unknown }> },
+    ...{ preBlurAmount: 0, blurAmount: 0.3, sortRadial: true, maxStdDev: 2.8, minAlpha: 0 },
+    ...{ maxPixelRadius: 512, clipXY: 1.4, cameras },
+    onBeforeRender(_renderer: never, _scene: never, camera: unknown): void {
+      assert.equal(this.cameras, cameras);
+      cameras.push(camera);
+    },
+  };
+}
+
+const JACOBIAN = "vec2 J2 = -(J1 * viewCenter.xy) * invZ;";
+const mesh = { matrixWorld: { elements: MOVED } };
 
 test("spark: a shader that is known gets the Jacobian of SPEC 8.7, another one stays and leaves splats out", () => {
-  const line = "vec2 J2 = -(J1 * viewCenter.xy) * invZ;";
-  const settings = (vertexShader: string) => ({
-    material: { vertexShader, needsUpdate: false },
-    preBlurAmount: 0,
-    blurAmount: 0.3,
-    sortRadial: true,
-    maxStdDev: 2.8,
-    minAlpha: 0,
-    maxPixelRadius: 512,
-    clipXY: 1.4,
-  });
-  const known = settings(`before; ${line} after;`);
-  assert.ok(drawSparkBySpec(known, KERNEL));
+  const known = sparkSettings(`before; ${JACOBIAN} after;`);
+  assert.ok(drawSparkBySpec(known, KERNEL, mesh));
   assert.match(known.material.vertexShader, /^before; .*clamp\(.*; after;$/);
   assert.ok(known.material.needsUpdate && known.clipXY > 100 && !known.sortRadial);
   // Without antialiasing the kernel makes splats larger, and their opacities stay as they are.
   assert.deepEqual([known.preBlurAmount, known.blurAmount], [0.3, 0]);
   assert.ok(Math.abs(Math.exp(-0.5 * known.maxStdDev ** 2) - 1 / 255) < 1e-9);
-  const other = settings("another shader");
-  assert.ok(!drawSparkBySpec(other, { info: { antialiased: true, kernelPx: 0.1 } as never }));
+  const other = sparkSettings("another shader");
+  assert.ok(!drawSparkBySpec(other, { info: { ...TRAINED.info, antialiased: true, kernelPx: 0.1 } }, mesh));
   assert.equal(other.material.vertexShader, "another shader");
   assert.equal(other.clipXY, 3);
   assert.deepEqual([other.preBlurAmount, other.blurAmount], [0, 0.1]);
 });
 
-test("playcanvas: shaders that are known are edited together or not at all", () => {
-  const known = new Map([
-    ["gsplatPS", "normExp(A) * gaussianColor.a if (A > 1.0)"],
-    ["gsplatCommonVS", "float clip = min(1.0, sqrt(max(0.0, log(alpha / alphaClipValue))) * 0.5);"],
-    [
-      "gsplatCornerVS",
-      "a + 0.3; b + 0.3; vec2 J2 = -J1 / vp.z * vp.xy; min(1024.0, min(viewport_size.x, viewport_size.y))",
-    ],
-  ]);
-  const draw = (own: Map<string, string>, isWebGPU = false) => {
-    const edited = new Map<string, string>();
-    const gsplat = { minPixelSize: 2, antiAlias: true, material: { getShaderChunks: () => edited } };
-    const isKnown = drawPlayCanvasBySpec(
-      { ShaderChunks: { get: () => own } },
-      { graphicsDevice: { isWebGPU }, scene: { gsplat } },
-      KERNEL,
-    );
-    assert.deepEqual([gsplat.minPixelSize, gsplat.antiAlias], [0, false]);
-    return { isKnown, edited };
+test("spark: splats are as thick as trained where the shader is known and the scene has viewpoints", () => {
+  const text = `uniform float preBlurAmount; ${JACOBIAN} a += preBlurAmount; d += preBlurAmount;
+    float fullBlurAmount = blurAmount; clamp(sqr(focusRadius), blurAmount, 1.0);`;
+  const trained = sparkSettings(text);
+  assert.ok(drawSparkBySpec(trained, TRAINED, mesh));
+  assert.match(trained.material.vertexShader, /a \+= preBlurAmount \* share; d \+= preBlurAmount \* share;/);
+  const camera = { matrixWorldInverse: { elements: VIEW } };
+  trained.onBeforeRender({} as never, {} as never, camera);
+  assert.deepEqual(trained.cameras, [camera]);
+  const { trainingPixel, trainingRest } = trained.material.uniforms;
+  assert.deepEqual([trainingPixel!.value, trainingRest!.value], [SEEN, 0]);
+  for (const info of [KERNEL.info, { ...TRAINED.info, antialiased: true }]) {
+    const usual = sparkSettings(text);
+    assert.ok(drawSparkBySpec(usual, { info }, mesh));
+    assert.ok(!usual.material.vertexShader.includes("trainingPixel"));
+  }
+  const unknown = sparkSettings(JACOBIAN);
+  assert.ok(!drawSparkBySpec(unknown, TRAINED, mesh));
+  assert.equal(unknown.material.vertexShader, JACOBIAN);
+});
+
+const SHADERS = new Map([
+  ["gsplatPS", "normExp(A) * gaussianColor.a if (A > 1.0)"],
+  ["gsplatCommonVS", "float clip = min(1.0, sqrt(max(0.0, log(alpha / alphaClipValue))) * 0.5);"],
+  [
+    "gsplatCornerVS",
+    "a + 0.3; b + 0.3; vec2 J2 = -J1 / vp.z * vp.xy; min(1024.0, min(viewport_size.x, viewport_size.y))",
+  ],
+]);
+
+/** Draw a scene by the specification in a PlayCanvas that has shaders. */
+function drawInPlayCanvas(own: Map<string, string>, scene: typeof KERNEL, isWebGPU = false) {
+  const edited = new Map<string, string>();
+  const uniforms: Record<string, unknown> = {};
+  const gsplat = { minPixelSize: 2, antiAlias: true, material: { getShaderChunks: () => edited } };
+  const draws: ((camera: { viewMatrix: { data: number[] } }) => void)[] = [];
+  const app = {
+    graphicsDevice: {
+      isWebGPU,
+      scope: { resolve: (name: string) => ({ setValue: (value: unknown) => (uniforms[name] = value) }) },
+    },
+    scene: { gsplat, on: (_name: string, draw: (typeof draws)[0]) => draws.push(draw) },
   };
-  const { isKnown, edited } = draw(known);
-  assert.ok(isKnown);
-  assert.deepEqual([...edited.keys()], [...known.keys()]);
+  const entity = { getWorldTransform: () => ({ data: MOVED }) };
+  const isKnown = drawPlayCanvasBySpec({ ShaderChunks: { get: () => own } }, app, scene, entity);
+  for (const draw of draws) draw({ viewMatrix: { data: VIEW } });
+  assert.equal(gsplat.minPixelSize, 0);
+  return { isKnown, edited, uniforms, antiAlias: gsplat.antiAlias };
+}
+
+test("playcanvas: shaders that are known are edited together or not at all", () => {
+  const { isKnown, edited, antiAlias, uniforms } = drawInPlayCanvas(SHADERS, KERNEL);
+  assert.ok(isKnown && !antiAlias);
+  assert.deepEqual([...edited.keys()], [...SHADERS.keys()]);
   assert.match(edited.get("gsplatCornerVS")!, /^a \+ 1\.2; b \+ 1\.2; .*clamp\(/);
-  assert.deepEqual(draw(new Map([...known, ["gsplatPS", "another"]])), { isKnown: false, edited: new Map() });
-  assert.deepEqual(draw(known, true), { isKnown: false, edited: new Map() }, "WebGPU has shaders of its own");
+  assert.deepEqual(uniforms, {});
+  const other = drawInPlayCanvas(new Map([...SHADERS, ["gsplatPS", "another"]]), KERNEL);
+  assert.deepEqual(other, { isKnown: false, edited: new Map(), antiAlias: false, uniforms: {} });
+  const { edited: none, isKnown: changed } = drawInPlayCanvas(SHADERS, KERNEL, true);
+  assert.deepEqual([changed, none], [false, new Map()], "WebGPU has shaders of its own");
+});
+
+test("playcanvas: splats are as thick as trained where the shaders are known and the scene has viewpoints", () => {
+  const covariance = "uniform float minPixelSize; mat3 cov = transpose(T) * Vrk * T; ";
+  const shaders = new Map([...SHADERS, ["gsplatCornerVS", covariance + SHADERS.get("gsplatCornerVS")!]]);
+  const { isKnown, edited, antiAlias, uniforms } = drawInPlayCanvas(shaders, TRAINED);
+  assert.ok(isKnown && antiAlias);
+  assert.match(edited.get("gsplatCornerVS")!, /cov\[1\]\[1\] \+= 1\.2 \* share; a \+ blur; b \+ blur;/);
+  assert.deepEqual(uniforms, { trainingPixel: SEEN, trainingRest: 0 });
+  const other = drawInPlayCanvas(SHADERS, TRAINED);
+  assert.deepEqual(other, { isKnown: false, edited: new Map(), antiAlias: false, uniforms: {} });
 });

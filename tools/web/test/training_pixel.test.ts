@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { movedCapture, trainingPixel } from "../src/scene/training_pixel.js";
+import { movedCapture, trainingPixel, trainingPixelInView } from "../src/scene/training_pixel.js";
 
 const CAPTURE = [
   { position: [0.5, -0.25, -2], focalPx: 60 },
@@ -31,6 +31,25 @@ test("the pixel of training is the mean of the viewpoints' pixels, weighted by n
 test("a viewer at a viewpoint has its pixel alone, and without viewpoints there is none", () => {
   assert.deepEqual(trainingPixel(CAPTURE, [-3, 1, -4]), [-3, 1, -4, 1 / 625, 0]);
   assert.deepEqual(trainingPixel([], [1, 2, 3]), [0, 0, 0, 0, 0]);
+});
+
+test("in the space of a camera the pixel of training has the size that the matrices give it", () => {
+  // The camera looks along −z from 5 before the world's zero; the scene is turned about z, twice as large, and shifted.
+  const view = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, -5, 1];
+  const model = [0, 2, 0, 0, -2, 0, 0, 0, 0, 0, 2, 0, 1, 3, -1, 1];
+  const seen = ([x, y, z]: readonly [number, number, number]) => [1 - 2 * y, 3 + 2 * x, 2 * z - 6];
+  const viewer = [-1.5, 0.5, 3];
+  assert.deepEqual(seen([-1.5, 0.5, 3]), [0, 0, 0]);
+  const means = trainingPixel(CAPTURE, viewer);
+  const [x, y, z, area, rest] = trainingPixelInView(CAPTURE, view, model);
+  for (const mean of [
+    [0, 0, 0],
+    [2, -1, 5],
+  ] as const) {
+    const expected = 4 * (means[3] * distance(means.slice(0, 3), mean) ** 2 + means[4]);
+    const found = area * distance([x, y, z], seen(mean)) ** 2 + rest;
+    assert.ok(Math.abs(found / expected - 1) < 1e-12);
+  }
 });
 
 test("viewpoints move with the zero of their space", () => {

@@ -5,6 +5,7 @@
  */
 import type { StreamedScene } from "../loader/streamed_scene.js";
 import { DEFAULT_RANGES, LOG_SCALE_MAX, LOG_SCALE_MIN, packedMeans, SH_WORDS } from "../scene/packed_splats.js";
+import { trainingPixelInView } from "../scene/training_pixel.js";
 import { axesRotation } from "./axes.js";
 import { PackedRows } from "./packed_rows.js";
 import { type PlayCanvasApplication, sortBehindCameras } from "./playcanvas_sorting.js";
@@ -17,7 +18,7 @@ import {
   streamRows,
   wantedDegree,
 } from "./row_stream.js";
-import { editShader, glslFloat } from "./shader_edits.js";
+import { editShader, glslFloat, TRAINING_AREA } from "./shader_edits.js";
 
 export type { PlayCanvasApplication } from "./playcanvas_sorting.js";
 export type { AdapterOptions, AdapterStream } from "./row_stream.js";
@@ -94,8 +95,12 @@ export interface PlayCanvasShaders {
 
 /** Settings of an application that `drawBySpec` changes. */
 export interface PlayCanvasSettings {
-  readonly graphicsDevice: { readonly isWebGPU?: boolean };
+  readonly graphicsDevice: {
+    readonly isWebGPU?: boolean;
+    readonly scope: { resolve(name: string): { setValue(value: unknown): unknown } };
+  };
   readonly scene: {
+    on(name: "prerender:layer", draws: (camera: { readonly viewMatrix: PlayCanvasMatrix }) => void): unknown;
     readonly gsplat: {
       minPixelSize: number;
       antiAlias: boolean;
@@ -104,31 +109,44 @@ export interface PlayCanvasSettings {
   };
 }
 
+interface PlayCanvasMatrix {
+  readonly data: ArrayLike<number>;
+}
+
+/** Part of an `Entity` that `drawBySpec` uses. */
+export interface PlayCanvasEntity {
+  getWorldTransform(): PlayCanvasMatrix;
+}
+
 /**
  * Change PlayCanvas's WebGL shaders to render closer to SPEC 8.7.
  *
- * Gaussians extend to a contribution of 1/255, the scene's kernel is used, and the projection's Jacobian is clamped to
- * 1.3 times the picture. The changes apply to all splats of the application. Call it before the first picture.
+ * Gaussians extend to a contribution of 1/255, are as thick as trained, and the projection's Jacobian is clamped to
+ * 1.3 times the picture. The changes, and the viewpoints of the scene, apply to all splats of the application. Call it
+ * before the first picture.
  *
  * The number of sorting keys stays that of the engine (2.23.3, `gsplat-unified-sort-worker`): 2^b + 1, where b is log₂
  * of a quarter of the number of splats, rounded and between 10 and 20. Splats that share a key are drawn in arbitrary
  * order; `leastRows` of `streamToPlayCanvas` raises the number of keys.
  *
+ * @param entity - The scene's entity, which may be moved, turned and scaled.
  * @returns Whether the engine's shaders were changed; those of another version, and of WebGPU, stay as they are.
  *
  * @example
  * ```ts
  * app.start();
- * drawBySpec(pc, app, scene);
+ * drawBySpec(pc, app, scene, entity);
  * ```
  */
 export function drawBySpec(
   pc: PlayCanvasShaders,
   app: PlayCanvasSettings,
   { info }: Pick<StreamedScene, "info">,
+  entity: PlayCanvasEntity,
 ): boolean {
   const { gsplat } = app.scene;
   gsplat.minPixelSize = 0;
+  const knowsTraining = info.capture.length > 0 && !info.antialiased;
   gsplat.antiAlias = info.antialiased;
   if (app.graphicsDevice.isWebGPU) {
     // An edited GLSL chunk makes the engine translate all of the material's shaders from GLSL, and it draws nothing.
@@ -150,7 +168,8 @@ export function drawBySpec(
       ],
     ],
     gsplatCornerVS: [
-      ["+ 0.3", `+ ${kernel}`],
+      ["+ 0.3", knowsTraining ? "+ blur" : `+ ${kernel}`],
+      ...(knowsTraining ? trainedThickness(kernel) : []),
       [
         "vec2 J2 = -J1 / vp.z * vp.xy;",
         "vec2 edge = 1.3 / vec2(center.projMat00, abs(center.projMat11)); vec2 J2 = -J1 * clamp(vp.xy / vp.z, -edge, edge);",
@@ -161,7 +180,36 @@ export function drawBySpec(
   const edited = Object.entries(edits).map(([name, pairs]) => [name, editShader(own.get(name) ?? "", pairs)] as const);
   if (edited.some(([, text]) => text === undefined)) return false;
   for (const [name, text] of edited) gsplat.material.getShaderChunks("glsl").set(name, text!);
+  if (!knowsTraining) return true;
+  // The engine then multiplies opacities by the determinant before the filter over that after it.
+  gsplat.antiAlias = true;
+  const { scope } = app.graphicsDevice;
+  app.scene.on("prerender:layer", ({ viewMatrix }) => {
+    const pixel = trainingPixelInView(info.capture, viewMatrix.data, entity.getWorldTransform().data);
+    scope.resolve("trainingPixel").setValue(pixel.slice(0, 4));
+    scope.resolve("trainingRest").setValue(pixel[4]);
+  });
   return true;
+}
+
+/** Return edits for the thickness and the filter of each splat from the pixel of training (SPEC 8.7). */
+function trainedThickness(kernel: string): readonly (readonly [string, string])[] {
+  const covariance = "mat3 cov = transpose(T) * Vrk * T;";
+  return [
+    [
+      "uniform float minPixelSize;",
+      `uniform float minPixelSize; ${TRAINING_AREA}
+float pixelArea(float focal) { return focal * focal; }
+float pixelArea(vec2 focal) { return abs(focal.x * focal.y); }`,
+    ],
+    [
+      covariance,
+      `${covariance}
+      float share = 0.25 * trainingArea(v) * pixelArea(focal) / (camera_params.w == 1.0 ? 1.0 : dot(v, v));
+      float blur = max(0.0, 1.0 - share) / 3.0;
+      cov[0][0] += ${kernel} * share; cov[1][1] += ${kernel} * share;`,
+    ],
+  ];
 }
 
 /** Number of distinct splat counts for uploads; at four uploads per second they last four minutes. */

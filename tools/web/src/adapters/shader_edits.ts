@@ -17,3 +17,10 @@ export function editShader(shader: string, edits: readonly (readonly [string, st
 export function glslFloat(value: number): string {
   return Number.isInteger(value) ? `${value}.0` : String(value);
 }
+
+/** Shader text of the area of the pixel of training at a place in the space of the camera (SPEC 8.7). */
+export const TRAINING_AREA = `uniform vec4 trainingPixel; uniform float trainingRest;
+float trainingArea(vec3 place) {
+  vec3 aside = place - trainingPixel.xyz;
+  return trainingPixel.w * dot(aside, aside) + trainingRest;
+}`;

@@ -5,6 +5,7 @@
  */
 import type { StreamedScene } from "../loader/streamed_scene.js";
 import { DEFAULT_RANGES, LOG_SCALE_MAX, LOG_SCALE_MIN } from "../scene/packed_splats.js";
+import { trainingPixelInView } from "../scene/training_pixel.js";
 import { axesRotation } from "./axes.js";
 import { PackedRows } from "./packed_rows.js";
 import {
@@ -16,7 +17,7 @@ import {
   streamRows,
   wantedDegree,
 } from "./row_stream.js";
-import { editShader } from "./shader_edits.js";
+import { editShader, TRAINING_AREA } from "./shader_edits.js";
 
 export type { AdapterOptions, AdapterStream } from "./row_stream.js";
 
@@ -37,6 +38,10 @@ export interface SparkMesh {
   dispose(): void;
 }
 
+interface SparkMatrix {
+  readonly elements: ArrayLike<number>;
+}
+
 /** Classes of `@sparkjsdev/spark` that the adapter instantiates. */
 export interface SparkModule {
   readonly PackedSplats: new (options: never) => SparkSplats;
@@ -51,7 +56,11 @@ export interface SparkScene<M extends SparkMesh> extends AdapterStream {
 
 /** Settings of Spark's `SparkRenderer` that `drawBySpec` changes. */
 export interface SparkSettings {
-  readonly material: { vertexShader: string; needsUpdate: boolean };
+  readonly material: {
+    vertexShader: string;
+    needsUpdate: boolean;
+    readonly uniforms: Record<string, { value: unknown }>;
+  };
   preBlurAmount: number;
   blurAmount: number;
   sortRadial: boolean;
@@ -59,6 +68,12 @@ export interface SparkSettings {
   minAlpha: number;
   maxPixelRadius: number;
   clipXY: number;
+  onBeforeRender(
+    renderer: never,
+    scene: never,
+    camera: { readonly matrixWorldInverse: SparkMatrix },
+    ...others: never[]
+  ): void;
 }
 
 /** Contribution at which the extent of a splat ends (SPEC 8.7). */
@@ -70,24 +85,42 @@ const CLAMPED_JACOBIAN = [
     "vec2 edge = 1.3 * 0.5 * scaledRenderSize / focal; vec2 J2 = J1 * clamp(-viewCenter.xy * invZ, -edge, edge);",
   ],
 ] as const;
+/** Thickness and filter of each splat from the pixel of training (SPEC 8.7). */
+const TRAINED_THICKNESS = [
+  ["uniform float preBlurAmount;", `uniform float preBlurAmount; ${TRAINING_AREA}`],
+  [
+    "a += preBlurAmount;",
+    "float share = trainingArea(viewCenter) * focal.x * focal.y / (isOrthographic ? 1.0 : dot(viewCenter, viewCenter)); a += preBlurAmount * share;",
+  ],
+  ["d += preBlurAmount;", "d += preBlurAmount * share;"],
+  ["float fullBlurAmount = blurAmount;", "float fullBlurAmount = max(0.0, 1.0 - share) / 12.0;"],
+  ["clamp(sqr(focusRadius), blurAmount,", "clamp(sqr(focusRadius), fullBlurAmount,"],
+] as const;
 
 /**
- * Make Spark draw by SPEC 8.7: sorted by depth, with the scene's kernel, with extents to a contribution of 1/255.
+ * Make Spark draw by SPEC 8.7: sorted by depth, as thick as trained, with extents to a contribution of 1/255.
  *
- * Call it before the first picture. A renderer has one kernel for all of its scenes. In a version of Spark with an
- * unknown shader, splats centred far outside the picture are hidden instead, because they would fill it.
+ * Call it before the first picture. A renderer has one kernel, and the viewpoints of one scene, for all of its scenes.
+ * In a version of Spark with an unknown shader, splats have the kernel at every size, and those centred far outside the
+ * picture are hidden, because they would fill it.
  *
  * @param renderer - A `SparkRenderer`, made with `accumExtSplats: true`.
+ * @param mesh - The scene's mesh, which may be moved, turned and scaled.
  * @returns Whether all rules apply.
  *
  * @example
  * ```ts
  * const renderer = new spark.SparkRenderer({ renderer: webgl, accumExtSplats: true });
- * drawBySpec(renderer, scene);
- * world.add(renderer);
+ * const { mesh, done } = streamToSpark(scene, spark);
+ * drawBySpec(renderer, scene, mesh);
+ * world.add(renderer, mesh);
  * ```
  */
-export function drawBySpec(renderer: SparkSettings, { info }: Pick<StreamedScene, "info">): boolean {
+export function drawBySpec(
+  renderer: SparkSettings,
+  { info }: Pick<StreamedScene, "info">,
+  mesh: { readonly matrixWorld: SparkMatrix },
+): boolean {
   // A kernel added before Spark compares determinants leaves opacities unchanged.
   renderer.preBlurAmount = info.antialiased ? 0 : info.kernelPx;
   renderer.blurAmount = info.antialiased ? info.kernelPx : 0;
@@ -95,11 +128,23 @@ export function drawBySpec(renderer: SparkSettings, { info }: Pick<StreamedScene
   renderer.maxStdDev = Math.sqrt(2 * Math.log(1 / ALPHA_MIN));
   renderer.minAlpha = ALPHA_MIN;
   renderer.maxPixelRadius = 1e6;
-  const shader = editShader(renderer.material.vertexShader, CLAMPED_JACOBIAN);
+  const knowsTraining = info.capture.length > 0 && !info.antialiased;
+  const edits = knowsTraining ? [...CLAMPED_JACOBIAN, ...TRAINED_THICKNESS] : CLAMPED_JACOBIAN;
+  const shader = editShader(renderer.material.vertexShader, edits);
   renderer.clipXY = shader === undefined ? 3 : 1e6;
   if (shader === undefined) return false;
   renderer.material.vertexShader = shader;
   renderer.material.needsUpdate = true;
+  if (!knowsTraining) return true;
+  const { onBeforeRender } = renderer;
+  const [trainingPixel, trainingRest] = [{ value: [0, 0, 0, 0] }, { value: 0 }];
+  Object.assign(renderer.material.uniforms, { trainingPixel, trainingRest });
+  renderer.onBeforeRender = (webgl, world, camera, ...others) => {
+    onBeforeRender.call(renderer, webgl, world, camera, ...others);
+    const pixel = trainingPixelInView(info.capture, camera.matrixWorldInverse.elements, mesh.matrixWorld.elements);
+    trainingPixel.value = pixel.slice(0, 4);
+    trainingRest.value = pixel[4];
+  };
   return true;
 }
 

@@ -26,6 +26,28 @@ export function trainingPixel(
   return [centre[0]!, centre[1]!, centre[2]!, area, rest];
 }
 
+/**
+ * Return the pixel of training in the space of a camera, whose zero is the camera: x, y, z of a centre, then a and c.
+ *
+ * @param view - Matrix from the world to the camera, column by column.
+ * @param model - Matrix from the means to the world: a turn, one scale and a shift.
+ */
+export function trainingPixelInView(
+  capture: readonly Viewpoint[],
+  view: ArrayLike<number>,
+  model: ArrayLike<number>,
+): [number, number, number, number, number] {
+  const column = (j: number) =>
+    [0, 1, 2].map((i) => [0, 1, 2, 3].reduce((sum, k) => sum + view[4 * k + i]! * model[4 * j + k]!, 0));
+  const dot = (a: readonly number[], b: readonly number[]) => a.reduce((sum, value, i) => sum + value * b[i]!, 0);
+  const [axes, shift] = [[0, 1, 2].map(column), column(3)];
+  const squaredScale = dot(axes[0]!, axes[0]!);
+  const position = axes.map((axis) => -dot(axis, shift) / squaredScale);
+  const [x, y, z, area, rest] = trainingPixel(capture, position);
+  const place = (i: number) => x * axes[0]![i]! + y * axes[1]![i]! + z * axes[2]![i]! + shift[i]!;
+  return [place(0), place(1), place(2), area, rest * squaredScale];
+}
+
 /** Return viewpoints moved by a vector. */
 export function movedCapture(capture: readonly Viewpoint[], by: readonly number[]): Viewpoint[] {
   return capture.map(({ position: [x, y, z], focalPx }) => ({
