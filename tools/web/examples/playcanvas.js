@@ -13,6 +13,7 @@ const url = parameters.get("scene") ?? "scene.cogs";
 const app = new pc.Application(canvas, { graphicsDeviceOptions: { antialias: false } });
 app.setCanvasFillMode(pc.FILLMODE_FILL_WINDOW);
 app.setCanvasResolution(pc.RESOLUTION_AUTO);
+addEventListener("resize", () => app.resizeCanvas());
 app.start();
 const camera = new pc.Entity();
 camera.addComponent("camera", { clearColor: new pc.Color(0, 0, 0), nearClip: 0.2, farClip: 1000 });
