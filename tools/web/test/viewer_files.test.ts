@@ -4,7 +4,6 @@ import { test } from "node:test";
 import { toPly } from "../src/adapters/ply.js";
 import { CogsplatError, SourceError } from "../src/errors.js";
 import { loadKernels } from "../src/kernels/load.js";
-import { StreamedScene } from "../src/loader/streamed_scene.js";
 import { toHalf } from "../src/scene/half_floats.js";
 import { DEFAULT_RANGES, type PackedSplats, unpackSplats } from "../src/scene/packed_splats.js";
 import { SceneFile } from "../src/scene/scene_file.js";
@@ -12,7 +11,7 @@ import { concatenate, type Splats } from "../src/scene/splats.js";
 import { bulkOf, depthAhead } from "../src/viewer/framing.js";
 import { Meter } from "../src/viewer/meter.js";
 import { formatBytes } from "../src/viewer/numbers.js";
-import { OrbitCamera, viewpointsOfCameras } from "../src/viewer/orbit.js";
+import { OrbitCamera } from "../src/viewer/orbit.js";
 import { readPlyHeader } from "../src/viewer/ply_header.js";
 import type { PlyResponse } from "../src/viewer/ply_messages.js";
 import { readPly } from "../src/viewer/ply_reader.js";
@@ -359,26 +358,5 @@ test("a PLY whose body has no end is taken as far as its last row", async () => 
     assert.ok(isCancelled && parts < 4);
   } finally {
     globalThis.fetch = real;
-  }
-});
-
-test("stored cameras are fetched and are viewpoints", async () => {
-  for (const [name, expected] of [
-    ["cameras", true],
-    ["chunks", false],
-  ] as const) {
-    const bytes = vectorBytes("valid", name);
-    const stored = new SceneFile(bytes, kernels()).cameras();
-    const scene = await StreamedScene.open(new Blob([new Uint8Array(bytes)]));
-    assert.deepEqual(await scene.cameras(), stored);
-    assert.equal(stored !== undefined, expected);
-    for (const [i, { position, direction }] of viewpointsOfCameras(stored ?? []).entries()) {
-      const { rotation, translation } = stored![i]!;
-      assert.deepEqual(direction, rotation.slice(6));
-      const seen = [0, 1, 2].map(
-        (row) => translation[row]! + position.reduce((sum, x, k) => sum + x * rotation[3 * row + k]!, 0),
-      );
-      assert.ok(Math.hypot(...seen) < 1e-9 * (1 + Math.hypot(...translation)), "the camera is at its own zero");
-    }
   }
 });

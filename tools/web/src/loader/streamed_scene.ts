@@ -1,4 +1,3 @@
-import { type Camera, readCameras } from "../container/cameras.js";
 import { checkPicture, type Description, type PictureName, readDescription } from "../container/description.js";
 import { fileBeginning, isManifest, PREAMBLE_BYTES, readPreamble } from "../container/preamble.js";
 import type { SceneInfo } from "../container/root.js";
@@ -250,18 +249,6 @@ export class StreamedScene implements FetchSource {
     const bytes = await this.readSegment(segment, signal);
     checkPicture(stated, bytes);
     return new Blob([bytes], { type: stated.type });
-  }
-
-  /**
-   * Fetch the cameras of the scene (SPEC 5.8).
-   *
-   * @returns undefined where the file stores none.
-   */
-  async cameras(signal?: AbortSignal): Promise<Camera[] | undefined> {
-    // Any index page may list them.
-    await this.readPages(this.index.pages.length);
-    const [segment] = this.index.cameras;
-    return segment === undefined ? undefined : readCameras(await this.readSegment(segment, signal));
   }
 
   /** Read a segment of an available index; one with a wrong CRC is fetched once more, bypassing caches. */

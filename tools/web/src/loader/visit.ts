@@ -108,11 +108,6 @@ export class Visit extends SceneFetch<VisitChange> {
     this.chooseSoon();
   }
 
-  /** View table of the file, once it has arrived; undefined before, and for a file without one. */
-  get viewTable(): ViewTable | undefined {
-    return this.table;
-  }
-
   /** Set the maximum number of splats in memory. */
   setSplatBudget(splats: number): void {
     this.budget = splats;

@@ -16,7 +16,6 @@ import { EndingChunks } from "./ending_chunks.js";
 import { LevelOpacities } from "./level_opacities.js";
 import { levelForSize, levelOfPrefix } from "./levels.js";
 import { type Meter, MeteredSource } from "./meter.js";
-import { type Viewpoint, viewpointsOfCameras, viewpointsOfTable } from "./orbit.js";
 import type { DescriptionSource, FeedHost, FeedProgress, Prefix, SceneFeed } from "./scene_feed.js";
 import type { SplatLayer } from "./splat_layer.js";
 import type { AllowedWorkers } from "./viewer_workers.js";
@@ -57,8 +56,6 @@ export class CogsFeed implements SceneFeed {
   private visit: Visit | undefined;
   private visited: VisitedScene | undefined;
   private pose: Pose | undefined;
-  /** Viewpoints of the view table or of the stored cameras. */
-  private viewpoints: readonly Viewpoint[] | undefined;
 
   /**
    * @param source - A URL, a file or another source of bytes.
@@ -111,7 +108,7 @@ export class CogsFeed implements SceneFeed {
     this.opacities.clear();
     [this.splats, this.prefix, this.compensatedFor, this.coarser] = [0, 0, -1, 0];
     this.waiting = [];
-    this.shown = this.damage = this.scene = this.layer = this.visit = this.visited = this.viewpoints = undefined;
+    this.shown = this.damage = this.scene = this.layer = this.visit = this.visited = undefined;
     this.meter.reset();
   }
 
@@ -144,24 +141,8 @@ export class CogsFeed implements SceneFeed {
     if (this.usesViewOrder(scene)) await this.runVisit(scene, signal);
     else await this.streamAll(scene, signal);
     this.reportProgress();
-    if (this.viewpoints === undefined) await this.fetchCameras(scene, signal);
     // All other chunks are shown by now.
     if (this.damage !== undefined) throw this.damage as Error;
-  }
-
-  /** Report the stored cameras as viewpoints; they are fetched behind all that the pictures need. */
-  private async fetchCameras(scene: StreamedScene, signal: AbortSignal): Promise<void> {
-    try {
-      const cameras = await scene.cameras(signal);
-      if (cameras !== undefined) this.reportViewpoints(viewpointsOfCameras(cameras));
-    } catch (error) {
-      this.damage ??= error;
-    }
-  }
-
-  private reportViewpoints(viewpoints: readonly Viewpoint[]): void {
-    this.viewpoints = viewpoints;
-    this.host!.viewpointsKnown(viewpoints);
   }
 
   private async streamAll(scene: StreamedScene, signal: AbortSignal): Promise<void> {
@@ -205,10 +186,6 @@ export class CogsFeed implements SceneFeed {
     for await (const change of visit.changes()) {
       if (change.kind === "rows") host.rowsArrived(change.packed!, visited.splats === 0);
       visited.apply(change);
-      const { viewTable } = visit;
-      if (viewTable !== undefined && this.viewpoints === undefined) {
-        this.reportViewpoints(viewpointsOfTable(viewTable));
-      }
       this.splats = visited.splats;
       this.reportProgress();
     }

@@ -1,6 +1,4 @@
-import type { Camera } from "../container/cameras.js";
-import type { SceneInfo } from "../container/root.js";
-import type { ViewTable } from "../container/view_table.js";
+import type { SceneInfo, Viewpoint } from "../container/root.js";
 import type { View } from "./renderer.js";
 import { type Axes, add, cross, dot, rotate, scaled, type Vector } from "./vectors.js";
 import { viewText } from "./view_text.js";
@@ -26,16 +24,8 @@ const ELEVATION_MARGIN = (15 * Math.PI) / 180;
 const DISTANCE_MARGIN = 2;
 /** Share of the viewpoints at each end of a range that may be outliers. */
 const OUTLIERS = 0.05;
-/** Fewest viewpoints that look at the target and so make up a range. */
+/** Fewest viewpoints that make up a range. */
 const FEWEST_VIEWPOINTS = 8;
-/** Cosine of the angle between a viewpoint's direction and the target up to which it looks at the target. */
-const LOOKS_AT = 0.5;
-
-/** Position of a camera of the capture, and the direction in which it looked, of any length. */
-export interface Viewpoint {
-  readonly position: readonly number[];
-  readonly direction: readonly number[];
-}
 
 /** Least and greatest value. */
 type Range = readonly [number, number];
@@ -44,7 +34,8 @@ type Range = readonly [number, number];
 type Picture = { readonly height: number; readonly width?: number };
 
 /** Parts of a scene from which its camera starts; only `.cogs` files have `up` and `coreBox`. */
-export type OrbitScene = Pick<SceneInfo, "axes" | "box" | "firstView"> & Partial<Pick<SceneInfo, "up" | "coreBox">>;
+export type OrbitScene = Pick<SceneInfo, "axes" | "box" | "firstView"> &
+  Partial<Pick<SceneInfo, "up" | "coreBox" | "capture">>;
 
 /** A camera that orbits, approaches and moves with a target, or flies. */
 export class OrbitCamera {
@@ -86,6 +77,7 @@ export class OrbitCamera {
       this.setPose(scene.firstView);
       this.leastPitch = Math.min(this.pitch, 0) - BELOW;
     }
+    this.limitTo(scene.capture ?? []);
   }
 
   /** Position in the space of the means. */
@@ -137,16 +129,15 @@ export class OrbitCamera {
   }
 
   /**
-   * Limit turning and zooming to the elevations and distances from which the capture looked at the target.
+   * Limit turning and zooming to the elevations and distances, from the target, of the viewpoints of training.
    *
-   * Too few viewpoints that look at the target leave the limits of a scene without viewpoints.
+   * Too few viewpoints leave the limits of a scene without them.
    */
-  limitTo(viewpoints: readonly Viewpoint[]): void {
-    const looks = viewpoints.flatMap(({ position, direction }) => {
-      const way = add(this.target, position as Vector, -1);
+  private limitTo(capture: readonly Viewpoint[]): void {
+    const looks = capture.map(({ position }) => {
+      const way = add(this.target, position as unknown as Vector, -1);
       const distance = Math.hypot(...way);
-      const facing = dot(way, direction as Vector) / (distance * Math.hypot(...direction));
-      return facing > LOOKS_AT ? [{ pitch: Math.asin(dot(way, this.down) / distance), distance }] : [];
+      return { pitch: Math.asin(dot(way, this.down) / Math.max(distance, 1e-9)), distance };
     });
     if (looks.length < FEWEST_VIEWPOINTS) return;
     const [low, high] = rangeOf(looks.map(({ pitch }) => pitch));
@@ -237,22 +228,6 @@ export class OrbitCamera {
     const scale = Math.min(height / picture.height, picture.width === undefined ? Infinity : width / picture.width);
     return { rotation: this.axes.flat(), translation, focal: [this.focal[0] * scale, this.focal[1] * scale] };
   }
-}
-
-/** Return the viewpoints of cameras. */
-export function viewpointsOfCameras(cameras: readonly Camera[]): Viewpoint[] {
-  return cameras.map(({ rotation: r, translation: t }) => ({
-    position: [0, 1, 2].map((axis) => -[0, 1, 2].reduce((sum, row) => sum + r[3 * row + axis]! * t[row]!, 0)),
-    direction: r.slice(6),
-  }));
-}
-
-/** Return the viewpoints of a view table. */
-export function viewpointsOfTable({ views, positions, directions }: ViewTable): Viewpoint[] {
-  return Array.from({ length: views }, (_, view) => ({
-    position: Array.from(positions.subarray(3 * view, 3 * view + 3)),
-    direction: Array.from(directions.subarray(3 * view, 3 * view + 3)),
-  }));
 }
 
 /** Return the range of values without the outliers at each end. */

@@ -1,7 +1,7 @@
 import type { SceneInfo } from "../container/root.js";
 import type { PackedSplats } from "../scene/packed_splats.js";
 import { bulkOf, depthAhead } from "./framing.js";
-import { OrbitCamera, type OrbitScene, type Vector, type Viewpoint } from "./orbit.js";
+import { OrbitCamera, type OrbitScene, type Vector } from "./orbit.js";
 import { poseOf, type ViewText } from "./view_text.js";
 import type { ViewerPose } from "./viewer_handle.js";
 
@@ -45,8 +45,6 @@ export class SceneCamera {
   private makeOrbit: (() => OrbitCamera) | undefined;
   /** Moves a new camera to a position or target that the first rows show. */
   private frame: ((camera: OrbitCamera) => void) | undefined;
-  /** Viewpoints that the file stores, which limit turning and zooming. */
-  private viewpoints: readonly Viewpoint[] = [];
   private start: Start = {};
   /** Pose that was set last. */
   private chosen: ViewerPose | undefined;
@@ -109,7 +107,6 @@ export class SceneCamera {
     this.origin = scene.origin;
     this.makeOrbit = () => new OrbitCamera({ ...scene, ...(this.start.up && { up: this.start.up }) });
     this.frame = undefined;
-    this.viewpoints = [];
     const pose = keepsPose ? this.pose : undefined;
     this.reset();
     if (pose === undefined) return;
@@ -134,12 +131,6 @@ export class SceneCamera {
     if (!this.wasMoved) this.reset();
   }
 
-  /** Limit turning and zooming to the range of viewpoints. */
-  limitTo(viewpoints: readonly Viewpoint[]): void {
-    this.viewpoints = viewpoints;
-    this.orbit?.limitTo(viewpoints);
-  }
-
   /** Leave the scene, before another one is open. */
   leave(): void {
     this.endMotion(true);
@@ -154,7 +145,6 @@ export class SceneCamera {
     if (this.orbit !== undefined) {
       this.orbit.isFree = this.isFree;
       this.frame?.(this.orbit);
-      this.orbit.limitTo(this.viewpoints);
       const { view, target } = this.start;
       if (view !== undefined) this.orbit.setPose(poseOf(view, this.orbit.up));
       if (this.chosen !== undefined) this.orbit.setPose(this.chosen);

@@ -3,7 +3,7 @@ import type { Pinhole } from "../container/pinhole.js";
 import type { SceneInfo } from "../container/root.js";
 import type { PackedSplats } from "../scene/packed_splats.js";
 import type { Pose } from "../schedule/poses.js";
-import type { OrbitScene, Viewpoint } from "./orbit.js";
+import type { OrbitScene } from "./orbit.js";
 import type { LayerScene, SplatLayer } from "./splat_layer.js";
 
 /** Progress of a scene. */
@@ -39,8 +39,6 @@ export interface FeedHost {
   begin(scene: LayerScene, info: OrbitScene & Pick<SceneInfo, "origin" | "levels">): SplatLayer;
   /** Called when rows are in the layer. */
   rowsArrived(packed: PackedSplats, first: boolean): void;
-  /** Called once with the viewpoints of a file that stores some, in the space of the means. */
-  viewpointsKnown(viewpoints: readonly Viewpoint[]): void;
   progressed(progress: FeedProgress): void;
   /** Called when all chunks that the pose is worth have arrived, or some are missing again. */
   settled(isSettled: boolean): void;

@@ -392,7 +392,6 @@ export class SceneView {
         if (first && firstView?.target === undefined)
           this.camera.frameRows(packed, this.shiftOf(shown.layer!), firstView !== undefined);
       },
-      viewpointsKnown: (viewpoints) => this.camera.limitTo(viewpoints),
       progressed: (progress) => this.progressed(progress),
       settled: (isSettled) => {
         this.wasSettled ||= isSettled;
@@ -407,7 +406,6 @@ export class SceneView {
     return {
       begin: (scene) => this.makeLayer(shown, scene),
       rowsArrived: () => undefined,
-      viewpointsKnown: () => undefined,
       progressed: () => undefined,
       settled: () => undefined,
       damaged: (error) => this.host.failed(error, "other"),
