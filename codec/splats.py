@@ -354,7 +354,7 @@ class Splats:
         return replace(self, shN=np.ascontiguousarray(self.shN[:, : sh_coefficients(degree) - 1]))
 
     def with_capture(self, capture: Capture) -> Splats:
-        """Return the scene with capture viewpoints, where it has none and can use them.
+        """Return a scene with capture viewpoints, if it has none of its own.
 
         Parameters
         ----------

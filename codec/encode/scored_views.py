@@ -137,7 +137,7 @@ def _test_views(request: EncodeRequest, scored: Sequence[Camera]) -> tuple[Seque
 def _score_planned(
     splats: Splats, request: EncodeRequest, progress: Progress, given: Sequence[Camera] = ()
 ) -> ScoredViews:
-    """Plan views, and score a scene in them and in some given cameras that overlap too little."""
+    """Score a scene in planned views, and in given cameras that overlap too little."""
     planned = _plan_views(splats, request, progress)
     settings = request.scoring
     settings = replace(settings, jitter=settings.jitter and request.effort.planned_jitter)

@@ -282,7 +282,7 @@ def project(
     camera : Camera
         Camera in the frame of the means.
     reduction : float
-        Factor by which the picture has fewer pixels per axis than those of training, at least 1.
+        Reduction of the picture per axis against the pictures of training, at least 1.
         Not used where the capture viewpoints tell, nor of anti-aliased scenes.
     near_plane : float
         Camera-space depth up to which nothing is drawn, scene units.

@@ -39,7 +39,7 @@ class RenderConfig:
     sh_degree : int or None
         Highest SH degree used; None for the scene's own.
     reduction : float
-        Factor by which the picture has fewer pixels per axis than those of training, at least 1.
+        Reduction of the picture per axis against the pictures of training, at least 1.
         Used only where ``info.capture`` does not tell.
     threads : int
         Number of threads; 0 for every core this process may use. The picture does not depend on it.

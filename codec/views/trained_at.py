@@ -1,4 +1,4 @@
-"""Pictures of training as a user states them, for a capture whose cameras are not known."""
+"""Pictures of training that a user states for a scene without known cameras."""
 
 from __future__ import annotations
 

@@ -420,7 +420,7 @@ def _print_scene(path: Path, splats: Splats, file_bytes: int) -> None:
 
 
 def _trained_at(info: SceneInfo) -> str:
-    """Return how many viewpoints of training are known, and their focal lengths."""
+    """Return the number of viewpoints of training and their focal lengths, as text."""
     if not info.capture:
         return "not known"
     least, most = (bound(focal for *_, focal in info.capture) for bound in (min, max))

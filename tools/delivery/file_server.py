@@ -384,7 +384,7 @@ class _Hypercorn:
 
 @dataclass(frozen=True)
 class _SentBytes:
-    """Stand-in for the body's bytes that were sent past h11, which counts them."""
+    """Placeholder for the bytes of a body that were sent past h11, so that h11 counts the bytes."""
 
     size: int
 

@@ -85,7 +85,7 @@ def output_format(out: Path, writing: SceneWriting) -> str:
 def require_cogs_for_cameras(
     cameras: Path | None, out: Path, name: str, *, baked: bool = False
 ) -> None:
-    """Raise an error if cameras are given for an output that does not use them.
+    """Refuse cameras for an output that does not use cameras.
 
     Raises
     ------
