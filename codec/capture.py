@@ -37,7 +37,7 @@ def capture_of_cameras(cameras: Sequence[Camera]) -> Capture:
     -------
     Capture
         At most 32 viewpoints, rounded to float32, in the order of the cameras. They are chosen
-        farthest first (Gonzalez 1985), from the camera nearest to the middle of all on.
+        farthest first (Gonzalez 1985), starting with the camera nearest to the mean position.
 
     Examples
     --------
@@ -70,6 +70,8 @@ def moved_capture(
     capture: Capture, linear: NDArray[np.float64], translation: NDArray[np.float64] | None = None
 ) -> Capture:
     """Move viewpoints with their scene: ``new = linear @ old + translation``.
+
+    Focal lengths stay, so a scaling is the same along all axes. Positions are rounded to float32.
 
     Parameters
     ----------
@@ -105,8 +107,8 @@ def merged_capture(captures: Sequence[Capture]) -> Capture:
     Returns
     -------
     Capture
-        All different viewpoints, or `MAX_VIEWPOINTS` of them; none if a scene has none, for then
-        the thickness of its splats is not known.
+        All different viewpoints, or 64 of them, farthest first; none if a scene has none, for
+        then the thickness of its splats is not known.
 
     Examples
     --------
@@ -155,7 +157,7 @@ def capture_around(centre: NDArray[np.float64], distance: float, focal_px: float
 
 
 def training_pixel(capture: Capture, position: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Compute the training pixel of every place of a scene, as a viewer at a position sees it.
+    """Return the area of the training pixel as a function of the place, for a viewer at a position.
 
     Training drew each splat with a fixed thickness in pixels of its pictures. The pictures taken
     nearest to the viewer say how large that pixel was where the splat lies.
@@ -170,8 +172,8 @@ def training_pixel(capture: Capture, position: NDArray[np.float64]) -> NDArray[n
     Returns
     -------
     (5,) float64
-        x, y, z of a centre, then a and c: the area of the training pixel at a place with squared
-        distance d² from the centre is ``a · d² + c``, in squared scene units.
+        x, y, z of a centre, then a and b: the area of the training pixel at a place with squared
+        distance d² from the centre is ``a · d² + b``, in squared scene units.
 
     Notes
     -----

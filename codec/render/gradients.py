@@ -64,7 +64,7 @@ def _differentiate(
     added: NDArray[np.float32],
     sums: NDArray[np.float32],
 ) -> float:
-    """Differentiate the squared error of a picture w.r.t. ln alpha and ln scale of its splats.
+    """Differentiate a squared error w.r.t. ln alpha, and ln scale at a fixed opacity.
 
     Each tile is blended twice, because the derivative w.r.t. a splat's alpha depends on the colour
     behind the splat (Kerbl et al. 2023, appendix C).

@@ -51,7 +51,7 @@ class Footprints:
     index : (M,) int32
         Row of each footprint's splat in the scene.
     order : (M,) int32
-        Rank of each footprint by row, among the footprints.
+        Rank of each value of `index` among all of them.
     ellipse : (M, 8) float32
         x, y (px), narrow (1/px), shear, flat (1/px²), opacity (0 to 1, rescaled when
         anti-aliased), half width along the centre's row and half height (px) at alpha 1/255.
@@ -78,7 +78,7 @@ class Footprints:
         return rows
 
     def row_order(self) -> NDArray[np.int32]:
-        """Return the footprint numbers in ascending order of their rows in the scene, (M,)."""
+        """Return the footprint numbers in ascending order of `index`, (M,)."""
         places = np.empty_like(self.order)
         places[self.order] = np.arange(len(self.order), dtype=np.int32)
         return places
@@ -112,7 +112,7 @@ def fill_rotation(
 
 @inner_kernel
 def slack(centre: float, extent: float) -> float:
-    """Return the margin added to the bounds of an ellipse, px."""
+    """Return the margin, px, that covers the rounding of an ellipse's bounds to float32."""
     return _SLACK_PX + _SLACK * (abs(centre) + extent)
 
 
@@ -148,7 +148,7 @@ def _project(
     Parameters
     ----------
     variances : (2,) float64
-        Thickness and filter of every splat, px², where `pixel` is empty; else the thickness in
+        Thickness and filter of every splat, px², where `pixel` is empty; else ``kernel_px`` in
         pixels of training, and 0.
     pixel : (5,) or (0,) float64
         Training pixel (`capture.training_pixel`), empty for one thickness and filter.
@@ -283,7 +283,7 @@ def project(
         Camera in the frame of the means.
     reduction : float
         Reduction of the picture per axis against the pictures of training, at least 1.
-        Not used where the capture viewpoints tell, nor of anti-aliased scenes.
+        Not used for scenes with capture viewpoints or marked as anti-aliased.
     near_plane : float
         Camera-space depth up to which nothing is drawn, scene units.
 

@@ -47,7 +47,7 @@ class SmallPicture:
     visibility : (n,) float64
         Visibility of each of these splats, 0 to 1: its peak blending weight over 0.3.
     resolved : (n,) float64
-        Visibility, reduced for splats that are smaller than 4 px in the full picture.
+        Visibility, reduced for splats whose radius is below 4 px in the full picture.
     sharpness : float
         1 for a picture of small splats; falls to 0.2 as large near splats fill it.
     middle_depth : float
@@ -111,7 +111,7 @@ class SmallPicture:
 
 
 def _shrink(camera: Camera) -> Camera:
-    """Return a camera of the same view with a picture of at most 64 px a side."""
+    """Return a camera of the same view with a picture whose longer side is 64 px."""
     scale = _SIDE_PX / max(camera.width, camera.height)
     width, height = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
     across, down = width / camera.width, height / camera.height

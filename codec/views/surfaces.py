@@ -75,7 +75,8 @@ class Surfaces:
     areas : (n,) float64
         Share of the area, weighted by opacity.
     flat : (n,) float64
-        Share of the area, weighted by opacity and by how thin the splat is: 0 for a sphere.
+        Share of the area, weighted by opacity and by how thin the splat is: 0 for a sphere or a
+        needle.
     light : (n,) float64
         Brightness of each splat, 0 to 1.
     """
@@ -165,7 +166,10 @@ class Surfaces:
         return up
 
     def level_score(self, up: F64) -> float:
-        """Return the score of an up direction: level area, and mass above the largest plane."""
+        """Return the score of an up direction, by level area and its most extended plane.
+
+        The plane is the level one with most area and mass on it; other mass that lies low adds.
+        """
         cosines = np.minimum(np.abs(self.normals @ up), 1.0)
         level = self.flat * np.exp(-np.square(np.arccos(cosines) / _PLANE_ANGLE))
         heights = self.means @ up

@@ -41,7 +41,7 @@ class TrainedAt:
         require_finite(self)
 
     def capture(self, core_box: NDArray[np.float64]) -> Capture:
-        """Return viewpoints around a scene; none where the width is not known.
+        """Return viewpoints around a scene; none without a width, or without distance and extent.
 
         Parameters
         ----------

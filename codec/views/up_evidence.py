@@ -68,9 +68,10 @@ class UpEvidence:
     means : (n, 3) float64
         Positions relative to the centre of the area, in root mean square radii.
     flat : (n,) float64
-        Share of the area of flat splats.
+        `Surfaces.flat`, divided by its sum.
     shading : (3,) float64
-        Change of brightness from dark to lit normals, in standard deviations of the brightness.
+        Slope of the brightness by each component of the outer normals, in standard deviations of
+        the brightness.
     mirrors : (m,) float64
         Overlap of the scene with its mirror image for each normal of `_MIRRORS`, 0 to 1.
     """
@@ -136,7 +137,7 @@ class UpEvidence:
         Returns
         -------
         (scores, levels) : (2m,) float64, (2m,) float64
-            Scores, and the level score of each direction alone.
+            Scores, and `Surfaces.level_score` of each direction; 0 where little area is level.
         """
         axes = candidates[::2]
         angles = np.arccos(np.minimum(np.abs(self.surfaces.normals @ axes.T), 1.0))
@@ -174,8 +175,9 @@ class UpEvidence:
         low : float
             Height of the middle over the centre of the area, as a share of the height.
         base, top : (float, float)
-            Least and mean horizontal reach of each end, as shares of the scene's own reach; the
-            centre of the area lies outside the end where the least reach is negative.
+            Least and mean over azimuths of the horizontal reach of each end, as shares of the
+            scene's own reach; the centre of the area lies outside the end where the least reach is
+            negative.
         """
         heights = self.means @ axis
         flat = self.means @ np.stack(level_axes(axis), axis=1)

@@ -141,9 +141,11 @@ def test_baked_thickness_is_that_of_the_nearest_viewpoint():
     pixels = [np.linalg.norm(splats.means - v[:3], axis=1) / v[3] for v in oracle.CAPTURE]
     expected = np.exp(2 * splats.scales) + 0.3 * np.min(pixels, axis=0)[:, None] ** 2
     np.testing.assert_allclose(np.exp(2 * baked.scales), expected, rtol=1e-4)
-    with pytest.raises(DataError) as caught:
-        bake_thickness(oracle.scene(6, n=20))
-    assert caught.value.code == "no-capture"
+    marked = replace(splats, info=replace(splats.info, antialiased=True))
+    for other in (oracle.scene(6, n=20), marked):
+        with pytest.raises(DataError) as caught:
+            bake_thickness(other)
+        assert caught.value.code == "no-capture"
 
 
 def test_baked_scenes_are_nearly_right_in_an_antialiased_renderer():

@@ -1,9 +1,9 @@
 import type { Viewpoint } from "../container/root.js";
 
 /**
- * Return the pixel of training as a viewer sees it: x, y, z of a centre, then a and c (SPEC 8.7).
+ * Return the pixel of training as a viewer sees it: x, y, z of a centre, then a and b (SPEC 8.7).
  *
- * The area of the pixel at a place is a times its squared distance from the centre, plus c, in squared scene units.
+ * The area of the pixel at a place is a times its squared distance from the centre, plus b, in squared scene units.
  *
  * @param capture - Viewpoints of the training pictures; without any, all five numbers are 0.
  * @param position - Position of the viewer, in the space of the means.
