@@ -35,7 +35,7 @@ def test_only_whole_objects_are_shared(tmp_path: Path) -> None:
         row = file.chunk_rows(2).head
         key, length = file.segments.hash[row].tobytes(), int(file.segments.length[row])
         content = bytes(file.read_segment(row))
-    place = StoredSegments(tmp_path).place_of(key)
+    (place,) = StoredSegments(tmp_path).places_of([key])
     assert place is not None
     path = tmp_path / object_name(place.key)
     data = path.read_bytes()
@@ -45,5 +45,4 @@ def test_only_whole_objects_are_shared(tmp_path: Path) -> None:
     assert not has_object(tmp_path, place.key, place.size + 1)
     assert not has_object(tmp_path, key_of(b"nothing"), 7)
     path.write_bytes(bytes(len(data)))
-    assert StoredSegments(tmp_path).place_of(key) is None
-    assert StoredSegments(tmp_path).place_of(bytes(16)) is None
+    assert StoredSegments(tmp_path).places_of([key, bytes(16)]) == [None, None]

@@ -36,7 +36,9 @@ def test_a_large_file_is_opened_by_its_root_and_chunks_take_two_requests():
 def test_of_a_large_folder_the_manifest_is_opened_and_a_chunk_takes_its_page_and_objects():
     found = measure_alone("large", "--chunks", 2000, "--tries", 2, "--folder")
     assert found["pages"] > 1
-    assert (found["opening_requests"], found["opening_bytes"]) == (1, 65536)
+    # The whole manifest comes with the first request: its pages are objects.
+    assert found["opening_requests"] == 1
+    assert found["opening_bytes"] < 65536
     # A page and its places, the object of the chunk, that of the codebooks.
     assert found["chunk_requests"] <= 3
     assert found["memory_bytes"] < 100 << 20
