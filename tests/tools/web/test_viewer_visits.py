@@ -183,7 +183,7 @@ def test_what_is_looked_at_comes_first(
         with running(CappedServer(files)) as server:
             page.goto(server.url)
             # What the first request brings is the same, whoever looks from where.
-            server.allow(16_384)
+            server.allow(32_768)
             first = wait_until(page, "s.splats > 0")["splats"]
             look_from(page, walk[1])
             page.wait_for_timeout(300)
