@@ -27,7 +27,7 @@ export function trainingPixel(
 }
 
 /**
- * Return the pixel of training in the space of a camera, whose zero is the camera: x, y, z of a centre, then a and c.
+ * Return the pixel of training in the space of a camera, whose zero is the camera: x, y, z of a centre, then a and b.
  *
  * @param view - Matrix from the world to the camera, column by column.
  * @param model - Matrix from the means to the world: a turn, one scale and a shift.

@@ -8,9 +8,9 @@ import { formatBytes, formatShare, parseColour } from "./numbers.js";
 import { RADIANS_PER_PIXEL } from "./orbit.js";
 import { PageBudget } from "./page_budget.js";
 import type { DescriptionSource } from "./scene_feed.js";
-import { absoluteAddress, sceneName } from "./scene_name.js";
+import { absoluteAddress, fileName } from "./scene_name.js";
 import { SceneView } from "./scene_view.js";
-import { describeError, type Sentence } from "./sentences.js";
+import { describeError, GRAPHICS_LOST, type Sentence, wheelHint } from "./sentences.js";
 import type { SceneSource } from "./shown_scene.js";
 import { STYLE } from "./style.js";
 import { parsePoint, parseUp, parseView } from "./view_text.js";
@@ -656,13 +656,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
 
   private onFailed(error: unknown, which: "scene" | "other" | "graphics"): void {
     if (which === "graphics" && error === undefined) {
-      this.showMessage(
-        {
-          title: "The graphics were interrupted",
-          detail: "The scene comes back as soon as the browser has them again.",
-        },
-        false,
-      );
+      this.showMessage(GRAPHICS_LOST, false);
       return;
     }
     const given = which === "other" ? this.otherSource : this.source;
@@ -687,18 +681,6 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
     message.querySelector("p")!.textContent = sentence.detail;
     this.find("#again").hidden = !again;
   }
-}
-
-/** Return the hint for zooming by the wheel in a page that scrolls. */
-function wheelHint(): string {
-  return `Click the scene, or hold ${/mac/i.test(navigator.userAgent) ? "⌘" : "Ctrl"}, to zoom with the wheel`;
-}
-
-/** Return the file name of a source. */
-function fileName(source: SceneSource | undefined): string {
-  if (source instanceof File) return source.name;
-  if (typeof source !== "string") return "";
-  return sceneName(source);
 }
 
 /** Define `<cogsplat-viewer>`, unless another copy of this program has defined it. */

@@ -26,3 +26,10 @@ export function sceneName(address: string): string {
     return name;
   }
 }
+
+/** Return the file name of a source; empty for bytes without a name. */
+export function fileName(source: unknown): string {
+  if (source instanceof File) return source.name;
+  if (typeof source !== "string") return "";
+  return sceneName(source);
+}

@@ -95,3 +95,14 @@ function ofFile(error: CogsplatError, shown: boolean): Sentence {
     ? { title: "A part of the file is damaged", detail: `The undamaged part is shown. ${message}` }
     : { title: "The file is damaged", detail: message };
 }
+
+/** The browser has taken the graphics away, and will give them back. */
+export const GRAPHICS_LOST: Sentence = {
+  title: "The graphics were interrupted",
+  detail: "The scene comes back as soon as the browser has them again.",
+};
+
+/** Return the hint for zooming by the wheel in a page that scrolls. */
+export function wheelHint(): string {
+  return `Click the scene, or hold ${/mac/i.test(navigator.userAgent) ? "⌘" : "Ctrl"}, to zoom with the wheel`;
+}
