@@ -254,7 +254,9 @@ def gradient(
         )
         add_pair_sums(lists.members, pair_sums, sums, 0)
     logits = splats.opacities[footprints.index].astype(np.float64)
-    by_scale = sums[:, 1] + sums[:, 0] * _opacity_by_scale(footprints)
+    by_scale = sums[:, 1].copy()
+    if footprints.added[:, FILTER].any():
+        by_scale += sums[:, 0] * _opacity_by_scale(footprints)
     return Gradient(
         footprints.index,
         sums[:, 0] * np.exp(-np.logaddexp(0.0, logits)),
