@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.farthest_first import farthest_first
 
 Capture: TypeAlias = tuple[tuple[float, float, float, float], ...]
 """Viewpoints of the training pictures: x, y, z in the space of the means, focal length in px."""
@@ -16,9 +17,12 @@ Capture: TypeAlias = tuple[tuple[float, float, float, float], ...]
 MAX_VIEWPOINTS: Final = 64
 """Viewpoints of a scene at most (SPEC 4.2)."""
 
-# Viewpoints that an encoder stores, 16 bytes each. Of a trained scene of 43 cameras, held-out views
-# drawn with 8, 16, 32 and 43 viewpoints have 57, 63, 63 and 66 dB against the usual drawing.
-_STORED: Final = 32
+STORED_VIEWPOINTS: Final = 32
+"""Viewpoints that an encoder stores at most, 16 bytes each.
+
+Of a trained scene of 43 cameras, held-out views drawn with 8, 16, 32 and 43 viewpoints have 57, 63,
+63 and 66 dB against the usual drawing.
+"""
 
 # Power of the inverse distance that weights a viewpoint. Of the same scene, powers 2, 4 and 8 have
 # 60, 67 and 65 dB.
@@ -48,21 +52,15 @@ def capture_of_cameras(cameras: Sequence[Camera]) -> Capture:
     True
     """
     rows = np.array([[*camera.position, camera.focal_px] for camera in cameras]).reshape(-1, 4)
-    return _spread(rows.astype(np.float32), _STORED)
+    return _spread(rows.astype(np.float32), STORED_VIEWPOINTS)
 
 
 def _spread(viewpoints: NDArray[np.float32], count: int) -> Capture:
     """Choose `count` of (n, 4) viewpoints at most, by positions, farthest first."""
     if len(viewpoints) > count:
         positions = viewpoints[:, :3].astype(np.float64)
-        chosen = [int(np.argmin(np.square(positions - positions.mean(axis=0)).sum(axis=1)))]
-        nearest = np.square(positions - positions[chosen[0]]).sum(axis=1)
-        while len(chosen) < count:
-            nearest[chosen[-1]] = -1.0
-            chosen.append(int(np.argmax(nearest)))
-            distances = np.square(positions - positions[chosen[-1]]).sum(axis=1)
-            nearest = np.minimum(nearest, distances)
-        viewpoints = viewpoints[sorted(chosen)]
+        middle = int(np.argmin(np.square(positions - positions.mean(axis=0)).sum(axis=1)))
+        viewpoints = viewpoints[sorted(farthest_first(positions, count, middle))]
     return tuple((x, y, z, focal) for x, y, z, focal in viewpoints.tolist())
 
 
@@ -121,39 +119,6 @@ def merged_capture(captures: Sequence[Capture]) -> Capture:
         return ()
     different = dict.fromkeys(viewpoint for capture in captures for viewpoint in capture)
     return _spread(np.array(list(different), np.float32).reshape(-1, 4), MAX_VIEWPOINTS)
-
-
-def capture_around(centre: NDArray[np.float64], distance: float, focal_px: float) -> Capture:
-    """Make viewpoints all around an object, for a capture whose cameras are not known.
-
-    Parameters
-    ----------
-    centre : (3,) float64
-        Middle of the object, in the space of the means.
-    distance : float
-        Distance of the training cameras from it, scene units.
-    focal_px : float
-        Focal length of the training pictures, px.
-
-    Returns
-    -------
-    Capture
-        32 viewpoints spread evenly over a sphere (Swinbank and Purser 2006, Fibonacci grid).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from cogsplat.codec.capture import capture_around
-    >>> len(capture_around(np.zeros(3), 4.0, 800.0))
-    32
-    """
-    number = np.arange(_STORED) + 0.5
-    height = 1.0 - 2.0 * number / _STORED
-    angle = np.pi * (1.0 + np.sqrt(5.0)) * number
-    ring = np.sqrt(1.0 - height * height)
-    directions = np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1)
-    rows = np.column_stack([centre + distance * directions, np.full(_STORED, focal_px)])
-    return _spread(rows.astype(np.float32), _STORED)
 
 
 def training_pixel(capture: Capture, position: NDArray[np.float64]) -> NDArray[np.float64]:

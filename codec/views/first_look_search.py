@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.farthest_first import farthest_first
 from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR
 from cogsplat.codec.geometry.rotations import normalise_extremes
 from cogsplat.codec.splats import Splats
@@ -342,7 +343,7 @@ def _views_inside(
     side, other = level_axes(up)
     found: list[_Candidate] = []
     visibilities: list[F64] = []
-    for place in _farthest_places(free, _TRIED_PLACES):
+    for place in free[farthest_first(free, _TRIED_PLACES)]:
         looks = np.zeros(_HEADINGS)
         visibilities.append(np.full(len(scene), _UNSEEN))
         for quarter in range(4):
@@ -359,17 +360,6 @@ def _views_inside(
         camera = inside(place, 2.0 * math.pi * int(looks.argmax()) / _HEADINGS, up)
         found.append(_Candidate(camera, SmallPicture.draw(scene, camera), 1.0))
     return found, visibilities
-
-
-def _farthest_places(places: F64, count: int) -> F64:
-    """Return up to `count` places, each as far as possible from all earlier places."""
-    chosen: list[int] = []
-    distances = np.full(len(places), np.inf)
-    while len(chosen) < min(count, len(places)):
-        chosen.append(int(distances.argmax()))
-        offsets = np.linalg.norm(places - places[chosen[-1]], axis=1)
-        distances = np.minimum(distances, offsets)
-    return places[chosen]
 
 
 def _excess(values: F64) -> F64:

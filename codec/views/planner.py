@@ -428,7 +428,7 @@ class _Planner:
         return [drawn[row].pose for row in sorted(chosen)]
 
     def _faults(self, poses: Sequence[Pose]) -> F64:
-        """Return how implausible each pose is for a viewer: 0 for a plausible pose, up to 7.
+        """Return the faults of each pose as a place of a viewer, weighted: 0 to 7.
 
         The wrong side of walls counts 4, a steep pitch 2 and splats close to the camera 1.
         """

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.geometry.frustum import NEAR
+from cogsplat.codec.geometry.sh import C0, COLOUR_OFFSET
 from cogsplat.codec.render.peak_weights import peak_weights
 
 from .subsample import Subsample
@@ -32,8 +33,6 @@ _LARGE_SHARE: Final = 0.25
 _BLURRED: Final = 0.2
 # Share of the width and of the height that is the middle of the picture.
 _MIDDLE: Final = 0.3
-# Basis of the DC coefficient (SPEC 2.3).
-_DC: Final = 0.28209479177387814
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +97,7 @@ class SmallPicture:
         depth = 1.0
         if weights[middle].any():
             (depth,) = weighted_quantiles(depths[middle], weights[middle], (0.5,))
-        colours = np.clip(0.5 + _DC * scene.splats.sh0[index].astype(np.float64), 0.0, 1.0)
+        colours = np.clip(COLOUR_OFFSET + C0 * scene.splats.sh0[index].astype(np.float64), 0.0, 1.0)
         mean = weights @ colours / max(float(weights.sum()), 1e-12)
         # Differences of channels: faces differ in colour, highlights in brightness alone.
         chroma = np.diff(colours - mean, axis=1)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.geometry.rotations import matrices, unit
+from cogsplat.codec.geometry.sh import C0, COLOUR_OFFSET
 from cogsplat.codec.trained_arrays import opacities_from_logits
 
 from .low_discrepancy import even_directions
@@ -55,8 +56,7 @@ _ENDS: Final = (0.03, 0.97)
 _CELLS: Final = 24
 # Reciprocal of the share of area that is not level from which on level area counts in full.
 _OTHERS: Final = 5.0
-# Basis of the DC coefficient (SPEC 2.3), and weights of the colour channels in brightness.
-_DC: Final = 0.28209479177387814
+# Weights of the colour channels in brightness.
 _LUMA: Final = np.array([0.3, 0.6, 0.1])
 
 
@@ -112,7 +112,9 @@ class Surfaces:
         areas = areas / areas.sum()
         mass = opacity * scene.counts[inside]
         means = (means - 0.5 * (core[:3] + core[3:])) / half
-        light = np.clip(0.5 + _DC * splats.sh0[inside].astype(np.float64), 0.0, 1.0) @ _LUMA
+        light = (
+            np.clip(COLOUR_OFFSET + C0 * splats.sh0[inside].astype(np.float64), 0.0, 1.0) @ _LUMA
+        )
         return cls(means, normals, mass / mass.sum(), areas, areas * flat, light)
 
     def sample(self, count: int) -> Surfaces:

@@ -9,9 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.capture import Capture, capture_around
+from cogsplat.codec.capture import STORED_VIEWPOINTS, Capture, moved_capture
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.finite_fields import require_finite
+
+from .low_discrepancy import even_directions
 
 _EXPECTED: Final = "expected WIDTH,FOV or WIDTH,FOV,DISTANCE, such as 1600,60, or unknown"
 # Fields of view, degrees.
@@ -53,7 +55,11 @@ class TrainedAt:
         distance = self.distance or float(np.linalg.norm(high - low)) / 2.0 / math.sin(half)
         if not (self.width and distance):
             return ()
-        return capture_around((low + high) / 2.0, distance, self.width / 2.0 / math.tan(half))
+        focal_px = self.width / 2.0 / math.tan(half)
+        around = tuple(
+            (x, y, z, focal_px) for x, y, z in even_directions(STORED_VIEWPOINTS).tolist()
+        )
+        return moved_capture(around, distance * np.eye(3), (low + high) / 2.0)
 
 
 def parse_trained_at(text: str) -> TrainedAt:

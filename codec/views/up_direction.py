@@ -102,9 +102,7 @@ def up_from_splats(scene: Subsample, core: F64, usual: F64) -> F64:
         Unit vector in the frame of the means.
     """
     surfaces = Surfaces.of(scene, core)
-    if surfaces is None:
-        return usual
-    if surfaces.is_sheet():
+    if surfaces is None or surfaces.is_sheet():
         return usual
     evidence = UpEvidence.of(surfaces)
     candidates = evidence.candidates(usual)

@@ -142,7 +142,7 @@ class CheckedMap:
         return flat.reshape(-1, width) if width > 1 else flat
 
     def finish(self) -> dict[str, Value]:
-        """Return the remaining, unknown keys; refuse those that end in ``!`` (SPEC 4.3)."""
+        """Return the unknown keys that remain; refuse a key that ends in ``!`` (SPEC 4.3)."""
         for key in self._value:
             if key.endswith("!"):
                 raise UnsupportedError(

@@ -8,7 +8,6 @@ import pytest
 
 from cogsplat.codec.capture import (
     MAX_VIEWPOINTS,
-    capture_around,
     capture_of_cameras,
     merged_capture,
     training_pixel,
@@ -99,7 +98,8 @@ def test_merged_scenes_know_the_viewpoints_of_all_parts():
     assert merge(parts).info.capture == oracle.CAPTURE
     with pytest.warns(CogsplatWarning, match="not all parts know"):
         assert merge([parts[0], oracle.scene(2, n=5)]).info.capture == ()
-    many = [capture_around(np.full(3, float(k)), 1.0, 9.0) for k in range(5)]
+    boxes = [np.array([k, k, k, k + 1.0, k + 1.0, k + 1.0]) for k in range(5)]
+    many = [parse_trained_at("800,60,1").capture(box) for box in boxes]
     assert len(merged_capture(many)) == MAX_VIEWPOINTS
 
 

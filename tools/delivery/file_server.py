@@ -395,7 +395,7 @@ class _SentBytes:
 def _send_file(
     transport: asyncio.Transport, server: Any, descriptor: int, first: int, size: int
 ) -> int:
-    """Send bytes of a file to a connection without copying them; a `served_content.SendFile`.
+    """Send bytes of a file to a connection without a copy; the type is `served_content.SendFile`.
 
     Parameters
     ----------

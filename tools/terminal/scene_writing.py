@@ -46,7 +46,7 @@ class SceneWriting:
     bake_kernel: bool = False
 
     def require(self, out: Path, name: str) -> None:
-        """Raise if an option applies only to formats other than that of the output.
+        """Refuse an option that does not apply to the format of the output.
 
         Parameters
         ----------
