@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,3 +118,46 @@ class Camera:
     def focal_px(self) -> float:
         """Geometric mean of the focal lengths, px."""
         return math.sqrt(self.fx * self.fy)
+
+    def resized(self, width: int, height: int | None = None) -> Camera:
+        """Return the camera of the same picture in another number of pixels.
+
+        Parameters
+        ----------
+        width : int
+            New width, px.
+        height : int, optional
+            New height, px; by default the one of the same aspect ratio, rounded, at least 1.
+            Focal lengths and principal point scale by the exact ratio of the sizes along each axis.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from cogsplat.codec.cameras import Camera
+        >>> camera = Camera(1920, 1080, 1500.0, 1500.0, 960.0, 540.0, np.eye(3), np.zeros(3))
+        >>> small = camera.resized(960)
+        >>> small.width, small.height, small.fx, small.cy
+        (960, 540, 750.0, 270.0)
+        """
+        if height is None:
+            height = max(1, round(self.height * width / self.width))
+        across, down = width / self.width, height / self.height
+        return replace(
+            self, width=width, height=height, fx=self.fx * across, fy=self.fy * down,
+            cx=self.cx * across, cy=self.cy * down,
+        )  # fmt: skip
+
+    def downscaled(self, factor: int) -> Camera:
+        """Return the camera of a picture whose squares of `factor` × `factor` pixels are averaged.
+
+        Columns at the right and rows at the bottom that do not fill a pixel are cropped.
+
+        Parameters
+        ----------
+        factor : int
+            Downscaling per axis, at least 1.
+        """
+        return replace(
+            self, width=max(self.width // factor, 1), height=max(self.height // factor, 1),
+            fx=self.fx / factor, fy=self.fy / factor, cx=self.cx / factor, cy=self.cy / factor,
+        )  # fmt: skip

@@ -1,31 +1,11 @@
-"""Downscaled views: cameras and pictures with fewer pixels of the same content."""
+"""Downscaled pictures: fewer pixels of the same content."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.cameras import Camera
-
 F32 = NDArray[np.float32]
-
-
-def downscale_camera(camera: Camera, factor: int) -> Camera:
-    """Return the camera of a picture that is downscaled by an integer factor per axis.
-
-    Columns at the right and rows at the bottom that do not fill a pixel are cropped.
-    """
-    return replace(
-        camera,
-        width=max(camera.width // factor, 1),
-        height=max(camera.height // factor, 1),
-        fx=camera.fx / factor,
-        fy=camera.fy / factor,
-        cx=camera.cx / factor,
-        cy=camera.cy / factor,
-    )
 
 
 def downscale_picture(picture: F32, factor: int) -> F32:
@@ -41,7 +21,7 @@ def downscale_picture(picture: F32, factor: int) -> F32:
     Returns
     -------
     (H // factor, W // factor, 3) float32
-        Picture of the camera that `downscale_camera` returns.
+        Picture of the camera that `Camera.downscaled` returns.
     """
     height, width = (max(size // factor, 1) for size in picture.shape[:2])
     down, across = (min(factor, size) for size in picture.shape[:2])

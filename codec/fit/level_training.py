@@ -26,7 +26,7 @@ from cogsplat.codec.trained_arrays import opacities_from_logits
 
 from .densification import Densification
 from .differentiable_rendering import Gradients, render_forward, with_values
-from .downscaling import downscale_camera, downscale_picture
+from .downscaling import downscale_picture
 from .image_losses import LOSSES
 from .splat_adam import SplatAdam
 from .train_config import RATES, LevelsConfig
@@ -126,7 +126,7 @@ def train_levels(
     used = np.zeros(len(source), np.bool_)
     builder = _LevelBuilder(config.scales)
     for level, (scale, share) in enumerate(zip(config.scales, config.shares, strict=True)):
-        views = [downscale_camera(camera, scale) for camera in cameras]
+        views = [camera.downscaled(scale) for camera in cameras]
         order = _contribution_order(source, views, config, progress)
         order = order[~used[order]]
         added = np.sort(order[: max(round(share * len(source)) - int(used.sum()), 0)])
@@ -182,7 +182,7 @@ def grow_levels(
     targets = _targets(points, cameras, pictures, config, progress)
     builder = _LevelBuilder(config.scales)
     for level, (scale, share) in enumerate(zip(config.scales, config.shares, strict=True)):
-        views = [downscale_camera(camera, scale) for camera in cameras]
+        views = [camera.downscaled(scale) for camera in cameras]
         added = max(round(share * max_splats) - builder.count, 1)
         rng = np.random.default_rng((config.seed, _POINTS_SALT, level))
         initial = rng.permutation(len(points))[: max(round(_INITIAL_SHARE * added), 1)]
@@ -304,7 +304,7 @@ def train_jointly(
     targets = _targets(source, cameras, None, config, progress)
     order = _contribution_order(source, cameras, config, progress)
     scene = source.take(np.sort(order[: round(config.shares[-1] * len(source))]))
-    views = [downscale_camera(camera, scale) for scale in config.scales for camera in cameras]
+    views = [camera.downscaled(scale) for scale in config.scales for camera in cameras]
     pictures = [downscale_picture(target, scale) for scale in config.scales for target in targets]
     longer = replace(config, steps=config.steps * len(config.scales))
     scene = _train_level(scene, 0, views, pictures, longer, 0, progress)

@@ -19,7 +19,7 @@ from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.codec.views.view_sets import jitter, sample_evenly
 
-from .downscaling import downscale_camera, downscale_picture
+from .downscaling import downscale_picture
 
 F32 = NDArray[np.float32]
 
@@ -217,7 +217,7 @@ def make_training_views(
     factors = [_downscaling_factor(camera, max_pixels) for camera in views]
     for number in range(len(views) - len(covering), len(views)):
         factors[number] *= min(_COVERING_FACTOR, views[number].width, views[number].height)
-    small = [downscale_camera(*pair) for pair in zip(views, factors, strict=True)]
+    small = [view.downscaled(factor) for view, factor in zip(views, factors, strict=True)]
     configs = [_render_config(factor, background, device) for factor in factors]
     chosen_photos = [] if photos is None else [photos[number] for number in chosen]
     pictures = [downscale_picture(*pair) for pair in zip(chosen_photos, factors, strict=False)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Final
 
@@ -98,13 +97,4 @@ def _reduce(camera: Camera) -> Camera:
     """Return the camera with its picture reduced to at most `MAX_PIXELS` pixels."""
     scale = min(1.0, (MAX_PIXELS / (camera.width * camera.height)) ** 0.5)
     width, height = max(1, int(camera.width * scale)), max(1, int(camera.height * scale))
-    across, down = width / camera.width, height / camera.height
-    return replace(
-        camera,
-        width=width,
-        height=height,
-        fx=camera.fx * across,
-        fy=camera.fy * down,
-        cx=camera.cx * across,
-        cy=camera.cy * down,
-    )
+    return camera.resized(width, height)

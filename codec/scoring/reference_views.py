@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -87,16 +87,7 @@ def _reduce(camera: Camera, pixels: int) -> tuple[Camera, int]:
     """Reduce a camera's picture to at most `pixels`; return it and the integer reduction factor."""
     factor = math.ceil(math.sqrt(camera.width * camera.height / pixels))
     factor = max(1, min(factor, camera.width, camera.height))
-    small = replace(
-        camera,
-        width=camera.width // factor,
-        height=camera.height // factor,
-        fx=camera.fx / factor,
-        fy=camera.fy / factor,
-        cx=camera.cx / factor,
-        cy=camera.cy / factor,
-    )
-    return small, factor
+    return camera.downscaled(factor), factor
 
 
 def _evenly_spaced(views: Sequence[Camera], max_views: int) -> list[Camera]:

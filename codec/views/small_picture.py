@@ -113,11 +113,7 @@ def _shrink(camera: Camera) -> Camera:
     """Return a camera of the same view with a picture whose longer side is 64 px."""
     scale = _SIDE_PX / max(camera.width, camera.height)
     width, height = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
-    across, down = width / camera.width, height / camera.height
-    return replace(
-        camera, width=width, height=height, fx=camera.fx * across, fy=camera.fy * down,
-        cx=camera.cx * across, cy=camera.cy * down,
-    )  # fmt: skip
+    return camera.resized(width, height)
 
 
 def weighted_quantiles(values: F64, weights: F64, shares: Sequence[float]) -> list[float]:

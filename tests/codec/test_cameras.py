@@ -108,3 +108,17 @@ def test_a_target_lies_in_front_of_the_camera():
         ahead * np.nan,
     ):
         refused(target=target)
+
+
+def test_a_resized_camera_shows_the_same_picture():
+    camera = oracle.camera()
+    point = camera.rotation.T @ (np.array([0.3, -0.2, 2.0]) - camera.translation)
+
+    def seen(view):
+        x, y, z = view.rotation @ point + view.translation
+        return (view.fx * x / z + view.cx) / view.width, (view.fy * y / z + view.cy) / view.height
+
+    for small in (camera.resized(37), camera.resized(37, 5), camera.resized(3 * camera.width)):
+        np.testing.assert_allclose(seen(small), seen(camera))
+    assert camera.resized(37).height == round(37 * camera.height / camera.width)
+    assert camera.resized(1).height == 1

@@ -13,7 +13,7 @@ from cogsplat.codec.capture import (
     training_pixel,
 )
 from cogsplat.codec.errors import CogsplatWarning, DataError
-from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
+from cogsplat.codec.fit.downscaling import downscale_picture
 from cogsplat.codec.geometry.baked_thickness import bake_thickness
 from cogsplat.codec.geometry.merging import merge
 from cogsplat.codec.geometry.transforms import convert_axes, transform, transform_camera
@@ -157,6 +157,6 @@ def test_baked_scenes_are_nearly_right_in_an_antialiased_renderer():
     baked = bake_thickness(splats.with_capture(capture_of_cameras([camera])))
     full = render(splats, camera)
     for factor in (2, 4, 8):
-        small, expected = downscale_camera(camera, factor), downscale_picture(full, factor)
+        small, expected = camera.downscaled(factor), downscale_picture(full, factor)
         found = psnr(expected, render(baked, small))
         assert found > psnr(expected, render(splats, small)) + 2.0

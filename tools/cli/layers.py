@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import cogsplat
 from cogsplat.codec.errors import DataError
-from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
+from cogsplat.codec.fit.downscaling import downscale_picture
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.colmap_points import find_points, read_points
 from cogsplat.formats.cogs.metadata import FileMetadata
@@ -268,7 +268,7 @@ def _measure(
         for sizes in level_sizes(file):
             scale = int(sizes.scale)
             targets = [downscale_picture(picture, scale) for picture in full]
-            small = [downscale_camera(camera, scale) for camera in cameras]
+            small = [camera.downscaled(scale) for camera in cameras]
             drawn = file.decode(level=sizes.level, threads=threads)
             found.append((sizes, picture_figures(drawn, small, targets, threads)))
             stages("measure", sizes.level + 1, len(file.root.levels))

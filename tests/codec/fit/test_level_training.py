@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
+from cogsplat.codec.fit.downscaling import downscale_picture
 from cogsplat.codec.fit.initial_splats import splats_from_points
 from cogsplat.codec.fit.level_training import (
     MIN_OPACITY,
@@ -66,7 +66,7 @@ def test_joint_training_improves_every_scale(scene):
     assert model.rows(0).tolist() == list(range(len(model.splats)))
     cut = train_jointly(splats, cameras, LevelsConfig((4, 1), (0.2, 0.5), 0, threads=1))
     for scale in short.scales:
-        views = [downscale_camera(camera, scale) for camera in cameras]
+        views = [camera.downscaled(scale) for camera in cameras]
         targets = [downscale_picture(render(splats, camera), scale) for camera in cameras]
         trained, untrained = (
             np.mean([ssim(render(one.scene(0), v), t) for v, t in zip(views, targets, strict=True)])
@@ -100,7 +100,7 @@ def test_levels_leave_out_transparent_splats_for_good(levels):
 @pytest.mark.parametrize("loss", ["squared", "structure"])
 def test_training_improves_a_level(scene, loss):
     splats, cameras = scene
-    views = [downscale_camera(camera, 4) for camera in cameras]
+    views = [camera.downscaled(4) for camera in cameras]
     targets = [downscale_picture(render(splats, camera), 4) for camera in cameras]
     measure = psnr if loss == "squared" else ssim
 
@@ -168,7 +168,7 @@ def test_levels_are_trained_from_points(scene):
     assert 80 < counts[0] <= 90
     assert 80 < counts[1] <= 210
     for level, scale in enumerate(config.scales):
-        views = [downscale_camera(camera, scale) for camera in cameras]
+        views = [camera.downscaled(scale) for camera in cameras]
         targets = [downscale_picture(photo, scale) for photo in photos]
         trained, initial = (
             np.mean([ssim(render(one, v), t) for v, t in zip(views, targets, strict=True)])

@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as arrays
 
 from cogsplat.codec.capture import capture_of_cameras
 from cogsplat.codec.errors import Cancelled
-from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
+from cogsplat.codec.fit.downscaling import downscale_picture
 from cogsplat.codec.geometry import sh
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import RenderConfig, render, render_tiles, render_views
@@ -75,7 +75,7 @@ def test_small_and_far_pictures_are_the_full_picture_averaged():
     captured = replace(splats, info=SceneInfo(capture=capture_of_cameras([camera])))
     full = render(splats, camera)
     for factor in (2, 4, 8):
-        small, expected = downscale_camera(camera, factor), downscale_picture(full, factor)
+        small, expected = camera.downscaled(factor), downscale_picture(full, factor)
         right = psnr(expected, render(captured, small))
         assert right > psnr(expected, render(splats, small)) + 6.0
 

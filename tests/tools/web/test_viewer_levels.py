@@ -16,7 +16,6 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode import pipeline
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.request import EncodeRequest
-from cogsplat.codec.fit.downscaling import downscale_camera
 from cogsplat.codec.fit.level_encoding import encode_levels
 from cogsplat.codec.fit.level_training import LevelledSplats
 from cogsplat.codec.fit.train_config import LevelsConfig
@@ -36,7 +35,7 @@ pytestmark = pytest.mark.slow
 WIDTH, HEIGHT = 400, 320
 FULL = synth_cameras(48, 2 * WIDTH, 2 * HEIGHT)[8]
 """The first view of the files: what full pictures are taken by. No viewer is lower than 160 px."""
-CAMERA = downscale_camera(FULL, 2)
+CAMERA = FULL.downscaled(2)
 SAME_DB = 38.0
 """What a picture must have against our own render of the same data."""
 

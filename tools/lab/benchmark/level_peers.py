@@ -22,7 +22,7 @@ from tempfile import TemporaryDirectory
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.fit.downscaling import downscale_camera, downscale_picture
+from cogsplat.codec.fit.downscaling import downscale_picture
 from cogsplat.codec.fit.level_encoding import encode_levels
 from cogsplat.codec.fit.level_training import (
     LevelledSplats,
@@ -140,9 +140,7 @@ def measure_quality(
     """
     drawing = RenderConfig()
     full = [render(splats, camera, drawing) for camera in tests]
-    small = {
-        scale: [downscale_camera(camera, scale) for camera in tests] for scale in config.scales
-    }
+    small = {scale: [camera.downscaled(scale) for camera in tests] for scale in config.scales}
     targets = {
         scale: [downscale_picture(picture, scale) for picture in full] for scale in config.scales
     }
@@ -229,9 +227,7 @@ def main() -> None:
     given = parser.parse_args()
     splats = cogsplat.read(given.scene).without_extras()
     splats = splats.take(~splats.invalid_rows())
-    cameras = [
-        downscale_camera(camera, given.smaller) for camera in cogsplat.read_cameras(given.cameras)
-    ]
+    cameras = [camera.downscaled(given.smaller) for camera in cogsplat.read_cameras(given.cameras)]
     train, tests = hold_out(cameras, given.eval_every)
     config = LevelsConfig(
         tuple(int(scale) for scale in given.scales.split(",")),

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.cameras import Camera
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.splats import Splats
 from cogsplat.tools.evaluation.prefix_quality import decode_prefix
@@ -101,7 +100,8 @@ def draw_strips(
     """
     from PIL import Image
 
-    camera = _narrow(evaluator.cameras[len(evaluator.cameras) // 2])
+    camera = evaluator.cameras[len(evaluator.cameras) // 2]
+    camera = camera.resized(min(camera.width, _WIDTH_PX))
     whole = evaluator.draw(evaluator.reference, camera)
     rows: list[Image.Image] = []
     for strip in strips:
@@ -124,18 +124,3 @@ def draw_strips(
         page.paste(row, (0, top))
         top += row.height
     return page
-
-
-def _narrow(camera: Camera) -> Camera:
-    """Scale a camera down to `_WIDTH_PX` pixels in width at most."""
-    scale = min(1.0, _WIDTH_PX / camera.width)
-    width, height = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
-    return replace(
-        camera,
-        width=width,
-        height=height,
-        fx=camera.fx * width / camera.width,
-        fy=camera.fy * height / camera.height,
-        cx=camera.cx * width / camera.width,
-        cy=camera.cy * height / camera.height,
-    )

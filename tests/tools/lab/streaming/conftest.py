@@ -7,7 +7,6 @@ import pytest
 
 import cogsplat
 from cogsplat.codec.encode.config import EncodeConfig
-from cogsplat.codec.fit.downscaling import downscale_camera
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.tools.lab.streaming.comparison import Simulation
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, synth_rooms
@@ -31,5 +30,5 @@ def house_file(house: Path) -> Iterator[CogsFile]:
 @pytest.fixture
 def simulation(house_file: CogsFile) -> Simulation:
     """Clients of the house, with contributions known in small pictures."""
-    known = [downscale_camera(camera, 8) for camera in rooms_cameras(4, views=4)]
+    known = [camera.downscaled(8) for camera in rooms_cameras(4, views=4)]
     return Simulation(house_file, known, threads=1)

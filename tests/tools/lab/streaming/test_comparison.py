@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.fit.downscaling import downscale_camera
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.tools.lab.scheduling.chunk_ratios import ratios_from_boxes
 from cogsplat.tools.lab.streaming.client import Link, units_of
@@ -23,7 +22,7 @@ from cogsplat.tools.lab.synthetic.rooms import rooms_walk
 
 def small(cameras: list[Camera]) -> list[Camera]:
     """Return the cameras with pictures of an eighth of the size."""
-    return [downscale_camera(camera, 8) for camera in cameras]
+    return [camera.downscaled(8) for camera in cameras]
 
 
 def test_view_dependent_policies_beat_the_order_of_the_file(simulation: Simulation) -> None:

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from cogsplat.codec.fit.downscaling import downscale_camera
 from cogsplat.codec.metrics import psnr
 from cogsplat.tools.lab.streaming.comparison import Simulation
 from cogsplat.tools.lab.streaming.goal_bytes import bytes_to_hold_goal
@@ -14,7 +13,7 @@ GOAL_DB = 35.0
 
 def walk() -> Trace:
     """Return the first poses of a walk, with pictures of an eighth of the size."""
-    cameras = [downscale_camera(c, 8) for c in rooms_walk(4)[:12:3]]
+    cameras = [c.downscaled(8) for c in rooms_walk(4)[:12:3]]
     return recorded_trace(cameras, 0.5)
 
 

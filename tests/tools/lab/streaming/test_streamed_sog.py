@@ -10,7 +10,6 @@ import pytest
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import FormatError
-from cogsplat.codec.fit.downscaling import downscale_camera
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.scenes.sog.sog_scene import write_sog
@@ -197,7 +196,7 @@ def test_leaves_without_a_level_take_the_next_finer_or_are_left_out(folder: Path
 
 
 def test_a_simulation_compares_it_over_the_same_link(house_file: CogsFile, folder: Path) -> None:
-    views = [downscale_camera(c, 8) for c in rooms_cameras(4, views=2)]
+    views = [c.downscaled(8) for c in rooms_cameras(4, views=2)]
     source = synth_rooms(4, 5000, sh_degree=1)
     peer = streamed_sog_client(folder / "lod-meta.json")
     simulation = Simulation(house_file, views, threads=1, source=source, peer=peer)
