@@ -169,6 +169,7 @@ def tune(
     *,
     cameras: Sequence[Camera] | _Path | None = None,
     target: Target | int | str = "40dB",
+    shown_at: int | None = None,
     config: TuneConfig | None = None,
     force: bool = False,
     progress: Progress = silent,
@@ -183,6 +184,8 @@ def tune(
         Views to train in, or a file for `read_cameras`. Without them views are planned.
     target : Target, int or str
         File size or PSNR, as in `encode`; the PSNR is against renders of the source.
+    shown_at : int, optional
+        Width, px, of the pictures that the file is made for; by default that of the cameras.
     config : TuneConfig, optional
         Steps of training, preset and profile.
 
@@ -218,7 +221,9 @@ def tune(
     config = config or TuneConfig()
     given = None if cameras is None else _views(cameras)
     splats = _splats(scene).without_extras().with_capture(capture_of_cameras(given or ()))
-    views = choose_tuning_views(splats, given, threads=config.train.threads, progress=progress)
+    views = choose_tuning_views(
+        splats, given, shown_at=shown_at, threads=config.train.threads, progress=progress
+    )
     request = TuneRequest(views, _target(target, scene), config)
     look = find_first_look(splats, given, threads=config.train.threads)
     metadata = FileMetadata(look, description=_description_of(scene))

@@ -87,6 +87,7 @@ def encode(
     """
     timed = TimedProgress(progress)
     _require_encodable(splats, request, size_of, preview)
+    request = request.at_shown_width()
     scored = score_scene(splats, request, timed)
     if len(splats):
         _warn_of_coverage(scored.report)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
@@ -12,6 +12,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.executor import Executor, LocalThreads
 from cogsplat.codec.order.orders import split_name
 from cogsplat.codec.views.trained_at import parse_trained_at
+from cogsplat.codec.views.view_sets import at_width
 from cogsplat.codec.views.view_text import parse_view, unit_up
 from cogsplat.codec.workspace import IN_MEMORY, Workspace
 
@@ -47,6 +48,9 @@ class EncodeRequest:
         Size and field of view of the pictures of training (`trained_at.parse_trained_at`), by which
         viewers draw splats as thick as in training. None takes those of the scene, else of
         `cameras`.
+    shown_at : int, optional
+        Width, px, of the pictures that the file is made for: all views are scored, and PSNR is
+        measured, at this width. None for the widths of the given cameras, or 400.
     config : EncodeConfig
         Contents of the file. With planned views, its nominal quality is the PSNR in the planned
         test views, to about 1 dB (`rate_control.search_nominal`).
@@ -87,6 +91,7 @@ class EncodeRequest:
     up: str | ArrayLike | None = None
     view: str | Camera | None = None
     trained_at: str | None = None
+    shown_at: int | None = None
     config: EncodeConfig = field(default_factory=EncodeConfig)
     score_config: ScoreConfig | None = None
     preset: str = DEFAULT_PRESET
@@ -96,6 +101,8 @@ class EncodeRequest:
     executor: Executor | None = None
 
     def __post_init__(self) -> None:
+        if self.shown_at is not None and self.shown_at < 1:
+            raise ValueError(f"shown at {self.shown_at} px, expected at least 1")
         if self.up is not None:
             unit_up(self.up)
         if isinstance(self.view, str):
@@ -119,6 +126,13 @@ class EncodeRequest:
                 raise ValueError("an executor and a memory limit, expected one of them")
             if self.config.preview is not None:
                 raise ValueError("a preview and a memory limit, expected one of them")
+
+    def at_shown_width(self) -> EncodeRequest:
+        """Return the request with all given views at the width of `shown_at`."""
+        if self.shown_at is None:
+            return self
+        cameras = None if self.cameras is None else at_width(self.cameras, self.shown_at)
+        return replace(self, cameras=cameras, test_views=at_width(self.test_views, self.shown_at))
 
     @property
     def effort(self) -> Preset:

@@ -179,7 +179,7 @@ def _score_planned(
 def _plan_views(splats: Splats, request: EncodeRequest, progress: Progress) -> ViewPlan:
     """Return planned scoring and test views; none if a near-lossless scene shows nothing."""
     try:
-        settings = request.effort.plan_config(request.config.threads)
+        settings = request.effort.plan_config(request.config.threads).at_width(request.shown_at)
         return plan(splats, settings, executor=request.executor, progress=progress)
     except DataError as error:
         if error.code != "empty-scene" or request.config.profile != "near-lossless":

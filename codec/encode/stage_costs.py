@@ -24,8 +24,7 @@ from .presets import DEFAULT_PRESET, PRESETS, Preset
 from .request import EncodeRequest
 from .view_table_builder import MOST_CAMERAS
 
-# Pixels of a planned view, and ratio of planned views to the number in a preset.
-_PLANNED_PIXELS: Final = 480 * 360
+# Ratio of planned views to the number in a preset.
 _PLANNED_RATIO: Final = 1.15
 
 _PLAN: Final = 2.0
@@ -74,6 +73,7 @@ def stage_costs(splats: int, request: EncodeRequest, *, scored: bool = False) ->
     list of StageCost
         The last is ``write``, which the caller reports.
     """
+    request = request.at_shown_width()
     config, preset, cameras, target = (
         request.config, request.effort, request.cameras, request.target,
     )  # fmt: skip
@@ -84,7 +84,9 @@ def stage_costs(splats: int, request: EncodeRequest, *, scored: bool = False) ->
     if cameras:
         views, pixels = len(preset.views(cameras)), _mean_pixels(cameras)
     else:
-        views, pixels = round(preset.planned_views * _PLANNED_RATIO), float(_PLANNED_PIXELS)
+        planned_views = preset.plan_config().at_width(request.shown_at)
+        views = round(preset.planned_views * _PLANNED_RATIO)
+        pixels = float(planned_views.width * planned_views.height)
         jitter = jitter and preset.planned_jitter
     seen = bool(cameras) or planned
     order = split_name(config.order)[0]

@@ -9,7 +9,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.planner import ViewPlanConfig, plan
-from cogsplat.codec.views.view_sets import TEST_VIEWS, leave_out, sample_evenly
+from cogsplat.codec.views.view_sets import TEST_VIEWS, at_width, leave_out, sample_evenly
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +44,7 @@ def choose_tuning_views(
     splats: Splats,
     cameras: Sequence[Camera] | None,
     *,
+    shown_at: int | None = None,
     threads: int = 0,
     progress: Progress = silent,
 ) -> TuningViews:
@@ -55,6 +56,8 @@ def choose_tuning_views(
         Scene to tune.
     cameras : sequence of Camera or None
         Given cameras, of which some are left out to measure in; None plans views.
+    shown_at : int, optional
+        Width of all views, px; by default that of the given cameras, or 400.
     threads : int
         Number of threads, 0 for all cores.
     progress : Progress
@@ -70,9 +73,10 @@ def choose_tuning_views(
         ``empty-scene``: no view can be planned.
     """
     if cameras is not None:
-        used, left_out = leave_out(cameras)
+        used, left_out = leave_out(at_width(cameras, shown_at))
         origin = "left-out" if left_out else "scored"
         return TuningViews(used, (), sample_evenly(left_out, TEST_VIEWS), origin)
     # Quality in training views would be too optimistic: planned test views are separate.
-    found = plan(splats, ViewPlanConfig(threads=threads), progress=progress)
+    settings = ViewPlanConfig(threads=threads).at_width(shown_at)
+    found = plan(splats, settings, progress=progress)
     return TuningViews(found.views, found.covering_views, found.test_views, "planned")

@@ -15,7 +15,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -167,6 +167,12 @@ class ViewPlanConfig:
         if not self.near_plane > 0.0:
             raise ValueError(f"near_plane {self.near_plane}, expected more than 0")
         thread_count(self.threads)
+
+    def at_width(self, width: int | None) -> ViewPlanConfig:
+        """Return the settings of views of another width, px; None keeps the width."""
+        if width is None:
+            return self
+        return replace(self, width=width, height=max(1, round(self.height * width / self.width)))
 
     def lens(self, scale: float = 1.0) -> Lens:
         """Return the lens of the views, with width and height multiplied by `scale`."""

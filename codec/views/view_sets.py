@@ -71,6 +71,28 @@ def sample_evenly(cameras: Sequence[Item], count: int) -> list[Item]:
     return [cameras[int((k + (k + 0.5) * STEP_1D % 1.0) * run)] for k in range(count)]
 
 
+def at_width(cameras: Sequence[Camera], width: int | None) -> list[Camera]:
+    """Return cameras whose pictures all have one width.
+
+    Parameters
+    ----------
+    cameras : sequence of Camera
+        Cameras of pictures of any size.
+    width : int or None
+        Width of the new pictures, px; each keeps what it shows. None keeps all sizes.
+
+    Examples
+    --------
+    >>> import cogsplat
+    >>> from cogsplat.codec.views.view_sets import at_width
+    >>> {camera.width for camera in at_width(cogsplat.read_cameras("cameras.json"), 32)}
+    {32}
+    """
+    if width is None:
+        return list(cameras)
+    return [camera.resized(width) for camera in cameras]
+
+
 def hold_out(cameras: Sequence[Camera], every: int) -> tuple[list[Camera], list[Camera]]:
     """Split cameras into training views and held-out test views, as Mip-NeRF 360 does.
 

@@ -12,6 +12,7 @@ import click
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.progress import StageCost
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.view_sets import at_width
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation.measuring_costs import comparison_costs, objects_cost
 from cogsplat.tools.evaluation.object_quality import ObjectQuality
@@ -25,6 +26,7 @@ from cogsplat.tools.terminal.options import (
     json_option,
     part_options,
     quiet_option,
+    shown_at_option,
     ssim_border_option,
     threads_option,
 )
@@ -77,6 +79,7 @@ if TYPE_CHECKING:
     metavar="OUT.png",
     help="Also write a picture of the worst view: A, B, and their difference times four.",
 )
+@shown_at_option
 @background_option
 @ssim_border_option
 @part_options
@@ -94,6 +97,7 @@ def compare(
     eval_every: int | None,
     by_object: bool,
     difference: Path | None,
+    shown_at: int | None,
     background: Colour,
     ssim_border: str,
     chunks: ChunkRange | None,
@@ -126,6 +130,7 @@ def compare(
         views, what = evaluation_cameras(
             reference, first.splats, cameras, eval_every, threads=threads, progress=stages
         )
+        views = at_width(views, shown_at)
         costs = comparison_costs(len(first.splats), views)
         if by_object:
             costs.append(StageCost("objects", objects_cost(len(first.splats), views, 1)))

@@ -42,6 +42,7 @@ from cogsplat.tools.terminal.options import (
     quality_option,
     quiet_option,
     scheduler_option,
+    shown_at_option,
     target_psnr_option,
     threads_option,
     top_k_option,
@@ -118,7 +119,7 @@ _GROUPS: Final = {
         "--object-budgets",
         "--masks",
     ),
-    "Scoring": ("--no-jitter", "--top-k", "--eval-every"),
+    "Scoring": ("--shown-at", "--no-jitter", "--top-k", "--eval-every"),
     "First view and drawing": ("--view", "--up", "--trained-at"),
     "Contents of the file": (
         "--prune",
@@ -230,6 +231,7 @@ _GROUPS: Final = {
 @no_extras_option
 @up_option
 @trained_at_option
+@shown_at_option
 @click.option(
     "--describe",
     type=PATH,
@@ -379,6 +381,7 @@ def _evaluation(options: EncodeOptions, splats: Splats) -> FileEvaluation | None
         options.edits,
         options.images,
         options.background,
+        shown_at=options.shown_at,
         threads=options.threads,
     )
 

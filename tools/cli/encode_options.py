@@ -50,6 +50,7 @@ class EncodeOptions:
     no_extras: bool
     up: str | None
     trained_at: str | None
+    shown_at: int | None
     store_cameras: bool
     no_jitter: bool
     top_k: int | None
@@ -86,6 +87,10 @@ class EncodeOptions:
             raise click.UsageError("--no-extras and --objects: expected one of them")
         if self.store_cameras and self.cameras is None:
             raise click.UsageError("--store-cameras without --cameras, expected cameras to store")
+        if self.images is not None and self.shown_at is not None:
+            raise click.UsageError(
+                "--images and --shown-at: expected photos in the size of --cameras"
+            )
         if self.scheduler is not None and self.memory is not None:
             raise click.UsageError("--memory and --scheduler: expected one of them")
         if self.scheduler is not None and self.device == "cuda":
@@ -163,6 +168,7 @@ class EncodeOptions:
                 cameras=views,
                 up=self.up,
                 trained_at=self.trained_at,
+                shown_at=self.shown_at,
                 view=view,
                 score_config=replace(scoring, device=self.device),
                 target=target,

@@ -31,6 +31,7 @@ from cogsplat.tools.terminal.options import (
     json_option,
     preview_option,
     quiet_option,
+    shown_at_option,
     target_psnr_option,
     threads_option,
     training_images_option,
@@ -95,7 +96,7 @@ _GROUPS: Final = {
         "--help-all",
         "--help",
     ),
-    "Training": ("--profile", "--seed", "--eval-every"),
+    "Training": ("--shown-at", "--profile", "--seed", "--eval-every"),
     "More files": ("--ply",),
 }
 
@@ -152,6 +153,7 @@ _GROUPS: Final = {
 @preview_option
 @training_seed_option
 @eval_every_option(0, "do not train in it.")
+@shown_at_option
 @click.option(
     "--ply",
     type=WRITTEN_PATH,
@@ -206,6 +208,7 @@ class TuneOptions:
     preview: float | None
     seed: int
     eval_every: int
+    shown_at: int | None
     ply: Path | None
     checkpoint: Path | None
     resume: bool
@@ -223,6 +226,10 @@ class TuneOptions:
             raise click.UsageError("--target-psnr and --target-size: expected one of them")
         if self.images is not None and self.cameras is None:
             raise click.UsageError("--images without --cameras, expected the cameras of the photos")
+        if self.images is not None and self.shown_at is not None:
+            raise click.UsageError(
+                "--images and --shown-at: expected photos in the size of --cameras"
+            )
         if self.resume and self.checkpoint is None:
             raise click.UsageError(
                 "--resume without --checkpoint, expected the file to resume from"
@@ -263,7 +270,9 @@ class TuneOptions:
             if size_bytes < 1:
                 raise click.UsageError("--target-size of 0 bytes, expected at least 1")
             target = Target(size_bytes=size_bytes)
-        views = choose_tuning_views(splats, given, threads=self.threads, progress=progress)
+        views = choose_tuning_views(
+            splats, given, shown_at=self.shown_at, threads=self.threads, progress=progress
+        )
         photos = None
         if self.images is not None:
             photos = read_ground_truth(self.images, views.cameras)
@@ -299,7 +308,7 @@ def _tune(options: TuneOptions) -> None:
                 raise DataError("empty-scene", f"{options.scene}: 0 splats, expected some to train")
             splats = splats.with_capture(capture_of_cameras(cameras or ()))
         request = options.request(splats, cameras, given.file_bytes, stages)
-        names = [view.name for view in request.views.cameras]
+        names = [f"{view.name} {view.width}x{view.height}" for view in request.views.cameras]
         run = fingerprint(splats, f"{request.target} {request.config} {names}")
         if (seconds := request.config.seconds) is not None:
             # The time spent until here counts as well.

@@ -27,6 +27,9 @@ Command = TypeVar("Command", bound=Callable[..., object])
 
 # More than any machine has cores; operating systems refuse to start tens of thousands.
 _MOST_THREADS: Final = 1024
+# SSIM needs 11 pixels a side (`metrics.ssim`), also of portraits close up; 8K screens have 7,680.
+_LEAST_WIDTH: Final = 16
+_MOST_WIDTH: Final = 8192
 
 
 def json_option(command: Command) -> Command:
@@ -248,6 +251,28 @@ def trained_at_option(command: Command) -> Command:
         "of the cameras from the scene's middle; or unknown. With it, splats are drawn as thick as "
         "in training at any picture size.  [default: the cameras, if given]",
     )(command)
+
+
+def shown_at_option(command: Command) -> Command:
+    """Add ``--shown-at``."""
+    return click.option(
+        "--shown-at",
+        type=_width,
+        metavar="WIDTH",
+        help="Width of the pictures that people will see, such as 960px: cameras keep their views, "
+        "and quality is chosen and measured in pictures of this width.  [default: the width of "
+        "the cameras, or 400px]",
+    )(command)
+
+
+def _width(text: str) -> int:
+    """Parse the width of a picture: ``960px`` or ``960``."""
+    digits = text.removesuffix("px").strip()
+    if not (digits.isascii() and digits.isdigit() and _LEAST_WIDTH <= int(digits) <= _MOST_WIDTH):
+        raise click.BadParameter(
+            f"{text!r}, expected {_LEAST_WIDTH}px to {_MOST_WIDTH}px, such as 960px"
+        )
+    return int(digits)
 
 
 def _trained_at_text(text: str) -> str:

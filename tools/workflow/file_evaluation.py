@@ -12,6 +12,7 @@ import click
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.progress import Progress, StageCost, silent
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.view_sets import at_width
 from cogsplat.formats.storage.byte_counts import ByteCount
 from cogsplat.tools.evaluation import prefix_quality, report_page
 from cogsplat.tools.evaluation.measuring_costs import comparison_costs
@@ -80,9 +81,12 @@ class FileEvaluation:
         images: Path | None,
         background: Colour,
         *,
+        shown_at: int | None = None,
         threads: int = 0,
     ) -> FileEvaluation:
         """Return the evaluation in the held-out cameras, or in all cameras if none is held out.
+
+        With `shown_at`, pictures have this width, px.
 
         Raises
         ------
@@ -94,6 +98,7 @@ class FileEvaluation:
             what += " never given to the encoder" if eval_every else ", all given to the encoder"
         if what != "virtual views":
             views = [edits.camera(view) for view in views]
+        views = at_width(views, shown_at)
         photos = None
         if images is not None:
             photos = read_photos(images, source, views, background, threads=threads)
