@@ -308,6 +308,14 @@ def test_tolerances_are_the_constants():
     ]
 
 
+def test_tolerances_of_pictures_are_the_constants():
+    text = section("B.4 ")
+    assert "within 2^−10" in text
+    assert tolerance.PICTURE_VALUE == 2**-10
+    assert "at most 1/80" in text
+    assert tolerance.PICTURE_RMS == 1 / 80
+
+
 def test_decoded_bytes_are_counted_as_stated():
     text = section("9.2 ")
     assert f"{Limits().expansion} bytes more for each byte" in text

@@ -11,12 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import cogsplat
+from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatError, TruncatedError
+from cogsplat.codec.render.rasteriser import render
 from cogsplat.formats.cogs.description_json import to_json
 from cogsplat.formats.cogs.folder_source import FolderSource
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import BytesSource
 from cogsplat.tools.lab import make_vectors
+from cogsplat.tools.lab.conformance import tolerance
 
 VECTORS = Path(__file__).resolve().parent / "vectors"
 MANIFEST = json.loads((VECTORS / "manifest.json").read_text(encoding="utf-8"))
@@ -24,6 +28,7 @@ VALID = MANIFEST["valid"]
 INVALID = MANIFEST["invalid"]
 FOLDERS = MANIFEST["folders"]
 INVALID_FOLDERS = MANIFEST["invalid_folders"]
+DRAWINGS = MANIFEST["drawings"]
 ARRAYS = MANIFEST["arrays"]
 
 # A part may be cut: this file has another fault behind its cut.
@@ -98,6 +103,8 @@ def test_there_are_files_and_the_manifest_lists_them_all():
     for entry in VALID:
         listed |= {f"valid/{entry['name']}.cogs", f"valid/{entry['name']}.f32"}
     listed |= {f"invalid/{entry['name']}.cogs" for entry in INVALID}
+    for entry in DRAWINGS:
+        listed |= {f"drawings/{entry['scene']}.cogs", f"drawings/{entry['name']}.f32"}
     # What the objects of a folder are called follows from their bytes.
     named = {f"folders/{entry['name']}" for entry in FOLDERS}
     named |= {f"invalid-folders/{entry['name']}" for entry in INVALID_FOLDERS}
@@ -390,6 +397,21 @@ def test_invalid_folder_is_refused_with_its_code(entry):
     assert (error.code, clause_of(error)) == (entry["code"], entry["clause"])
     as_part = refusal(lambda: up_to("decode", partial=True))
     assert (as_part is None) == (entry["partial"] or entry["stage"] == "verify")
+
+
+@pytest.mark.parametrize("entry", DRAWINGS, ids=name_of)
+def test_pictures_are_those_of_the_reference(entry):
+    data = (VECTORS / "drawings" / f"{entry['name']}.f32").read_bytes()
+    assert hashlib.sha256(data).hexdigest() == entry["sha256"]
+    camera = {k: np.array(v) if isinstance(v, list) else v for k, v in entry["camera"].items()}
+    camera["rotation"] = camera["rotation"].reshape(3, 3)
+    with cogsplat.open(VECTORS / "drawings" / f"{entry['scene']}.cogs") as file:
+        file.verify()
+        picture = render(file.decode(), Camera(**camera))
+    expected = np.frombuffer(data, "<f4").reshape(picture.shape)
+    assert tolerance.picture_fault(picture, expected, is_viewer=False) == ""
+    # What SPEC B.4 says of float32.
+    assert np.abs(picture - expected).max() < 1e-5
 
 
 def test_every_clause_that_can_be_broken_has_files():

@@ -87,7 +87,7 @@ def run_apart() -> Run:
 
 @pytest.fixture
 def few_vectors(tmp_path: Path) -> Path:
-    """A folder with some of the vectors: of refinements, of CRC and hash, and two folders."""
+    """A folder with some of the vectors: of refinements, CRC, hash, folders, and a picture."""
     vectors = ROOT / "tests" / "vectors"
     manifest = json.loads((vectors / "manifest.json").read_text())
     names = ("refinements", "sh1", "one-splat")
@@ -97,6 +97,7 @@ def few_vectors(tmp_path: Path) -> Path:
     manifest["folders"] = [e for e in manifest["folders"] if e["name"] == "one-splat"]
     broken = "folder-flip"
     manifest["invalid_folders"] = [e for e in manifest["invalid_folders"] if e["name"] == broken]
+    manifest["drawings"] = [e for e in manifest["drawings"] if e["name"] == "half"]
     assert len(manifest["valid"]) == 3
     assert len(manifest["folders"]) == len(manifest["invalid_folders"]) == 1
     assert {e["code"] for e in manifest["invalid"]} == set(codes)
@@ -107,6 +108,9 @@ def few_vectors(tmp_path: Path) -> Path:
             for suffix in suffixes:
                 name = f"{entry['name']}.{suffix}"
                 (folder / kind / name).write_bytes((vectors / kind / name).read_bytes())
+    (folder / "drawings").mkdir()
+    for name in ("half.f32", "viewpoint.cogs", "kernel.cogs"):
+        shutil.copy(vectors / "drawings" / name, folder / "drawings")
     shutil.copytree(vectors / "folders" / "one-splat", folder / "folders" / "one-splat")
     shutil.copytree(vectors / "invalid-folders" / broken, folder / "invalid-folders" / broken)
     (folder / "manifest.json").write_text(json.dumps(manifest))

@@ -13,6 +13,7 @@ import json
 import struct
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Final
 
@@ -24,6 +25,7 @@ from cogsplat.tools.lab.conformance import (
     attribute_vectors,
     compensation_vectors,
     description_vectors,
+    drawing_vectors,
     file_fault_order,
     folder_vectors,
     invalid_boxes,
@@ -31,6 +33,7 @@ from cogsplat.tools.lab.conformance import (
     msgpack_vectors,
     payload_fault_order,
     reference_decoder,
+    reference_drawing,
     refinement_vectors,
     view_table_vectors,
     worked_example,
@@ -265,6 +268,17 @@ def _invalid_folder_entry(folder: folder_vectors.InvalidFolder) -> dict[str, Jso
     }
 
 
+def _drawing_entry(drawing: drawing_vectors.Drawing, picture: bytes) -> dict[str, Json]:
+    camera: dict[str, Json] = asdict(drawing.camera)
+    return {
+        "name": drawing.name,
+        "scene": drawing.scene,
+        "note": drawing.note,
+        "camera": camera,
+        "sha256": _sha256(picture),
+    }
+
+
 def _manifest_text(manifest: Mapping[str, Json]) -> str:
     """Return the manifest as JSON, one vector per line."""
     parts = []
@@ -302,6 +316,14 @@ def make_vectors() -> tuple[dict[str, Json], dict[str, bytes]]:
     for broken in invalid_folders():
         bad_folders.append(_invalid_folder_entry(broken))
         files |= {f"invalid-folders/{broken.name}/{n}": x for n, x in broken.objects.items()}
+    scenes = drawing_vectors.scenes()
+    files |= {f"drawings/{name}.cogs": data for name, data in scenes.items()}
+    pictures: list[Json] = []
+    for drawing in drawing_vectors.drawings():
+        values = reference_drawing.draw(scenes[drawing.scene], drawing.camera)
+        picture = struct.pack(f"<{len(values)}f", *values)
+        pictures.append(_drawing_entry(drawing, picture))
+        files[f"drawings/{drawing.name}.f32"] = picture
     manifest: dict[str, Json] = {
         "format": f"{MAJOR}.{MINOR}",
         "zstd": ".".join(str(part) for part in zstandard.ZSTD_VERSION),
@@ -310,6 +332,7 @@ def make_vectors() -> tuple[dict[str, Json], dict[str, bytes]]:
         "invalid": bad,
         "folders": good_folders,
         "invalid_folders": bad_folders,
+        "drawings": pictures,
     }
     return manifest, files
 
@@ -330,6 +353,7 @@ def spec_blocks() -> dict[str, str]:
         "valid": "\n".join(listed),
         "invalid": "\n".join(refused),
         "folders": "\n".join(_folder_lists()),
+        "drawings": "\n".join(_drawing_list()),
     }
 
 
@@ -338,6 +362,14 @@ def _folder_lists() -> list[str]:
     lines += [f"| `{folder.name}` | {folder.note} |" for folder in valid_folders()]
     lines += ["", "| folder to refuse | reason code | what |", "|---|---|---|"]
     lines += [f"| `{f.name}` | `{f.code}` | {f.note} |" for f in invalid_folders()]
+    return lines
+
+
+def _drawing_list() -> list[str]:
+    lines = ["| picture | scene | size, px | what |", "|---|---|---|---|"]
+    for drawing in drawing_vectors.drawings():
+        size = f"{drawing.camera.width} × {drawing.camera.height}"
+        lines.append(f"| `{drawing.name}` | `{drawing.scene}` | {size} | {drawing.note} |")
     return lines
 
 
@@ -367,7 +399,7 @@ def differences() -> list[str]:
         }
 
     found = []
-    for part in ("valid", "invalid", "folders", "invalid_folders"):
+    for part in ("valid", "invalid", "folders", "invalid_folders", "drawings"):
         new: Json = manifest[part]
         old = compared(committed[part])
         fresh = compared(json.loads(json.dumps(new)))
@@ -382,7 +414,7 @@ def differences() -> list[str]:
     found += [f"{name}: not a vector, or missing" for name in sorted(there ^ files.keys())]
     for name in sorted(there & files.keys()):
         content = (VECTORS / name).read_bytes()
-        if same_zstd and content != files[name]:
+        if content != files[name] and (same_zstd or name.endswith(".f32")):
             found.append(f"{name}: its bytes")
         elif name.startswith("valid/") and name.endswith(".cogs"):
             arrays = _array_bytes(reference_decoder.decode(content))
@@ -420,6 +452,7 @@ def main() -> int:
     good, bad = len(valid_vectors()), len(invalid_vectors())
     print(f"{good} valid and {bad} must-reject files in {VECTORS}")
     print(f"{len(valid_folders())} valid and {len(invalid_folders())} must-reject folders")
+    print(f"{len(drawing_vectors.drawings())} pictures")
     return 0
 
 

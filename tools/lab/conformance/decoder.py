@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import json
 import sys
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 import cogsplat
+from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.codec.streams import decoding_tiers
 from cogsplat.formats.cogs.folder_map import MANIFEST_SUFFIX
@@ -20,7 +22,7 @@ from cogsplat.formats.cogs.folder_source import FolderSource
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import FileSource
 
-from . import reference_decoder
+from . import reference_decoder, reference_drawing
 from .folder_vectors import file_of_folder
 from .protocol import Answer
 
@@ -38,14 +40,18 @@ def hello(kind: str) -> Answer:
         "refuses": kind != "reference",
         "partial": kind != "reference",
         "folders": True,
+        # Pictures of this project's renderer need numba.
+        "draws": kind == "reference" or find_spec("numba") is not None,
     }
 
 
 def answer_request(kind: str, request: Answer) -> Answer:
-    """Return the answer to a ``hello`` or ``decode`` request, writing decoded arrays to ``out``."""
+    """Return the answer to a request, writing decoded arrays or a picture to ``out``."""
     if request.get("op") == "hello":
         return hello(kind)
     path, out = Path(str(request["path"])), Path(str(request["out"]))
+    if request.get("op") == "draw":
+        return _draw(kind, path, out, request["camera"])
     if kind == "reference":
         return _decode_by_reference(path, out, request)
     try:
@@ -60,6 +66,23 @@ def answer_request(kind: str, request: Answer) -> Answer:
     rows = [getattr(splats, name).astype("<f4").tobytes() for name in ARRAYS]
     out.write_bytes(b"".join(rows))
     return {"ok": True, "splats": len(splats)}
+
+
+def _draw(kind: str, path: Path, out: Path, camera: Any) -> Answer:
+    """Answer a ``draw`` request for a complete file."""
+    if kind == "reference":
+        values = reference_drawing.draw(path.read_bytes(), reference_drawing.Camera(**camera))
+        picture = np.array(values, np.float32)
+    else:
+        from cogsplat.codec.render.rasteriser import render
+
+        with cogsplat.open(path) as file:
+            splats = file.decode()
+        rotation, translation = (np.array(camera[key]) for key in ("rotation", "translation"))
+        pose = {"rotation": rotation.reshape(3, 3), "translation": translation}
+        picture = render(splats, Camera(**{**camera, **pose}))
+    out.write_bytes(picture.astype("<f4").tobytes())
+    return {"ok": True}
 
 
 def _decode_by_reference(path: Path, out: Path, request: Answer) -> Answer:

@@ -40,6 +40,8 @@ class Hello:
         Whether the decoder reads truncated files.
     folders : bool
         Whether the decoder reads folders.
+    draws : bool
+        Whether the decoder draws pictures.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Hello:
     refuses: bool
     partial: bool
     folders: bool = False
+    draws: bool = False
 
 
 class DecoderProcess:
@@ -198,6 +201,7 @@ class DecoderProcess:
             answer.get("refuses") is not False,
             answer.get("partial") is not False,
             answer.get("folders") is True,
+            answer.get("draws") is True,
         )
 
     def decode(
@@ -205,6 +209,10 @@ class DecoderProcess:
     ) -> tuple[Answer | None, str]:
         """Send a ``decode`` request; return the answer and "", or None and the reason."""
         return self.ask(decode_request(path, out, partial=partial, refine=refine, verify=verify))
+
+    def draw(self, path: Path, out: Path, camera: object) -> tuple[Answer | None, str]:
+        """Send a ``draw`` request; return the answer and "", or None and the reason."""
+        return self.ask({"op": "draw", "path": str(path), "out": str(out), "camera": camera})
 
 
 def decode_request(

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from cogsplat.codec.errors import StorageError
 from cogsplat.codec.progress import Progress, silent
 
-from .protocol import LEVELS, DecoderProcess, Hello
-from .tolerance import beyond_tolerance
+from .protocol import LEVELS, Answer, DecoderProcess, Hello
+from .tolerance import beyond_tolerance, picture_fault
 
 Entry = Mapping[str, object]
 Arrays = dict[str, NDArray[np.float32]]
@@ -79,7 +79,7 @@ def run(
     command : sequence of str
         Program and arguments; see `protocol` for what it reads and writes.
     vectors : Path
-        Folder with ``manifest.json``, ``valid`` and ``invalid``.
+        Folder with ``manifest.json`` and the vectors.
     timeout_s : float
         Time limit for one answer, seconds.
     progress : Progress
@@ -106,7 +106,8 @@ def run(
         invalid = manifest["invalid"] if hello.refuses else []
         folders = manifest["folders"] if hello.folders else []
         bad_folders = manifest["invalid_folders"] if hello.folders and hello.refuses else []
-        total = sum(map(len, (manifest["valid"], invalid, folders, bad_folders)))
+        drawings = manifest["drawings"] if hello.draws else []
+        total = sum(map(len, (manifest["valid"], invalid, folders, bad_folders, drawings)))
         for done, entry in enumerate(manifest["valid"], start=1):
             checker.check_valid(entry)
             progress("vectors", done, total)
@@ -118,6 +119,8 @@ def run(
             checker.check_folder(entry, files)
         for entry in bad_folders:
             checker.check_invalid_folder(entry)
+        for entry in drawings:
+            checker.check_drawing(entry)
         progress("vectors", total, total)
     return checker.report()
 
@@ -206,6 +209,10 @@ class _Checker:
         answer, reason = self._decoder.decode(
             path, self._out, partial=partial, refine=refine, verify=verify
         )
+        return self._written(answer, reason)
+
+    def _written(self, answer: Answer | None, reason: str) -> tuple[bytes, str]:
+        """Return the bytes that a request has written and "", or no bytes and the reason."""
         if answer is None:
             return b"", reason
         if answer.get("ok") is not True:
@@ -272,6 +279,25 @@ class _Checker:
         if entry["stage"] == "verify" and self._hello.level != "verifier":
             return
         self._check_refusal(f"invalid-folders/{entry['name']}", "/manifest.cogsm", entry)
+
+    def check_drawing(self, entry: Entry) -> None:
+        """Check a picture of a scene."""
+        folder, camera = self._vectors / "drawings", entry["camera"]
+        assert isinstance(camera, dict)
+        expected = np.fromfile(folder / f"{entry['name']}.f32", "<f4")
+        self._out.unlink(missing_ok=True)
+        path = folder / f"{entry['scene']}.cogs"
+        given, wrong = self._written(*self._decoder.draw(path, self._out, camera))
+        if not wrong and len(given) != expected.nbytes:
+            wrong = f"{len(given)} bytes of a picture, expected {expected.nbytes}"
+        if not wrong:
+            shape = (camera["height"], camera["width"], 3)
+            wrong = picture_fault(
+                np.frombuffer(given, "<f4").reshape(shape),
+                expected.reshape(shape),
+                is_viewer=self._hello.level == "viewer",
+            )
+        self._record(f"drawings/{entry['name']}", ("8.7",), str(entry["note"]), wrong)
 
     def _check_refusal(self, vector: str, rest: str, entry: Entry) -> None:
         """Check that the decoder refuses the file or manifest at path `vector` + `rest`."""

@@ -1,4 +1,4 @@
-"""Tolerances of a viewer's arrays against exact decoding (SPEC 8.6)."""
+"""Tolerances of a viewer's arrays (SPEC 8.6), and of pictures (SPEC B.4)."""
 
 from __future__ import annotations
 
@@ -17,6 +17,9 @@ QUAT_ANGLE: Final = 0.02
 OPACITY_UNIT: Final = 1 / 128
 SH0: Final = 0.02
 SHN: Final = 0.04
+# SPEC B.4.
+PICTURE_VALUE: Final = 2.0**-10
+PICTURE_RMS: Final = 1 / 80
 
 
 def beyond_tolerance(name: str, given: F32, exact: F32, rows: dict[str, F32]) -> NDArray[np.bool_]:
@@ -52,3 +55,28 @@ def beyond_tolerance(name: str, given: F32, exact: F32, rows: dict[str, F32]) ->
         allowed = np.maximum(MEANS_RELATIVE * np.abs(true), MEANS_SIGMAS * sigma)
         return np.array(~(error <= allowed), np.bool_)
     return np.array(~(error <= {"scales": SCALES, "sh0": SH0, "shN": SHN}[name]), np.bool_)
+
+
+def picture_fault(given: F32, exact: F32, *, is_viewer: bool) -> str:
+    """Compare a picture with that of the vectors; return its fault, or "".
+
+    Parameters
+    ----------
+    given, exact : (height, width, 3) float32
+        Picture of the renderer under test, and the expected one.
+    is_viewer : bool
+        Whether the tolerance of viewers applies.
+    """
+    if is_viewer:
+        error = np.clip(given, 0, 1).astype(np.float64) - np.clip(exact, 0, 1)
+        rms = float(np.sqrt(np.square(error).mean()))
+        return "" if rms <= PICTURE_RMS else f"a picture with an RMS error of {rms:.4f}"
+    error = np.abs(given.astype(np.float64) - exact)
+    if (error <= PICTURE_VALUE).all():
+        return ""
+    y, x, channel = (int(n) for n in np.argwhere(~(error <= PICTURE_VALUE))[0])
+    return (
+        f"{float(given[y, x, channel])!r} at x {x}, y {y}, channel {channel}, where the picture "
+        f"has {float(exact[y, x, channel])!r}; {int((~(error <= PICTURE_VALUE)).sum())} of "
+        f"{error.size} values differ"
+    )

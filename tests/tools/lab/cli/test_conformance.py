@@ -48,6 +48,15 @@ def test_our_decoders_pass_all_vectors(run: Run, kind: str) -> None:
         # A cut file is refused.
         ("answer = {'ok': False, 'code': 'file-truncated'} if request.get('partial') else answer",
          "8.2"),
+        # Splats are thicker than they were trained.
+        (
+            "answer = decoder.answer_request('reference', {**request, 'path': "
+            "request['path'].replace('viewpoint.cogs', 'kernel.cogs')}) "
+            "if request['op'] == 'draw' else answer",
+            "8.7",
+        ),
+        # A picture of no pixels.
+        ("open(request['out'], 'wb').close() if request['op'] == 'draw' else None", "8.7"),
         # Nothing is written.
         ("open(request['out'], 'wb').close() if answer.get('splats') else None", "6.4"),
         # The decoder dies.
@@ -67,6 +76,37 @@ def test_a_broken_decoder_fails_the_clause_that_it_breaks(
     human = run("lab conformance", "run", "--decoder", decoder, "--vectors", few_vectors)
     assert human.code == 3
     assert f"SPEC {clause}" in human.out or f", {clause}" in human.out
+
+
+@pytest.mark.parametrize(
+    ("told", "brightness", "code"),
+    [
+        ({}, 1.0, 0),
+        ({}, 1.005, 3),
+        # A viewer may be off by that.
+        ({"level": "viewer"}, 1.005, 0),
+        ({"level": "viewer"}, 1.2, 3),
+        # Without the key, no picture is asked for.
+        ({"draws": False}, 0.0, 0),
+    ],
+)
+def test_pictures_are_compared_by_the_level(
+    run: Run, tmp_path: Path, few_vectors: Path,
+    told: dict[str, object], brightness: float, code: int,
+) -> None:  # fmt: skip
+    decoder = broken_decoder(
+        tmp_path,
+        "import numpy\n"
+        "    if request['op'] == 'draw':\n"
+        f"        numpy.multiply({brightness}, numpy.fromfile(request['out'], '<f4'), "
+        "dtype='<f4').tofile(request['out'])\n"
+        f"    answer.update({told!r} if request['op'] == 'hello' else {{}})",
+    )
+    found = run("lab conformance", "run", "--decoder", decoder, "--vectors", few_vectors, "--json")
+    assert found.code == code, found.out
+    assert ("8.7" in found.json["clauses"]) == told.get("draws", True)  # type: ignore[operator]
+    if code and not told:
+        assert "where the picture has" in found.out
 
 
 def test_a_decoder_that_hangs_fails(
