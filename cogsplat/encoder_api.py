@@ -138,7 +138,7 @@ def encode(
         splats = _splats(scene, workspace)
         if isinstance(progress, OverallProgress):
             progress.plan(stage_costs(len(splats), request))
-        look, request = find_look_of(splats, _with_stored_look(scene, request))
+        look, request = find_look_of(splats, _complete(request, scene))
         splats = with_capture_of(splats, request, look)
         described = _description_of(scene) if description is None else description
         metadata = FileMetadata(look, request.stored_cameras, described)
@@ -449,15 +449,12 @@ def _splats(scene: Splats | _Path, workspace: Workspace | None = None) -> Splats
     return read_scene(scene, zeros=(workspace or IN_MEMORY).zeros)
 
 
-def _with_stored_look(scene: Splats | _Path, request: EncodeRequest) -> EncodeRequest:
-    """Return a request with the stored look of a COGS file, if it has no cameras, up or view."""
+def _complete(request: EncodeRequest, scene: Splats | _Path) -> EncodeRequest:
+    """Return a request with what it lacks of the stored look, if the scene is a COGS file."""
     if isinstance(scene, Splats) or not is_cogs(scene):
         return request
-    own = (request.cameras, request.up, request.view, request.config.ordering.first_view)
-    if any(given is not None for given in own):
-        return request
     with open_scene(scene) as file:
-        return replace(request, up=file.root.up, view=file.root.first_view)
+        return request.with_stored_look(file.root.up, file.root.first_view)
 
 
 def _description_of(scene: Splats | _Path) -> Description | None:

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.executor import Executor, LocalThreads
@@ -133,6 +134,16 @@ class EncodeRequest:
             return self
         cameras = None if self.cameras is None else at_width(self.cameras, self.shown_at)
         return replace(self, cameras=cameras, test_views=at_width(self.test_views, self.shown_at))
+
+    def with_stored_look(
+        self, up: NDArray[np.float64] | None, view: Camera | None
+    ) -> EncodeRequest:
+        """Return the request with the up and the first view that the scene's file stores.
+
+        A request with cameras, an up or a first view of its own stays as it is.
+        """
+        own = (self.cameras, self.up, self.view, self.config.ordering.first_view)
+        return self if any(given is not None for given in own) else replace(self, up=up, view=view)
 
     @property
     def effort(self) -> Preset:

@@ -328,7 +328,7 @@ def _encode(options: EncodeOptions) -> None:
         ahead.finish(stages)
         notes = notes_of(options.scene, options.edits)
         request = options.complete(request, views, given.file_bytes, workspace)
-        request = notes.complete(request)
+        request = request.with_stored_look(notes.up, notes.view)
         later = [] if evaluation is None else evaluation.stage_costs()
         stages.plan([*stage_costs(len(splats), request), *later])
         if options.scheduler is not None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +18,6 @@ from cogsplat.tools.terminal.limits_option import current_limits
 from cogsplat.tools.terminal.partial import partial_accepted
 
 from .scene_edits import SceneEdits
-
-if TYPE_CHECKING:
-    from cogsplat.codec.encode.request import EncodeRequest
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,13 +37,6 @@ class SceneNotes:
     description: Description | None = None
     up: NDArray[np.float64] | None = None
     view: Camera | None = None
-
-    def complete(self, request: EncodeRequest) -> EncodeRequest:
-        """Return a request with the stored up and view, if it has no cameras, up or view."""
-        own = (request.cameras, request.up, request.view, request.config.ordering.first_view)
-        if any(given is not None for given in own):
-            return request
-        return replace(request, up=self.up, view=self.view)
 
 
 def notes_of(scene: Path, edits: SceneEdits | None = None) -> SceneNotes:

@@ -153,7 +153,8 @@ def write_any(
         from cogsplat.codec.order.orders import OrderConfig
 
         config = EncodeConfig(ordering=OrderConfig(by_object=by_object), threads=threads)
-        request = notes.complete(EncodeRequest(cameras=cameras, config=config))
+        request = EncodeRequest(cameras=cameras, config=config)
+        request = request.with_stored_look(notes.up, notes.view)
         stages.plan(stage_costs(len(splats), request))
         cogsplat.encode(
             splats,
