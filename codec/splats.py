@@ -361,7 +361,7 @@ class Splats:
         capture : Capture
             Viewpoints in the space of the means; they are not used by anti-aliased scenes.
         """
-        if self.info.capture or self.info.antialiased:
+        if not capture or self.info.capture or self.info.antialiased:
             return self
         return replace(self, info=replace(self.info, capture=capture))
 

@@ -112,7 +112,8 @@ def encode(
     True
     """
     from .codec.encode import pipeline
-    from .codec.encode.look_of_request import find_look_of, with_capture_of
+    from .codec.encode.capture_of_request import with_capture_of
+    from .codec.encode.look_of_request import find_look_of
     from .codec.encode.stage_costs import stage_costs
 
     _require_output(path, force, scene, cameras)
@@ -211,7 +212,6 @@ def tune(
     >>> len(cogsplat.decode("tuned.cogs")) < len(cogsplat.read("scene.ply"))
     True
     """
-    from .codec.capture import capture_of_cameras
     from .codec.fit import tuning
     from .codec.fit.tune_config import TuneConfig, TuneRequest
     from .codec.fit.tuning_views import choose_tuning_views
@@ -220,7 +220,7 @@ def tune(
     _require_output(path, force, scene, cameras)
     config = config or TuneConfig()
     given = None if cameras is None else _views(cameras)
-    splats = _splats(scene).without_extras().with_capture(capture_of_cameras(given or ()))
+    splats = _splats(scene).without_extras()
     views = choose_tuning_views(
         splats, given, shown_at=shown_at, threads=config.train.threads, progress=progress
     )
@@ -270,7 +270,6 @@ def layers(
     >>> len(cogsplat.decode("levels.cogs", level=0)) < len(cogsplat.decode("levels.cogs"))
     True
     """
-    from .codec.capture import capture_of_cameras
     from .codec.fit.level_encoding import make_levels
     from .codec.fit.train_config import LevelsConfig, LevelsRequest
     from .codec.views.first_look_search import find_first_look
@@ -286,8 +285,8 @@ def layers(
         views: Sequence[Camera] = planned.views + planned.covering_views
     else:
         views = _views(cameras)
-        splats = splats.with_capture(capture_of_cameras(views))
-    encoded = make_levels(splats, LevelsRequest(views, config), progress=progress)
+    request = LevelsRequest(views, config, planned=cameras is None)
+    encoded = make_levels(splats, request, progress=progress)
     given = None if cameras is None else views
     look = find_first_look(splats, given, threads=config.threads)
     return _save(encoded, FileMetadata(look, description=_description_of(scene)), path, force)

@@ -1,17 +1,13 @@
-"""First look and capture viewpoints of an encode's scene, by its request."""
+"""First look of an encode's scene, by its request."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
-from cogsplat.codec.capture import capture_of_cameras
 from cogsplat.codec.order.orders import split_name
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.first_look import FirstLook
 from cogsplat.codec.views.first_look_search import find_first_look
-from cogsplat.codec.views.trained_at import parse_trained_at
 
 from .request import EncodeRequest
 
@@ -44,23 +40,3 @@ def find_look_of(splats: Splats, request: EncodeRequest) -> tuple[FirstLook, Enc
         ordering = replace(config.ordering, first_view=look.view)
         request = replace(request, config=replace(config, ordering=ordering))
     return look, request
-
-
-def with_capture_of(splats: Splats, request: EncodeRequest, look: FirstLook) -> Splats:
-    """Return the scene with the capture viewpoints that its request states.
-
-    Parameters
-    ----------
-    splats : Splats
-        Scene in the frame of the request's cameras.
-    request : EncodeRequest
-        `EncodeRequest.trained_at` replaces the scene's own viewpoints. Without either, those of the
-        cameras are taken.
-    look : FirstLook
-        First look of the scene, whose core box says where its middle is.
-    """
-    if request.trained_at is None:
-        return splats.with_capture(capture_of_cameras(request.cameras or ()))
-    core_box = np.zeros(6) if look.core_box is None else look.core_box
-    plain = replace(splats, info=replace(splats.info, capture=()))
-    return plain.with_capture(parse_trained_at(request.trained_at).capture(core_box))

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.capture import capture_of_cameras
 from cogsplat.codec.encode import pipeline
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.encoded import EncodedChunk, EncodedLevel, EncodedScene
@@ -41,7 +42,8 @@ def make_levels(
     ----------
     splats : Splats
         Trained scene with valid rows, or splats from `initial_splats.splats_from_points`; in the
-        frame of the cameras.
+        frame of the cameras. Without capture viewpoints of their own, they get those of given
+        cameras.
     request : LevelsRequest
         Views, ground truth and configuration.
     progress : Progress
@@ -53,6 +55,8 @@ def make_levels(
         Scene with its chunks ordered by the first level that draws them.
     """
     cameras, config, pictures = request.cameras, request.config, request.pictures
+    if not request.planned:
+        splats = splats.with_capture(capture_of_cameras(cameras))
     if request.max_splats is None or pictures is None:
         levels = train_levels(splats, cameras, config, pictures=pictures, progress=progress)
     else:

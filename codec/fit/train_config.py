@@ -164,6 +164,8 @@ class LevelsRequest:
     max_splats : int, optional
         Maximum number of splats of all levels, where splats from structure-from-motion points are
         trained. None for a trained scene.
+    planned : bool
+        Whether the cameras were planned because none were given.
 
     Raises
     ------
@@ -175,6 +177,7 @@ class LevelsRequest:
     config: LevelsConfig = field(default_factory=LevelsConfig)
     pictures: Sequence[NDArray[np.float32]] | None = None
     max_splats: int | None = None
+    planned: bool = False
 
     def __post_init__(self) -> None:
         if self.max_splats is not None and self.max_splats < 1:

@@ -120,7 +120,8 @@ def tune(
     Parameters
     ----------
     source : Splats
-        Scene to tune; its rows must be valid (`Splats.require_valid`).
+        Scene to tune; its rows must be valid (`Splats.require_valid`). Without capture viewpoints
+        of its own, it gets those of the views.
     request : TuneRequest
         Views, target and configuration.
     size_of : callable
@@ -149,6 +150,7 @@ def tune(
         as small as the target.
     """
     source.require_valid()
+    source = source.with_capture(request.views.capture)
     config = request.config
     run = _TuningRun(source, request, checkpoint, notify, progress)
     make_quantised = partial(

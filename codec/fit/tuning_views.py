@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.capture import Capture, capture_of_cameras
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.planner import ViewPlanConfig, plan
@@ -27,12 +28,15 @@ class TuningViews:
     origin : str
         Origin of the test views: ``left-out`` of the given cameras, ``scored`` where there are too
         few to leave some out, ``planned``.
+    capture : Capture
+        Viewpoints of the given cameras in their full size; none where none were given.
     """
 
     cameras: Sequence[Camera]
     covering: Sequence[Camera] = ()
     test_views: Sequence[Camera] = ()
     origin: str = "scored"
+    capture: Capture = ()
 
     @property
     def planned(self) -> bool:
@@ -75,7 +79,8 @@ def choose_tuning_views(
     if cameras is not None:
         used, left_out = leave_out(at_width(cameras, shown_at))
         origin = "left-out" if left_out else "scored"
-        return TuningViews(used, (), sample_evenly(left_out, TEST_VIEWS), origin)
+        tests = sample_evenly(left_out, TEST_VIEWS)
+        return TuningViews(used, (), tests, origin, capture_of_cameras(cameras))
     # Quality in training views would be too optimistic: planned test views are separate.
     settings = ViewPlanConfig(threads=threads).at_width(shown_at)
     found = plan(splats, settings, progress=progress)

@@ -204,7 +204,6 @@ class LayersOptions:
 
 def _layers(options: LayersOptions) -> None:
     """Run the command."""
-    from cogsplat.codec.capture import capture_of_cameras
     from cogsplat.codec.fit.level_encoding import make_levels
     from cogsplat.codec.fit.train_config import LevelsRequest
     from cogsplat.codec.views.first_look_search import find_first_look
@@ -220,14 +219,13 @@ def _layers(options: LayersOptions) -> None:
             views, tests = hold_out(load_cameras(path), options.eval_every)
             if not views:
                 raise click.UsageError(f"--eval-every {options.eval_every} holds out all cameras")
-            splats = splats.with_capture(capture_of_cameras(views))
         else:
             views, tests = plan_cameras(splats, threads=threads, progress=stages), []
         _require_pixels(views, max(config.scales))
         judged = tests or views
         photos = None if images is None else read_ground_truth(images, views)
         most = None if options.points is None else options.most or _MOST_SPLATS
-        request = LevelsRequest(views, config, photos, most)
+        request = LevelsRequest(views, config, photos, most, planned=path is None)
         if images is None or options.points is None:
             full = _render_all(splats, judged, threads)
         else:

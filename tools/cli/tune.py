@@ -292,7 +292,6 @@ class TuneOptions:
 
 def _tune(options: TuneOptions) -> None:
     """Run the command."""
-    from cogsplat.codec.capture import capture_of_cameras
     from cogsplat.codec.fit import tuning
     from cogsplat.codec.views.first_look_search import find_first_look
 
@@ -306,7 +305,6 @@ def _tune(options: TuneOptions) -> None:
             splats = drop_invalid_splats(given.splats, options.scene).without_extras()
             if not len(splats):
                 raise DataError("empty-scene", f"{options.scene}: 0 splats, expected some to train")
-            splats = splats.with_capture(capture_of_cameras(cameras or ()))
         request = options.request(splats, cameras, given.file_bytes, stages)
         names = [f"{view.name} {view.width}x{view.height}" for view in request.views.cameras]
         run = fingerprint(splats, f"{request.target} {request.config} {names}")

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from cogsplat.codec.capture import capture_of_cameras
 from cogsplat.codec.fit.downscaling import downscale_picture
 from cogsplat.codec.fit.initial_splats import splats_from_points
+from cogsplat.codec.fit.level_encoding import make_levels
 from cogsplat.codec.fit.level_training import (
     MIN_OPACITY,
     grow_levels,
@@ -145,6 +147,14 @@ def test_invalid_configurations_are_refused(wrong):
 def test_points_need_pictures_and_splats(wrong):
     with pytest.raises(ValueError, match="expected"):
         LevelsRequest((), **wrong)
+
+
+@pytest.mark.parametrize("planned", [False, True])
+def test_levels_get_the_viewpoints_of_given_cameras(scene, planned):
+    splats, cameras = scene
+    config = LevelsConfig(scales=(2,), shares=(0.2,), steps=0, threads=1)
+    made = make_levels(splats, LevelsRequest(cameras, config, planned=planned))
+    assert made.scene.info.capture == (() if planned else capture_of_cameras(cameras))
 
 
 def test_cameras_and_pictures_must_match(scene):

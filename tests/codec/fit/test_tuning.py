@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cogsplat.codec.capture import capture_of_cameras
 from cogsplat.codec.encode.config import EncodeConfig, Target
 from cogsplat.codec.encode.pipeline import encode
 from cogsplat.codec.encode.request import EncodeRequest
@@ -14,7 +15,7 @@ from cogsplat.codec.fit.quantised_training import QuantisedTraining
 from cogsplat.codec.fit.train_config import TrainConfig
 from cogsplat.codec.fit.tune_config import TuneConfig, TuneRequest
 from cogsplat.codec.fit.tuning import tune
-from cogsplat.codec.fit.tuning_views import TuningViews
+from cogsplat.codec.fit.tuning_views import TuningViews, choose_tuning_views
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.progress import silent
 from cogsplat.codec.render.rasteriser import render
@@ -214,3 +215,15 @@ def test_a_size_out_of_reach_is_refused(scene):
     with pytest.raises(DataError, match="expected a larger target") as caught:
         run_tune(scene, Target(size_bytes=300), config)
     assert caught.value.code == "target-out-of-reach"
+
+
+def test_a_tuned_scene_gets_the_viewpoints_of_the_full_pictures():
+    splats, cameras = synth(200, seed=1), synth_cameras(3, 64, 48)
+    views = choose_tuning_views(splats, cameras, shown_at=32)
+    assert views.cameras[0].width == 32
+    config = TuneConfig(keep=0.9, round_steps=1, recovery_steps=1, quantised_steps=1)
+    request = TuneRequest(views, Target(psnr_db=30.0), config)
+    made = tune(splats, request, size_of=size_of)
+    expected = capture_of_cameras(cameras)
+    assert made.encoded.scene.info.capture == made.splats.info.capture == expected
+    assert choose_tuning_views(splats, None, shown_at=32).capture == ()
