@@ -211,6 +211,31 @@ def test_a_renderer_that_follows_the_specification_draws_our_pictures(
     assert psnr(shown(page), np.clip(render(usual, view), 0, 1)) < BY_SPEC_DB
 
 
+# Calls `drawBySpec` for the scene as if its file stated no viewpoints.
+_WITHOUT_VIEWPOINTS = """async (renderer) => {
+  const { drawBySpec } = await import(`cogsplat/${renderer}`);
+  const usual = { info: Object.create(example.scene.info, { capture: { value: [] } }) };
+  return renderer === "spark"
+    ? drawBySpec(example.splatRenderer, usual, example.mesh)
+    : drawBySpec(await import("playcanvas"), example.app, usual, example.entity);
+}"""
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_a_later_call_changes_what_is_drawn_after_the_first_picture(
+    page: Page, site: str, small: SmallScene, renderer: str
+) -> None:
+    open_page(page, site, renderer)
+    page.set_viewport_size({"width": 40, "height": 30})
+    view = synth_cameras(48, 40, 30)[8]
+    assert_our_pictures(page, small, view)
+    assert page.evaluate(_WITHOUT_VIEWPOINTS, renderer)
+    whole = cogsplat.decode(small.cogs)
+    usual = replace(whole, info=replace(whole.info, capture=()))
+    look_from(page, view)
+    assert psnr(shown(page), np.clip(render(usual, view), 0, 1)) >= BY_SPEC_DB
+
+
 def test_playcanvas_draws_what_comes_when_its_number_of_splats_stays(
     page: Page, server: FaultyServer, site: str, small: SmallScene
 ) -> None:

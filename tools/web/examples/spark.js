@@ -53,7 +53,16 @@ function look({ position, right, up, back, fieldOfView }) {
 }
 
 // For programs that drive this page.
-const example = { scene, look, frames: 0, complete: false, dispose: shown.dispose, mesh: shown.mesh, world };
+const example = {
+  scene,
+  look,
+  frames: 0,
+  complete: false,
+  dispose: shown.dispose,
+  mesh: shown.mesh,
+  world,
+  splatRenderer,
+};
 globalThis.example = example;
 await shown.done;
 example.complete = true;

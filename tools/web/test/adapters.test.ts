@@ -445,6 +445,10 @@ const TRAINED = { info: { ...KERNEL.info, capture: [{ position: [1, 2, 3], focal
 const MOVED = [2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 2, 0, 5, 0, 0, 1];
 const VIEW = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, -5, 1];
 const SEEN = [7, 4, 1, 1 / 100];
+/** Turned by half a turn about z: the viewpoint is at −1, −2, −2. */
+const TURNED = [-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
+const TURNED_SEEN = [-1, -2, -2, 1 / 100];
+const STRETCHED = [2, 0, 0, 0, 0, 1, 0, 0, 0, 0, 2, 0, 5, 0, 0, 1];
 
 /** Settings of a renderer of Spark with a vertex shader; `cameras` are those it has drawn. */
 function sparkSettings(vertexShader: string) {
@@ -461,6 +465,8 @@ function sparkSettings(vertexShader: string) {
 }
 
 const JACOBIAN = "vec2 J2 = -(J1 * viewCenter.xy) * invZ;";
+const SPARK_SHADER = `uniform float preBlurAmount; ${JACOBIAN} a += preBlurAmount; d += preBlurAmount;
+  float fullBlurAmount = blurAmount; clamp(sqr(focusRadius), blurAmount, 1.0);`;
 const mesh = { matrixWorld: { elements: MOVED } };
 
 test("spark: a shader that is known gets the Jacobian of SPEC 8.7, another one stays and leaves splats out", () => {
@@ -479,9 +485,7 @@ test("spark: a shader that is known gets the Jacobian of SPEC 8.7, another one s
 });
 
 test("spark: splats are as thick as trained where the shader is known and the scene has viewpoints", () => {
-  const text = `uniform float preBlurAmount; ${JACOBIAN} a += preBlurAmount; d += preBlurAmount;
-    float fullBlurAmount = blurAmount; clamp(sqr(focusRadius), blurAmount, 1.0);`;
-  const trained = sparkSettings(text);
+  const trained = sparkSettings(SPARK_SHADER);
   assert.ok(drawSparkBySpec(trained, TRAINED, mesh));
   assert.match(trained.material.vertexShader, /a \+= preBlurAmount \* share; d \+= preBlurAmount \* share;/);
   const camera = { matrixWorldInverse: { elements: VIEW } };
@@ -490,7 +494,7 @@ test("spark: splats are as thick as trained where the shader is known and the sc
   const { trainingPixel, trainingRest } = trained.material.uniforms;
   assert.deepEqual([trainingPixel!.value, trainingRest!.value], [SEEN, 0]);
   for (const info of [KERNEL.info, { ...TRAINED.info, antialiased: true }]) {
-    const usual = sparkSettings(text);
+    const usual = sparkSettings(SPARK_SHADER);
     assert.ok(drawSparkBySpec(usual, { info }, mesh));
     assert.ok(!usual.material.vertexShader.includes("trainingPixel"));
   }
@@ -508,23 +512,42 @@ const SHADERS = new Map([
   ],
 ]);
 
-/** Draw a scene by the specification in a PlayCanvas that has shaders. */
-function drawInPlayCanvas(own: Map<string, string>, scene: typeof KERNEL, isWebGPU = false) {
+/** An application of PlayCanvas that has shaders, and what was made of it. */
+function playCanvas(own: Map<string, string>, isWebGPU = false) {
   const edited = new Map<string, string>();
   const uniforms: Record<string, unknown> = {};
-  const gsplat = { minPixelSize: 2, antiAlias: true, material: { getShaderChunks: () => edited } };
-  const draws: ((camera: { viewMatrix: { data: number[] } }) => void)[] = [];
+  const draws = new Set<(camera: { viewMatrix: { data: number[] } }) => void>();
+  const material = { updates: 0, getShaderChunks: () => edited, update: () => void material.updates++ };
+  const gsplat = { minPixelSize: 2, antiAlias: true, dataFormat: "compact", material };
   const app = {
     graphicsDevice: {
       isWebGPU,
       scope: { resolve: (name: string) => ({ setValue: (value: unknown) => (uniforms[name] = value) }) },
     },
-    scene: { gsplat, on: (_name: string, draw: (typeof draws)[0]) => draws.push(draw) },
+    scene: {
+      gsplat,
+      on(_name: string, draw: (camera: { viewMatrix: { data: number[] } }) => void) {
+        draws.add(draw);
+        return { off: () => draws.delete(draw) };
+      },
+    },
   };
-  const entity = { getWorldTransform: () => ({ data: MOVED }) };
-  const isKnown = drawPlayCanvasBySpec({ ShaderChunks: { get: () => own } }, app, scene, entity);
-  for (const draw of draws) draw({ viewMatrix: { data: VIEW } });
-  assert.equal(gsplat.minPixelSize, 0);
+  const drawBySpec = (scene: typeof KERNEL, model = MOVED): boolean =>
+    drawPlayCanvasBySpec({ ShaderChunks: { get: () => own } }, app, scene, {
+      getWorldTransform: () => ({ data: model }),
+    });
+  const drawPicture = (): void => {
+    for (const draw of draws) draw({ viewMatrix: { data: VIEW } });
+  };
+  return { drawBySpec, drawPicture, edited, uniforms, gsplat, draws };
+}
+
+/** Draw a scene by the specification in a PlayCanvas that has shaders. */
+function drawInPlayCanvas(own: Map<string, string>, scene: typeof KERNEL, isWebGPU = false) {
+  const { drawBySpec, drawPicture, edited, uniforms, gsplat } = playCanvas(own, isWebGPU);
+  const isKnown = drawBySpec(scene);
+  drawPicture();
+  assert.deepEqual([gsplat.minPixelSize, gsplat.dataFormat], [0, "large"]);
   return { isKnown, edited, uniforms, antiAlias: gsplat.antiAlias };
 }
 
@@ -540,13 +563,55 @@ test("playcanvas: shaders that are known are edited together or not at all", () 
   assert.deepEqual([changed, none], [false, new Map()], "WebGPU has shaders of its own");
 });
 
+const COVARIANCE = "uniform float minPixelSize; mat3 cov = transpose(T) * Vrk * T; ";
+const SIZED_SHADERS = new Map([...SHADERS, ["gsplatCornerVS", COVARIANCE + SHADERS.get("gsplatCornerVS")!]]);
+
 test("playcanvas: splats are as thick as trained where the shaders are known and the scene has viewpoints", () => {
-  const covariance = "uniform float minPixelSize; mat3 cov = transpose(T) * Vrk * T; ";
-  const shaders = new Map([...SHADERS, ["gsplatCornerVS", covariance + SHADERS.get("gsplatCornerVS")!]]);
-  const { isKnown, edited, antiAlias, uniforms } = drawInPlayCanvas(shaders, TRAINED);
+  const { isKnown, edited, antiAlias, uniforms } = drawInPlayCanvas(SIZED_SHADERS, TRAINED);
   assert.ok(isKnown && antiAlias);
   assert.match(edited.get("gsplatCornerVS")!, /cov\[1\]\[1\] \+= 1\.2 \* share; a \+ blur; b \+ blur;/);
   assert.deepEqual(uniforms, { trainingPixel: SEEN, trainingRest: 0 });
   const other = drawInPlayCanvas(SHADERS, TRAINED);
   assert.deepEqual(other, { isKnown: false, edited: new Map(), antiAlias: false, uniforms: {} });
+});
+
+test("playcanvas: a later call replaces the shaders and the viewpoints of an earlier one", () => {
+  const { drawBySpec, drawPicture, edited, uniforms, gsplat, draws } = playCanvas(SIZED_SHADERS);
+  assert.ok(drawBySpec(TRAINED));
+  const [sized, updates] = [edited.get("gsplatCornerVS")!, gsplat.material.updates];
+  assert.equal(updates, 1, "or the engine keeps the shaders of its first picture");
+  assert.ok(drawBySpec(TRAINED, TURNED));
+  assert.deepEqual([draws.size, gsplat.material.updates], [1, 2]);
+  drawPicture();
+  assert.deepEqual(uniforms.trainingPixel, TURNED_SEEN);
+  assert.ok(drawBySpec(KERNEL));
+  assert.deepEqual([draws.size, gsplat.antiAlias], [0, false]);
+  assert.ok(!edited.get("gsplatCornerVS")!.includes("trainingArea") && sized.includes("trainingArea"));
+});
+
+test("spark: a later call replaces the shader and the viewpoints of an earlier one", () => {
+  const settings = sparkSettings(SPARK_SHADER);
+  const drawPicture = () =>
+    settings.onBeforeRender({} as never, {} as never, { matrixWorldInverse: { elements: VIEW } });
+  assert.ok(drawSparkBySpec(settings, TRAINED, mesh));
+  const { vertexShader } = settings.material;
+  assert.ok(drawSparkBySpec(settings, TRAINED, { matrixWorld: { elements: TURNED } }));
+  assert.equal(settings.material.vertexShader, vertexShader);
+  drawPicture();
+  assert.deepEqual(settings.material.uniforms.trainingPixel!.value, TURNED_SEEN);
+  assert.equal(settings.cameras.length, 1);
+  assert.ok(drawSparkBySpec(settings, KERNEL, { matrixWorld: { elements: STRETCHED } }));
+  assert.ok(!settings.material.vertexShader.includes("trainingPixel"));
+  drawPicture();
+});
+
+test("a scene that is stretched along one axis has no pixel of training, and the error says so", () => {
+  const inPlayCanvas = playCanvas(SIZED_SHADERS);
+  inPlayCanvas.drawBySpec(TRAINED, STRETCHED);
+  const uneven = { name: "RangeError", message: /lengths 2, 1, 2,.* scale it alike/ };
+  assert.throws(inPlayCanvas.drawPicture, uneven);
+  const settings = sparkSettings(SPARK_SHADER);
+  drawSparkBySpec(settings, TRAINED, { matrixWorld: { elements: STRETCHED } });
+  const camera = { matrixWorldInverse: { elements: VIEW } };
+  assert.throws(() => settings.onBeforeRender({} as never, {} as never, camera), uneven);
 });

@@ -8,7 +8,7 @@ import { DEFAULT_RANGES, LOG_SCALE_MAX, LOG_SCALE_MIN, packedMeans, SH_WORDS } f
 import { trainingPixelInView } from "../scene/training_pixel.js";
 import { axesRotation } from "./axes.js";
 import { PackedRows } from "./packed_rows.js";
-import { type PlayCanvasApplication, sortBehindCameras } from "./playcanvas_sorting.js";
+import { type PlayCanvasApplication, type PlayCanvasHandle, sortBehindCameras } from "./playcanvas_sorting.js";
 import {
   type AdapterOptions,
   type AdapterStream,
@@ -20,7 +20,7 @@ import {
 } from "./row_stream.js";
 import { editShader, glslFloat, TRAINING_AREA } from "./shader_edits.js";
 
-export type { PlayCanvasApplication } from "./playcanvas_sorting.js";
+export type { PlayCanvasApplication, PlayCanvasHandle } from "./playcanvas_sorting.js";
 export type { AdapterOptions, AdapterStream } from "./row_stream.js";
 
 /** Options of a stream into PlayCanvas. */
@@ -100,11 +100,12 @@ export interface PlayCanvasSettings {
     readonly scope: { resolve(name: string): { setValue(value: unknown): unknown } };
   };
   readonly scene: {
-    on(name: "prerender:layer", draws: (camera: { readonly viewMatrix: PlayCanvasMatrix }) => void): unknown;
+    on(name: "prerender:layer", draws: (camera: { readonly viewMatrix: PlayCanvasMatrix }) => void): PlayCanvasHandle;
     readonly gsplat: {
       minPixelSize: number;
       antiAlias: boolean;
-      readonly material: { getShaderChunks(language: "glsl"): PlayCanvasChunks };
+      dataFormat: string;
+      readonly material: { getShaderChunks(language: "glsl"): PlayCanvasChunks; update(): void };
     };
   };
 }
@@ -118,18 +119,21 @@ export interface PlayCanvasEntity {
   getWorldTransform(): PlayCanvasMatrix;
 }
 
+/** Handlers of the last calls of `drawBySpec`, by the scenes of their applications. */
+const FOLLOWING = new WeakMap<object, PlayCanvasHandle>();
+
 /**
  * Change PlayCanvas's WebGL shaders to render closer to SPEC 8.7.
  *
  * Gaussians extend to a contribution of 1/255, are as thick as trained, and the projection's Jacobian is clamped to
- * 1.3 times the picture. The changes, and the viewpoints of the scene, apply to all splats of the application. Call it
- * before the first picture.
+ * 1.3 times the picture. The engine copies splats at 32 bytes each in place of 24. The changes, and the viewpoints of
+ * the scene, apply to all splats of the application, and a later call replaces them.
  *
  * The number of sorting keys stays that of the engine (2.23.3, `gsplat-unified-sort-worker`): 2^b + 1, where b is log₂
  * of a quarter of the number of splats, rounded and between 10 and 20. Splats that share a key are drawn in arbitrary
  * order; `leastRows` of `streamToPlayCanvas` raises the number of keys.
  *
- * @param entity - The scene's entity, which may be moved, turned and scaled.
+ * @param entity - The scene's entity, which may be moved, turned, and scaled alike along all axes.
  * @returns Whether the engine's shaders were changed; those of another version, and of WebGPU, stay as they are.
  *
  * @example
@@ -145,7 +149,11 @@ export function drawBySpec(
   entity: PlayCanvasEntity,
 ): boolean {
   const { gsplat } = app.scene;
+  FOLLOWING.get(app.scene)?.off();
+  FOLLOWING.delete(app.scene);
   gsplat.minPixelSize = 0;
+  // The engine's default copies round scales of 8 bits to other 8 bits, and blue to steps of 1/256.
+  gsplat.dataFormat = "large";
   const knowsTraining = info.capture.length > 0 && !info.antialiased;
   gsplat.antiAlias = info.antialiased;
   if (app.graphicsDevice.isWebGPU) {
@@ -180,15 +188,17 @@ export function drawBySpec(
   const edited = Object.entries(edits).map(([name, pairs]) => [name, editShader(own.get(name) ?? "", pairs)] as const);
   if (edited.some(([, text]) => text === undefined)) return false;
   for (const [name, text] of edited) gsplat.material.getShaderChunks("glsl").set(name, text!);
+  gsplat.material.update();
   if (!knowsTraining) return true;
   // The engine then multiplies opacities by the determinant before the filter over that after it.
   gsplat.antiAlias = true;
   const { scope } = app.graphicsDevice;
-  app.scene.on("prerender:layer", ({ viewMatrix }) => {
+  const following = app.scene.on("prerender:layer", ({ viewMatrix }) => {
     const pixel = trainingPixelInView(info.capture, viewMatrix.data, entity.getWorldTransform().data);
     scope.resolve("trainingPixel").setValue(pixel.slice(0, 4));
     scope.resolve("trainingRest").setValue(pixel[4]);
   });
+  FOLLOWING.set(app.scene, following);
   return true;
 }
 

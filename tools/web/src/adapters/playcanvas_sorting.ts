@@ -11,7 +11,8 @@ interface PlayCanvasEvents {
   on(name: "gsplat:sorted", told: () => void): PlayCanvasHandle;
 }
 
-interface PlayCanvasHandle {
+/** Subscription to an event of PlayCanvas. */
+export interface PlayCanvasHandle {
   off(): unknown;
 }
 

@@ -3,6 +3,7 @@
  *
  * @packageDocumentation
  */
+import type { Viewpoint } from "../container/root.js";
 import type { StreamedScene } from "../loader/streamed_scene.js";
 import { DEFAULT_RANGES, LOG_SCALE_MAX, LOG_SCALE_MIN } from "../scene/packed_splats.js";
 import { trainingPixelInView } from "../scene/training_pixel.js";
@@ -97,15 +98,24 @@ const TRAINED_THICKNESS = [
   ["clamp(sqr(focusRadius), blurAmount,", "clamp(sqr(focusRadius), fullBlurAmount,"],
 ] as const;
 
+/** What `drawBySpec` was called with last for a renderer, and the renderer's own shader. */
+interface SparkCall {
+  readonly ownShader: string;
+  readonly capture: readonly Viewpoint[];
+  readonly mesh: { readonly matrixWorld: SparkMatrix };
+}
+
+const CALLS = new WeakMap<SparkSettings, SparkCall>();
+
 /**
  * Make Spark draw by SPEC 8.7: sorted by depth, as thick as trained, with extents to a contribution of 1/255.
  *
- * Call it before the first picture. A renderer has one kernel, and the viewpoints of one scene, for all of its scenes.
+ * A renderer has one kernel, and the viewpoints of one scene, for all of its scenes: those of the last call.
  * In a version of Spark with an unknown shader, splats have the kernel at every size, and those centred far outside the
  * picture are hidden, because they would fill it.
  *
  * @param renderer - A `SparkRenderer`, made with `accumExtSplats: true`.
- * @param mesh - The scene's mesh, which may be moved, turned and scaled.
+ * @param mesh - The scene's mesh, which may be moved, turned, and scaled alike along all axes.
  * @returns Whether all rules apply.
  *
  * @example
@@ -130,22 +140,30 @@ export function drawBySpec(
   renderer.maxPixelRadius = 1e6;
   const knowsTraining = info.capture.length > 0 && !info.antialiased;
   const edits = knowsTraining ? [...CLAMPED_JACOBIAN, ...TRAINED_THICKNESS] : CLAMPED_JACOBIAN;
-  const shader = editShader(renderer.material.vertexShader, edits);
+  const last = CALLS.get(renderer);
+  const ownShader = last?.ownShader ?? renderer.material.vertexShader;
+  CALLS.set(renderer, { ownShader, capture: knowsTraining ? info.capture : [], mesh });
+  const shader = editShader(ownShader, edits);
   renderer.clipXY = shader === undefined ? 3 : 1e6;
-  if (shader === undefined) return false;
-  renderer.material.vertexShader = shader;
+  renderer.material.vertexShader = shader ?? ownShader;
   renderer.material.needsUpdate = true;
-  if (!knowsTraining) return true;
+  if (last === undefined) followCamera(renderer);
+  return shader !== undefined;
+}
+
+/** Give the shader the pixel of training for each picture's camera. */
+function followCamera(renderer: SparkSettings): void {
   const { onBeforeRender } = renderer;
   const [trainingPixel, trainingRest] = [{ value: [0, 0, 0, 0] }, { value: 0 }];
   Object.assign(renderer.material.uniforms, { trainingPixel, trainingRest });
   renderer.onBeforeRender = (webgl, world, camera, ...others) => {
     onBeforeRender.call(renderer, webgl, world, camera, ...others);
-    const pixel = trainingPixelInView(info.capture, camera.matrixWorldInverse.elements, mesh.matrixWorld.elements);
+    const { capture, mesh } = CALLS.get(renderer)!;
+    if (capture.length === 0) return;
+    const pixel = trainingPixelInView(capture, camera.matrixWorldInverse.elements, mesh.matrixWorld.elements);
     trainingPixel.value = pixel.slice(0, 4);
     trainingRest.value = pixel[4];
   };
-  return true;
 }
 
 const BANDS = ["sh1", "sh2", "sh3"] as const;

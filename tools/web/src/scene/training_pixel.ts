@@ -26,11 +26,15 @@ export function trainingPixel(
   return [centre[0]!, centre[1]!, centre[2]!, area, rest];
 }
 
+/** Share of the squared scale by which matrices may be uneven: transforms are rounded to float32. */
+const EVEN = 1e-3;
+
 /**
  * Return the pixel of training in the space of a camera, whose zero is the camera: x, y, z of a centre, then a and b.
  *
  * @param view - Matrix from the world to the camera, column by column.
  * @param model - Matrix from the means to the world: a turn, one scale and a shift.
+ * @throws RangeError where the matrices stretch the scene unevenly, so that no circle is its pixel of training.
  */
 export function trainingPixelInView(
   capture: readonly Viewpoint[],
@@ -42,6 +46,15 @@ export function trainingPixelInView(
   const dot = (a: readonly number[], b: readonly number[]) => a.reduce((sum, value, i) => sum + value * b[i]!, 0);
   const [axes, shift] = [[0, 1, 2].map(column), column(3)];
   const squaredScale = dot(axes[0]!, axes[0]!);
+  const isEven = [0, 1, 2].every((i) =>
+    [0, 1, 2].every((j) => Math.abs(dot(axes[i]!, axes[j]!) - (i === j ? squaredScale : 0)) <= EVEN * squaredScale),
+  );
+  if (!isEven) {
+    const lengths = axes.map((axis) => Number(Math.hypot(...axis).toPrecision(4))).join(", ");
+    throw new RangeError(
+      `cogsplat: the scene's axes have lengths ${lengths}, or are skewed; scale it alike along all axes`,
+    );
+  }
   const position = axes.map((axis) => -dot(axis, shift) / squaredScale);
   const [x, y, z, area, rest] = trainingPixel(capture, position);
   const place = (i: number) => x * axes[0]![i]! + y * axes[1]![i]! + z * axes[2]![i]! + shift[i]!;
