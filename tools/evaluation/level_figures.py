@@ -1,21 +1,26 @@
-"""Sizes of a file's levels, and the quality of their renders."""
+"""Sizes of a file's levels, and the quality of their renders beside that of an ordinary file."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+import cogsplat
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.fit.downscaling import downscale_picture
 from cogsplat.codec.metrics import psnr, ssim
+from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs.layout import CODEBOOK_KINDS, SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
 
 from .lpips import Lpips
+from .prefix_quality import decode_prefix
 
 F32 = NDArray[np.float32]
 
@@ -149,6 +154,87 @@ def picture_figures(
         distance = float(np.mean([_distance(lpips, *pair) for pair in pairs]))
     mean_ssim = float(np.mean(similarities))
     return PictureFigures(float(np.mean(decibels)), min(decibels), mean_ssim, distance)
+
+
+@dataclass(frozen=True)
+class LevelQuality:
+    """Size and quality of a level, beside a prefix of an ordinary file.
+
+    Parameters
+    ----------
+    sizes : LevelSizes
+    figures : PictureFigures
+        Quality in pictures of the level's size.
+    prefix : PictureFigures or None
+        Quality, in the same pictures, of the prefix of an ordinary file with as many bytes as the
+        level fetches, compensated; None without an ordinary file.
+    prefix_splats : int or None
+        Splats of this prefix.
+    """
+
+    sizes: LevelSizes
+    figures: PictureFigures
+    prefix: PictureFigures | None = None
+    prefix_splats: int | None = None
+
+    @property
+    def is_beaten(self) -> bool:
+        """Whether the prefix shows at least as much as the level."""
+        return self.prefix is not None and self.prefix.psnr_db >= self.figures.psnr_db
+
+    def report(self) -> dict[str, object]:
+        """Return the figures by their names in JSON output."""
+        return {
+            **self.sizes.report(),
+            **self.figures.report(),
+            "prefix_psnr_db": None if self.prefix is None else round(self.prefix.psnr_db, 4),
+            "prefix_splats": self.prefix_splats,
+        }
+
+
+def measure_levels(
+    path: Path,
+    cameras: Sequence[Camera],
+    pictures: Sequence[F32],
+    ordinary: Path | None = None,
+    *,
+    threads: int = 0,
+    progress: Progress = silent,
+) -> list[LevelQuality]:
+    """Measure each level of a file at its own picture size.
+
+    Parameters
+    ----------
+    path : Path
+        File with levels.
+    cameras : sequence of Camera
+        Test views of full size.
+    pictures : sequence of (H, W, 3) float32
+        Ground truth of each test view; it is averaged to the size of each level.
+    ordinary : Path, optional
+        File of the same scene without levels, to compare its prefixes.
+    threads : int
+        Number of threads, 0 for all cores.
+    progress : Progress
+        Called with ``measure``, levels done and levels.
+    """
+    found: list[LevelQuality] = []
+    with cogsplat.open(path) as file:
+        for sizes in level_sizes(file):
+            scale = int(sizes.scale)
+            targets = [downscale_picture(picture, scale) for picture in pictures]
+            small = [camera.downscaled(scale) for camera in cameras]
+            drawn = file.decode(level=sizes.level, threads=threads)
+            quality = LevelQuality(sizes, picture_figures(drawn, small, targets, threads))
+            if ordinary is not None:
+                prefix = decode_prefix(
+                    ordinary, sizes.bytes_fetched, compensate=True, threads=threads
+                )
+                beside = picture_figures(prefix, small, targets, threads)
+                quality = replace(quality, prefix=beside, prefix_splats=len(prefix))
+            found.append(quality)
+            progress("measure", len(found), len(file.root.levels))
+    return found
 
 
 def _distance(lpips: Lpips, picture: F32, target: F32) -> float:

@@ -10,12 +10,12 @@ from cogsplat.codec.fit.level_encoding import make_levels
 from cogsplat.codec.fit.level_training import (
     MIN_OPACITY,
     grow_levels,
-    train_jointly,
     train_levels,
 )
 from cogsplat.codec.fit.train_config import LevelsConfig, LevelsRequest
 from cogsplat.codec.metrics import psnr, ssim
 from cogsplat.codec.render.rasteriser import render
+from cogsplat.codec.scoring.contribution import score
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 CONFIG = LevelsConfig(scales=(4, 2, 1), shares=(0.2, 0.5, 1.0), steps=30, threads=1)
@@ -44,6 +44,32 @@ def test_levels_have_the_given_shares(levels):
     assert (np.diff(levels.first_level) >= 0).all()
 
 
+def test_splats_of_a_level_start_as_a_prefix_that_leaves_no_holes():
+    cameras = synth_cameras(4, 128, 96)
+    splats = synth(6000).with_capture(capture_of_cameras(cameras))
+    untrained = LevelsConfig((2,), (0.15,), steps=0, threads=1)
+    first = train_levels(splats, cameras, untrained).scene(0)
+    assert first.info.capture == splats.info.capture
+    # Inflated alike, in all axes.
+    rows = [np.flatnonzero((splats.means == mean).all(axis=1))[0] for mean in first.means]
+    growth = first.scales - splats.scales[rows]
+    assert growth.min() == pytest.approx(growth.max(), abs=1e-5)
+    assert growth.min() > 0.05
+    views = [camera.downscaled(2) for camera in cameras]
+    pictures = [downscale_picture(render(splats, camera), 2) for camera in cameras]
+    by_contribution = np.argsort(-score(splats, views).contribution)[: len(first)]
+
+    def shown(some):
+        return np.mean([psnr(render(some, v), p) for v, p in zip(views, pictures, strict=True)])
+
+    assert shown(first) > shown(splats.take(by_contribution)) + 3
+
+
+def test_a_level_may_be_too_small_for_a_splat(scene):
+    tiny = LevelsConfig((4, 1), (0.0001, 0.5), steps=0, threads=1)
+    assert np.bincount(train_levels(*scene, tiny).first_level).tolist() == [0, 300]
+
+
 def test_lower_levels_are_frozen_except_for_opacities(scene):
     """Training fewer levels gives the same lower levels."""
     fewer = LevelsConfig(scales=(4, 2), shares=(0.2, 0.5), steps=30, threads=1)
@@ -57,26 +83,6 @@ def test_lower_levels_are_frozen_except_for_opacities(scene):
     later = both.rows(2)
     later = later[later < count]
     assert (both.opacities[2, later] != both.opacities[1, later]).mean() > 0.5
-
-
-def test_joint_training_improves_every_scale(scene):
-    splats, cameras = scene
-    short = LevelsConfig(scales=(4, 1), shares=(0.2, 0.5), steps=40, threads=1)
-    model = train_jointly(splats, cameras, short)
-    assert model.scales == (1,)
-    assert 0.9 * 300 <= len(model.splats) <= 300
-    assert model.rows(0).tolist() == list(range(len(model.splats)))
-    cut = train_jointly(splats, cameras, LevelsConfig((4, 1), (0.2, 0.5), 0, threads=1))
-    for scale in short.scales:
-        views = [camera.downscaled(scale) for camera in cameras]
-        targets = [downscale_picture(render(splats, camera), scale) for camera in cameras]
-        trained, untrained = (
-            np.mean([ssim(render(one.scene(0), v), t) for v, t in zip(views, targets, strict=True)])
-            for one in (model, cut)
-        )
-        assert trained > untrained
-    with pytest.raises(ValueError, match="no cameras"):
-        train_jointly(splats, [], short)
 
 
 def test_added_splats_are_trained_with_their_sh(scene, levels):

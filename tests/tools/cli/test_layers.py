@@ -53,6 +53,24 @@ def test_figures_are_those_of_the_file(run: Run, small: SmallScene, tmp_path: Pa
     assert np.isfinite(between.opacities).any()
 
 
+@pytest.mark.slow
+def test_levels_that_show_less_than_an_ordinary_file_are_told(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    out = tmp_path / "a.cogs"
+    words = ["layers", small.ply, out, "--cameras", small.cameras, "--force", "--scales", "4,1"]
+    words += ["--steps", 40, "--json"]
+    good = run(*words, "--shares", "30%,60%").json
+    assert all(level["psnr_db"] > level["prefix_psnr_db"] for level in good["levels"])
+    assert "warnings" not in good
+    # Nearly all splats are trained for small pictures and stay as they are.
+    bad = run(*words, "--shares", "95%,100%").json
+    assert bad["levels"][1]["psnr_db"] < bad["levels"][1]["prefix_psnr_db"]
+    assert 0 < bad["levels"][1]["prefix_splats"] <= 2000
+    (warning,) = bad["warnings"]
+    assert "at 1/1 the beginning of a file of encode" in warning
+
+
 @pytest.mark.parametrize(
     "words",
     [

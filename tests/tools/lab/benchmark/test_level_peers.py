@@ -1,17 +1,11 @@
-"""Comparison of detail levels with other models."""
+"""Comparison of levels with prefixes and with files for one size."""
 
 import numpy as np
 import pytest
 
+from cogsplat.codec.capture import capture_of_cameras
 from cogsplat.codec.fit.train_config import LevelsConfig
-from cogsplat.tools.lab.benchmark.level_peers import (
-    Model,
-    chart,
-    measure_quality,
-    models,
-    own_rows,
-    size_rows,
-)
+from cogsplat.tools.lab.benchmark.level_peers import Model, measure_quality, models, rows
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 CONFIG = LevelsConfig(scales=(2, 1), shares=(0.4, 1.0), steps=4, threads=1)
@@ -32,42 +26,28 @@ class Brightness:
 
 @pytest.fixture(scope="module")
 def scene():
-    return synth(400), synth_cameras(4, 64, 48)
+    cameras = synth_cameras(4, 64, 48)
+    return synth(400).with_capture(capture_of_cameras(cameras)), cameras
 
 
 @pytest.mark.slow
-def test_each_model_is_measured_at_each_size(scene):
+def test_each_size_has_a_level_prefixes_and_a_file_of_its_own(scene):
     splats, cameras = scene
-    of = models(splats, cameras[:3], CONFIG)
-    ways = [(model.way, model.scale) for model in of]
-    assert ways == [
-        ("level", 2),
-        ("level", 1),
-        ("single-scale", 2),
-        ("cut, not trained", 2),
-        ("single-scale", 1),
-        ("cut, not trained", 1),
-        ("multi-scale", 1),
-        ("the scene", 1),
-    ]
-    assert of[0].bytes_fetched < of[1].bytes_fetched
-    assert of[0].opacity_bytes == 0 < of[1].opacity_bytes
-    found = measure_quality(splats, of, cameras[3:], CONFIG, lpips=Brightness())
-    # At full size the scene itself has the highest PSNR.
-    assert found[-1].figures[1].psnr_db > max(one.figures[1].psnr_db for one in found[:-1])
-    rows = own_rows(found)
-    # Pictures of 32 x 24 pixels are too small for this network.
-    assert [row[-1] == "-" for row in rows] == [model.scale == 2 for model in of]
-    assert float(rows[-1][-1]) == 0.0
-    assert [len(row) for row in size_rows(found)] == [4] * len(of)
+    of = models(splats, cameras[:3], CONFIG, "fast")
+    ways = ["level", "prefix, same bytes", "prefix, same splats", "a file for this size"]
+    assert [(one.way, one.scale) for one in of] == [(way, s) for s in (2, 1) for way in ways]
+    assert all(one.splats.info.capture == splats.info.capture for one in of)
+    assert of[0].bytes_fetched < of[4].bytes_fetched
+    # A prefix has at most the bytes of the level.
+    assert all(of[at + 1].bytes_fetched <= of[at].bytes_fetched for at in (0, 4))
+    found = measure_quality(splats, of, cameras[3:])
+    assert [row[:2] for row in rows(found)] == [(f"1/{one.scale}", one.way) for one in of]
 
 
-def test_a_chart_has_a_line_for_each_model(scene):
+def test_models_are_measured_at_their_own_size(scene):
     splats, cameras = scene
     of = [Model("the scene", 1, splats), Model("half of it", 2, splats.take(slice(0, 200)))]
-    found = measure_quality(splats, of, cameras[:1], CONFIG)
-    assert found[0].figures[2].lpips is None
-    drawn = chart(found, 64)
-    assert drawn.startswith("<svg")
-    assert "the scene 1/1" in drawn
-    assert "half of it 1/2" in drawn
+    whole, half = measure_quality(splats, of, cameras[:1], lpips=Brightness())
+    assert whole.figures.psnr_db == 100.0 > half.figures.psnr_db
+    # Pictures of 32 x 24 pixels are too small for this network.
+    assert [row[-1] for row in rows([whole, half])] == ["0.0000", "-"]
