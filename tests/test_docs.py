@@ -11,6 +11,7 @@ import os
 import re
 import shlex
 import sys
+import textwrap
 import tomllib
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -34,7 +35,15 @@ from cogsplat.tools.main import cli
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("tests/**/*.md")])
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-TRANSCRIPT = ("", "html", "js", "text", "ts")  # Pictures, dumps, pages: nothing that runs here.
+# Pictures, dumps, pages, shaders: nothing that runs here.
+TRANSCRIPT = ("", "glsl", "html", "js", "text", "ts")
+    "",
+    "glsl",
+    "html",
+    "js",
+    "text",
+    "ts",
+)  # Pictures, dumps, pages: nothing that runs here.
 
 # What is added to a command so that the scene it makes is small.
 SMALL = {"lab synth": ("--splats", "3000"), "demo": ("--splats", "2000")}
@@ -116,6 +125,14 @@ def test_files_that_documents_name_are_there(path: Path) -> None:
         if ((ROOT / name).exists() or name in entries) == bool(to_be_made)
     ]
     assert wrong == []
+
+
+def test_the_shader_of_the_documents_is_the_viewer_s() -> None:
+    """Chromium draws the pictures of the vectors with it, in `tests/tools/web`."""
+    source = (ROOT / "tools" / "web" / "src" / "viewer" / "shaders.ts").read_text(encoding="utf-8")
+    shown = [block for path in DOCUMENTS for kind, block in blocks(path) if kind == "glsl"]
+    assert len(shown) == 1
+    assert textwrap.indent(shown[0], "  ") in source
 
 
 def test_the_picture_of_the_readme_is_what_the_demonstration_draws() -> None:

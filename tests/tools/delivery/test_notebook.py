@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import base64
 import sys
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from running import SmallScene
 
 import cogsplat
@@ -21,7 +23,7 @@ from cogsplat.tools.delivery.notebook import bundle, respond
 from cogsplat.tools.lab.synthetic.terrace import synth_cameras
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, Page
 
 CELL = """
 import cogsplat
@@ -109,9 +111,10 @@ def test_a_notebook_shows_what_open_returns(small: SmallScene, tmp_path: Path) -
 
 
 @pytest.mark.slow
-def test_its_program_draws_in_a_browser(browser: Browser, small: SmallScene) -> None:
+def test_its_program_draws_every_size_in_a_browser(browser: Browser, small: SmallScene) -> None:
     program = files("cogsplat.tools").joinpath("web", "dist", "viewer.js").read_text("utf-8")
-    camera: Camera = synth_cameras(48, 320, 240)[8]
+    # Training was in pictures of 64x48.
+    cameras = [synth_cameras(48, 320, 240)[8], synth_cameras(48, 32, 24)[8]]
     with cogsplat.open(small.cogs) as file:
 
         def kernel(message: object) -> tuple[dict[str, object], list[str]]:
@@ -126,12 +129,30 @@ def test_its_program_draws_in_a_browser(browser: Browser, small: SmallScene) -> 
             program,
         )
         page.wait_for_function("() => document.querySelector('cogsplat-viewer')", timeout=60_000)
-        page.evaluate(
-            """(pose) => {
-              const viewer = document.querySelector("cogsplat-viewer");
-              Object.assign(viewer.style, { width: "320px", height: "240px" });
-              viewer.view = pose;
-            }""",
+        found = [picture_of_the_widget(page, camera) for camera in cameras]
+        page.evaluate("() => window.leave()")
+        assert page.evaluate("() => [window.listeners.size, document.body.children.length]") == [
+            0,
+            0,
+        ]
+        page.close()
+    splats = cogsplat.decode(small.cogs)
+    usual = replace(splats, info=replace(splats.info, capture=()))
+    for pixels, camera in zip(found, cameras, strict=True):
+        assert psnr(pixels, np.clip(render(splats, camera), 0, 1)) >= 38
+        assert psnr(pixels, np.clip(render(usual, camera), 0, 1)) < 38
+
+
+def picture_of_the_widget(page: Page, camera: Camera) -> NDArray[np.float32]:
+    """Return what the viewer shows from a camera once the scene is complete, 0 to 1."""
+    page.evaluate(
+        """([pose, width]) => {
+          const viewer = document.querySelector("cogsplat-viewer");
+          const style = { width: `${width}px`, height: `${pose.height}px`, minHeight: "0" };
+          Object.assign(viewer.style, style);
+          viewer.view = pose;
+        }""",
+        [
             {
                 "height": camera.height,
                 "fx": camera.fx,
@@ -139,26 +160,23 @@ def test_its_program_draws_in_a_browser(browser: Browser, small: SmallScene) -> 
                 "rotation": camera.rotation.ravel().tolist(),
                 "translation": camera.translation.tolist(),
             },
-        )
-        page.wait_for_function(
-            """() => {
-              const viewer = document.querySelector("cogsplat-viewer");
-              const { state, upToDate } = viewer.statistics;
-              const { width, height } = viewer.shadowRoot.querySelector("canvas");
-              return state === "complete" && upToDate && width === 320 && height === 240;
-            }""",
-            timeout=60_000,
-        )
-        address = page.evaluate(
-            """() => document.querySelector("cogsplat-viewer").shadowRoot
-              .querySelector("canvas").toDataURL()"""
-        )
-        pixels = decode_image(base64.b64decode(address.partition(",")[2]), "PNG")[..., :3]
-        page.evaluate("() => window.leave()")
-        assert page.evaluate("() => [window.listeners.size, document.body.children.length]") == [
-            0,
-            0,
-        ]
-        page.close()
-    ours = np.clip(render(cogsplat.decode(small.cogs), camera), 0, 1)
-    assert psnr(pixels.astype(np.float32) / 255, ours) >= 38
+            camera.width,
+        ],
+    )
+    page.wait_for_function(
+        """([wide, high]) => {
+          const viewer = document.querySelector("cogsplat-viewer");
+          const { state, upToDate } = viewer.statistics;
+          const { width, height } = viewer.shadowRoot.querySelector("canvas");
+          return state === "complete" && upToDate && width === wide && height === high;
+        }""",
+        arg=[camera.width, camera.height],
+        timeout=60_000,
+    )
+    address = page.evaluate(
+        """() => document.querySelector("cogsplat-viewer").shadowRoot
+          .querySelector("canvas").toDataURL()"""
+    )
+    pixels = decode_image(base64.b64decode(address.partition(",")[2]), "PNG")[..., :3]
+    shown: NDArray[np.float32] = pixels.astype(np.float32) / 255
+    return shown

@@ -14,7 +14,7 @@ from web_package import npm
 
 pytestmark = pytest.mark.slow
 
-DOCUMENTS = ("docs/guides/bundlers.md", "tools/web/README.md")
+DOCUMENTS = ("docs/guides/bundlers.md", "docs/guides/sizes.md", "tools/web/README.md")
 
 
 # Pairs of `module` and `moduleResolution`.

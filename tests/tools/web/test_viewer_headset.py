@@ -32,6 +32,9 @@ F64 = NDArray[np.float64]
 WIDTH, HEIGHT = 400, 300
 COMPLETE = "s.state === 'complete' && s.upToDate"
 SAME_DB = 38.0
+# The eyes' pictures have 49 and 49 dB; 41 and 43 dB if tangents are clamped about the middle of the
+# picture instead of the principal point.
+EYE_DB = 45.0
 """What the picture of an eye must have against our own render."""
 METRES_PER_UNIT = 0.5
 
@@ -164,9 +167,9 @@ def test_each_eye_sees_the_scene_in_its_scale(
             psnr(found[:, x : x + 200], np.clip(render(splats, eye_camera(name, offset, up)), 0, 1))
             for name, offset, x in (("left", -0.032, 0), ("right", 0.032, 200))
         ]
-        if min(quality) >= SAME_DB:
+        if min(quality) >= EYE_DB:
             break
-    assert min(quality) >= SAME_DB, quality
+    assert min(quality) >= EYE_DB, quality
     # The button ends it, and the canvas shows what it showed before.
     page.get_by_role("button", name="View in VR").click()
     page.wait_for_function("() => window.headset.ended")

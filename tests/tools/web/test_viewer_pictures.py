@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from chromium import look_from, picture, shows, wait_until
+from chromium import PATIENCE_MS, look_from, picture, shows, wait_until
 from faulty_server import FaultyServer
 from numpy.typing import NDArray
 
@@ -20,13 +22,15 @@ from cogsplat.codec.render.rasteriser import render
 from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.tools.delivery.slow_server import running
 from cogsplat.tools.delivery.viewer_pages import linked_page
+from cogsplat.tools.lab.conformance import tolerance
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser
+    from playwright.sync_api import Browser, Page
 
 pytestmark = pytest.mark.slow
 
+VECTORS = Path(__file__).resolve().parents[2] / "vectors"
 FOX = Path(__file__).resolve().parents[4] / "shared" / "data" / "fox"
 
 SAME_DB = 38.0
@@ -119,3 +123,49 @@ def test_small_near_and_far_pictures_are_as_thick_as_in_training(
             if width == 640:
                 assert psnr(found, np.clip(render(usual, camera), 0, 1)) < SAME_DB
             page.close()
+
+
+def test_pictures_of_the_vectors(browser: Browser) -> None:
+    manifest = json.loads((VECTORS / "manifest.json").read_text(encoding="utf-8"))
+    # The element has square pixels, and its principal point is in the middle.
+    drawings = [d for d in manifest["drawings"] if d["camera"]["fx"] == d["camera"]["fy"]]
+    assert len(drawings) == len(manifest["drawings"]) - 1
+    page = browser.new_page(viewport={"width": 300, "height": 300})
+    for scene in sorted({drawing["scene"] for drawing in drawings}):
+        data = (VECTORS / "drawings" / f"{scene}.cogs").read_bytes()
+        with running(FaultyServer({**linked_page(scene), "scene.cogs": data})) as server:
+            page.goto(server.url)
+            wait_until(page, "s.state === 'complete' && s.upToDate")
+            for drawing in drawings:
+                if drawing["scene"] == scene:
+                    assert fault_of(page, drawing) == "", drawing["name"]
+    page.close()
+
+
+def fault_of(page: Page, drawing: Mapping[str, Any]) -> str:
+    """Draw a picture of the vectors in the viewer; return its fault, or ""."""
+    told = drawing["camera"]
+    pose = {key: np.array(told[key]) for key in ("rotation", "translation")}
+    camera = Camera(**{**told, **pose, "rotation": pose["rotation"].reshape(3, 3)})
+    size = [camera.width, camera.height]
+    page.evaluate(
+        """([width, height]) => {
+          const style = { width: `${width}px`, height: `${height}px`, minHeight: "0" };
+          Object.assign(window.cogsplatViewer.style, style);
+        }""",
+        size,
+    )
+    look_from(page, camera)
+    page.wait_for_function(
+        """([width, height]) => {
+          const viewer = window.cogsplatViewer;
+          const canvas = viewer.shadowRoot.querySelector("canvas");
+          return viewer.statistics.upToDate && canvas.width === width && canvas.height === height;
+        }""",
+        arg=size,
+        timeout=PATIENCE_MS,
+    )
+    expected = np.fromfile(VECTORS / "drawings" / f"{drawing['name']}.f32", "<f4")
+    return tolerance.picture_fault(
+        picture(page), expected.reshape(camera.height, camera.width, 3), is_viewer=True
+    )

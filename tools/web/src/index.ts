@@ -22,7 +22,7 @@ export type {
   PictureName,
 } from "./container/description.js";
 export type { Pinhole } from "./container/pinhole.js";
-export type { AttributeEntry, CodebookEntry, SceneInfo } from "./container/root.js";
+export type { AttributeEntry, CodebookEntry, SceneInfo, Viewpoint } from "./container/root.js";
 export type { ByteRange, ChunkSegments, SceneIndex, ScenePlaces } from "./container/scene_index.js";
 export type { ViewTable } from "./container/view_table.js";
 export { CogsplatError, REASON_CODES, type ReasonCode, type RefusalClass, SourceError } from "./errors.js";
@@ -46,6 +46,7 @@ export {
 export { PrefixCompensation } from "./scene/prefix_compensation.js";
 export { type FileOptions, SceneFile } from "./scene/scene_file.js";
 export { concatenate, type Splats } from "./scene/splats.js";
+export { trainingPixel } from "./scene/training_pixel.js";
 export {
   type ChunkFormat,
   type ChunkService,

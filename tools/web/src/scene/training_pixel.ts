@@ -1,9 +1,10 @@
 import type { Viewpoint } from "../container/root.js";
 
 /**
- * Return the pixel of training as a viewer sees it: x, y, z of a centre, then a and b (SPEC 8.7).
+ * Return five numbers that give the area of the training pixel at every place, for a viewer at a position (SPEC 8.7).
  *
- * The area of the pixel at a place is a times its squared distance from the centre, plus b, in squared scene units.
+ * They are x, y, z of a centre, then a and b: the area is a times the squared distance from the centre, plus b, in
+ * squared scene units.
  *
  * @param capture - Viewpoints of the training pictures; without any, all five numbers are 0.
  * @param position - Position of the viewer, in the space of the means.

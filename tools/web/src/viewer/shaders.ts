@@ -125,8 +125,8 @@ void main() {
   vec3 scale = exp(vec3(uvec3(w.w, w.w >> 8, w.w >> 16) & 255u) * (21.0 / 254.0) - (12.0 + 21.0 / 254.0) + shift.x);
   mat3 axes = rotation * matrixOf(rotationOf((w.z >> 16) & 255u, w.z >> 24, w.w >> 24));
   axes[0] *= scale.x; axes[1] *= scale.y; axes[2] *= scale.z;
-  vec2 limit = 1.3 * 0.5 * viewport / focal;
-  vec2 t = clamp(p.xy / p.z, -limit, limit);
+  vec2 half_size = 0.5 * viewport / abs(focal), aside = 2.0 * principal / viewport + vec2(middle.x, -middle.y);
+  vec2 t = clamp(p.xy / p.z, (-1.3 - aside) * half_size, (1.3 - aside) * half_size);
   vec3 jx = vec3(focal.x / p.z, 0.0, -focal.x * t.x / p.z);
   vec3 jy = vec3(0.0, focal.y / p.z, -focal.y * t.y / p.z);
   vec3 u = jx * axes, v = jy * axes;
