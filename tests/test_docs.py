@@ -37,13 +37,6 @@ DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 # Pictures, dumps, pages, shaders: nothing that runs here.
 TRANSCRIPT = ("", "glsl", "html", "js", "text", "ts")
-    "",
-    "glsl",
-    "html",
-    "js",
-    "text",
-    "ts",
-)  # Pictures, dumps, pages: nothing that runs here.
 
 # What is added to a command so that the scene it makes is small.
 SMALL = {"lab synth": ("--splats", "3000"), "demo": ("--splats", "2000")}
