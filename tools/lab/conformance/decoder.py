@@ -103,7 +103,8 @@ def main(arguments: list[str]) -> int:
         print(f"expected one of {', '.join(KINDS)}", file=sys.stderr)
         return 2
     (kind,) = arguments
-    if kind == "compiled" and not decoding_tiers.use_compiled(True):
+    # Else the numpy decoder would switch to compiled kernels as soon as they are loaded.
+    if not decoding_tiers.use_compiled(kind == "compiled") and kind == "compiled":
         print("numba is not installed, expected the extra `encode`", file=sys.stderr)
         return 4
     for line in sys.stdin:
