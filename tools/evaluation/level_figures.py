@@ -1,4 +1,4 @@
-"""Sizes of a file's levels, and the quality of their renders beside that of an ordinary file."""
+"""Sizes of a file's levels, and the quality of their renders and of prefixes of another file."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ def picture_figures(
 
 @dataclass(frozen=True)
 class LevelQuality:
-    """Size and quality of a level, beside a prefix of an ordinary file.
+    """Size and quality of a level, and the quality of a prefix of an ordinary file.
 
     Parameters
     ----------

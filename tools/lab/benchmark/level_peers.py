@@ -72,7 +72,7 @@ class ModelQuality:
 
 
 def _trained(splats: Splats, cameras: Sequence[Camera], config: LevelsConfig) -> list[Model]:
-    """Train levels, encode them to a file, decode it, and return a model for each level."""
+    """Return a model for each level of a trained file, decoded."""
     levels = train_levels(splats, cameras, config)
     way = "level" if len(config.scales) > 1 else "a file for this size"
     with TemporaryDirectory() as folder:
