@@ -506,6 +506,7 @@ test("spark: splats are as thick as trained where the shader is known and the sc
 const SHADERS = new Map([
   ["gsplatPS", "normExp(A) * gaussianColor.a if (A > 1.0)"],
   ["gsplatCommonVS", "float clip = min(1.0, sqrt(max(0.0, log(alpha / alphaClipValue))) * 0.5);"],
+  ["gsplatCenterVS", "if (camera_params.w != 1.0 && centerView.z > 0.0) return false;"],
   [
     "gsplatCornerVS",
     "a + 0.3; b + 0.3; vec2 J2 = -J1 / vp.z * vp.xy; min(1024.0, min(viewport_size.x, viewport_size.y))",
@@ -555,6 +556,7 @@ test("playcanvas: shaders that are known are edited together or not at all", () 
   const { isKnown, edited, antiAlias, uniforms } = drawInPlayCanvas(SHADERS, KERNEL);
   assert.ok(isKnown && !antiAlias);
   assert.deepEqual([...edited.keys()], [...SHADERS.keys()]);
+  assert.match(edited.get("gsplatCenterVS")!, /centerView\.z > -camera_params\.z/);
   assert.match(edited.get("gsplatCornerVS")!, /^a \+ 1\.2; b \+ 1\.2; .*clamp\(/);
   assert.deepEqual(uniforms, {});
   const other = drawInPlayCanvas(new Map([...SHADERS, ["gsplatPS", "another"]]), KERNEL);

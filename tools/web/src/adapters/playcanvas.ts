@@ -126,8 +126,9 @@ const FOLLOWING = new WeakMap<object, PlayCanvasHandle>();
  * Change PlayCanvas's WebGL shaders to render closer to SPEC 8.7.
  *
  * Gaussians extend to a contribution of 1/255, are as thick as trained, and the projection's Jacobian is clamped to
- * 1.3 times the picture. The engine copies splats at 32 bytes each in place of 24. The changes, and the viewpoints of
- * the scene, apply to all splats of the application, and a later call replaces them.
+ * 1.3 times the picture. Splats nearer than the camera's near plane, 0.2 in SPEC 8.7, are hidden. The engine copies
+ * splats at 32 bytes each in place of 24. The changes, and the viewpoints of the scene, apply to all splats of the
+ * application, and a later call replaces them.
  *
  * The number of sorting keys stays that of the engine (2.23.3, `gsplat-unified-sort-worker`): 2^b + 1, where b is log₂
  * of a quarter of the number of splats, rounded and between 10 and 20. Splats that share a key are drawn in arbitrary
@@ -175,6 +176,8 @@ export function drawBySpec(
         "float clip = sqrt(max(0.0, log(alpha / alphaClipValue))) * 0.5;",
       ],
     ],
+    // The engine also draws what lies between the camera and its near plane.
+    gsplatCenterVS: [["centerView.z > 0.0", "centerView.z > -camera_params.z"]],
     gsplatCornerVS: [
       ["+ 0.3", knowsTraining ? "+ blur" : `+ ${kernel}`],
       ...(knowsTraining ? trainedThickness(kernel) : []),
