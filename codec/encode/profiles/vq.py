@@ -33,7 +33,7 @@ _BITS_PER_COEFFICIENT: Final = 6.0
 # Error that a bit is worth where a codebook is chosen, relative to other values. Rows are off in
 # the same way for all splats of a surface, and such errors add up in a pixel. Bytes at equal
 # held-out PSNR against the basis alone, at 34, 37 and 40 dB nominal: a captured room takes 4.8, 2.7
-# and 2.1 % more at 1, and 2.5, 1.5 and 0.5 % less at 1/3; a house takes 0.8, 1.9 and 0 % less at 1/3.
+# and 2.1 % more at 1, and 2.5, 1.5 and 0.5 % less at 1/3; a house 0.8, 1.9 and 0 % less at 1/3.
 _INDEX_PRICE: Final = 1 / 3
 
 # Share of the iterations before the chunks are chosen that use the codebook.
