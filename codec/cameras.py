@@ -148,7 +148,7 @@ class Camera:
         )  # fmt: skip
 
     def downscaled(self, factor: int) -> Camera:
-        """Return the camera of a picture whose squares of `factor` × `factor` pixels are averaged.
+        """Return the camera of the picture that averages squares of `factor` × `factor` pixels.
 
         Columns at the right and rows at the bottom that do not fill a pixel are cropped.
 

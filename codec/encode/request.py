@@ -51,7 +51,8 @@ class EncodeRequest:
         `cameras`.
     shown_at : int, optional
         Width, px, of the pictures that the file is made for: all views are scored, and PSNR is
-        measured, at this width. None for the widths of the given cameras, or 400.
+        measured, at this width. Viewpoints of training are taken from the cameras as given. None
+        for the widths of the given cameras, or 400.
     config : EncodeConfig
         Contents of the file. With planned views, its nominal quality is the PSNR in the planned
         test views, to about 1 dB (`rate_control.search_nominal`).

@@ -24,7 +24,7 @@ class TuningViews:
     covering : sequence of Camera
         Views of regions that `cameras` hardly show.
     test_views : sequence of Camera
-        Views that PSNR is measured in; empty for some of `cameras`.
+        Views that PSNR is measured in. If empty, some of `cameras` are used.
     origin : str
         Origin of the test views: ``left-out`` of the given cameras, ``scored`` where there are too
         few to leave some out, ``planned``.

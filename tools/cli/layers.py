@@ -124,8 +124,8 @@ def layers(**options: Any) -> None:
     SCENE is a trained scene, or a COLMAP folder with points. In the second case, splats are trained
     from the points and --images.
 
-    The summary compares each level of a trained scene with the beginning of a file of encode that
-    has as many bytes.
+    Of a trained scene the summary compares each level with a file that encode makes of SCENE: with
+    its first bytes, as many as the level takes with those before it.
     """
     _layers(LayersOptions(**options))
 

@@ -179,7 +179,7 @@ class LevelQuality:
 
     @property
     def is_beaten(self) -> bool:
-        """Whether the prefix shows at least as much as the level."""
+        """Whether the prefix has at least the PSNR of the level."""
         return self.prefix is not None and self.prefix.psnr_db >= self.figures.psnr_db
 
     def report(self) -> dict[str, object]:

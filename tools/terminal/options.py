@@ -248,8 +248,8 @@ def trained_at_option(command: Command) -> Command:
         type=_trained_at_text,
         metavar="W,FOV[,D]",
         help="Pictures of training: width in px, horizontal field of view in degrees, and distance "
-        "of the cameras from the scene's middle; or unknown. With it, splats are drawn as thick as "
-        "in training at any picture size.  [default: the cameras, if given]",
+        "of the cameras from the scene's middle. Splats are then drawn as thick as in training at "
+        "any picture size. unknown: drawn as usual.  [default: as SCENE says, else by the cameras]",
     )(command)
 
 
@@ -259,9 +259,8 @@ def shown_at_option(command: Command) -> Command:
         "--shown-at",
         type=_width,
         metavar="WIDTH",
-        help="Width of the pictures that people will see, such as 960px: cameras keep their views, "
-        "and quality is chosen and measured in pictures of this width.  [default: the width of "
-        "the cameras, or 400px]",
+        help="Width of the pictures that people will see, such as 960px. All views get this width; "
+        "they show the same.  [default: that of the cameras, or 400px]",
     )(command)
 
 
