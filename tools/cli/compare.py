@@ -114,7 +114,8 @@ def compare(
     """Measure PSNR and SSIM between A and B, or a part of B.
 
     Both are measured in test views; close up, at 40 % of a test view's distance from what it shows;
-    and in roaming views, which step back from the test views and turn away.
+    and in roaming views, which step back from the test views and turn away. If one of the two has
+    viewpoints of training, both are drawn by them.
     """
     from cogsplat.codec.scoring.view_quality import compare as compare_scenes
     from cogsplat.tools.evaluation import object_quality
