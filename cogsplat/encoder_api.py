@@ -139,7 +139,7 @@ def encode(
         splats = _splats(scene, workspace)
         if isinstance(progress, OverallProgress):
             progress.plan(stage_costs(len(splats), request))
-        look, request = find_look_of(splats, _complete(request, scene))
+        look, request = find_look_of(splats, _with_stored_look(request, scene))
         splats = with_capture_of(splats, request, look)
         described = _description_of(scene) if description is None else description
         metadata = FileMetadata(look, request.stored_cameras, described)
@@ -448,7 +448,7 @@ def _splats(scene: Splats | _Path, workspace: Workspace | None = None) -> Splats
     return read_scene(scene, zeros=(workspace or IN_MEMORY).zeros)
 
 
-def _complete(request: EncodeRequest, scene: Splats | _Path) -> EncodeRequest:
+def _with_stored_look(request: EncodeRequest, scene: Splats | _Path) -> EncodeRequest:
     """Return a request with what it lacks of the stored look, if the scene is a COGS file."""
     if isinstance(scene, Splats) or not is_cogs(scene):
         return request

@@ -24,7 +24,9 @@ from .presets import DEFAULT_PRESET, PRESETS, Preset
 from .request import EncodeRequest
 from .view_table_builder import MOST_CAMERAS
 
-# Ratio of planned views to the number in a preset.
+# Pixels of a planned view of the usual width, and ratio of planned views to the number in a preset,
+# as they were measured.
+_PLANNED_PIXELS: Final = 480 * 360
 _PLANNED_RATIO: Final = 1.15
 
 _PLAN: Final = 2.0
@@ -84,9 +86,9 @@ def stage_costs(splats: int, request: EncodeRequest, *, scored: bool = False) ->
     if cameras:
         views, pixels = len(preset.views(cameras)), _mean_pixels(cameras)
     else:
-        planned_views = preset.plan_config().at_width(request.shown_at)
+        usual = preset.plan_config()
         views = round(preset.planned_views * _PLANNED_RATIO)
-        pixels = float(planned_views.width * planned_views.height)
+        pixels = _PLANNED_PIXELS * (usual.at_width(request.shown_at).width / usual.width) ** 2
         jitter = jitter and preset.planned_jitter
     seen = bool(cameras) or planned
     order = split_name(config.order)[0]

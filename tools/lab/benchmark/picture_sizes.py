@@ -27,7 +27,7 @@ import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.capture import Capture, capture_of_cameras
 from cogsplat.codec.fit.downscaling import downscale_picture
-from cogsplat.codec.geometry.frustum import NEAR
+from cogsplat.codec.geometry.frustum import visible_depth
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
@@ -111,20 +111,10 @@ def further_shots(usual: Splats, cameras: Sequence[Camera], factor: int) -> list
     """
     shots = []
     for camera in cameras:
-        moved = moved_back(camera, factor, middle_depth(usual, camera))
+        moved = moved_back(camera, factor, visible_depth(usual, camera))
         larger = moved.resized(moved.width * factor, moved.height * factor)
         shots.append(Shot(moved, downscale_picture(render(usual, larger), factor)))
     return shots
-
-
-def middle_depth(splats: Splats, camera: Camera) -> float:
-    """Return the median depth of the splats whose means a camera shows, scene units."""
-    x, y, z = (splats.means @ camera.rotation.T + camera.translation).T
-    ahead = z > NEAR
-    x, y, z = x[ahead], y[ahead], z[ahead]
-    column, row = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-    inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-    return float(np.median(z[inside])) if inside.any() else 0.0
 
 
 def moved_back(camera: Camera, factor: float, depth: float) -> Camera:

@@ -8,6 +8,7 @@ import pytest
 
 import cogsplat
 from cogsplat.codec.capture import capture_of_cameras
+from cogsplat.codec.geometry.frustum import visible_depth
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.tools.lab.benchmark.picture_sizes import (
     AS_TRAINED,
@@ -17,7 +18,6 @@ from cogsplat.tools.lab.benchmark.picture_sizes import (
     further_shots,
     main,
     mean_psnr,
-    middle_depth,
     moved_back,
     smaller_shots,
 )
@@ -33,7 +33,7 @@ def splats():
 
 def test_a_camera_moves_back_from_what_it_shows(splats):
     camera = CAMERAS[0]
-    depth = middle_depth(splats, camera)
+    depth = visible_depth(splats, camera)
     ahead = np.array([0.0, 0.0, depth])
     point = camera.rotation.T @ (ahead - camera.translation)
     further = moved_back(camera, 4, depth)
@@ -43,8 +43,8 @@ def test_a_camera_moves_back_from_what_it_shows(splats):
     few = splats.take(slice(0, 3))
     rays = np.array([[0.0, 0.0, 2.0], [0.1, 0.0, 5.0], [90.0, 0.0, 7.0]]) - camera.translation
     means = (rays @ camera.rotation).astype(np.float32)
-    assert middle_depth(replace(few, means=means), camera) == pytest.approx(3.5, rel=1e-5)
-    assert middle_depth(replace(few, means=means[[2, 2, 2]]), camera) == 0.0
+    assert visible_depth(replace(few, means=means), camera) == pytest.approx(3.5, rel=1e-5)
+    assert visible_depth(replace(few, means=means[[2, 2, 2]]), camera) == 0.0
 
 
 def test_trained_thickness_shows_most_in_small_and_far_pictures(splats):
