@@ -48,8 +48,6 @@ def train(
     weights: F64,
     rows: int,
     config: TrainingConfig | None = None,
-    *,
-    start: F32 | None = None,
 ) -> F32:
     """Train the codebook of weighted vectors.
 
@@ -64,9 +62,6 @@ def train(
         Codebook rows at most; fewer if fewer distinct vectors have weight.
     config : TrainingConfig, optional
         Settings; None for the defaults.
-    start : (c, d) float32, optional
-        Codebook of similar vectors from which training continues. Only its first `rows` rows are
-        used. Missing rows start at the vectors with the largest weighted distance to their row.
 
     Returns
     -------
@@ -97,10 +92,7 @@ def train(
     if len(vectors) <= rows:
         return np.unique(vectors, axis=0)
     with threadpool_limits(limits=1):
-        if start is None or not len(start):
-            centres = _seeds(vectors, weights, rows, config.seed, rng)
-        else:
-            centres = _resize(start, vectors, weights, rows)
+        centres = _seeds(vectors, weights, rows, config.seed, rng)
         model = KMeans(
             len(centres),
             init=np.ascontiguousarray(centres),
@@ -128,14 +120,6 @@ def _seeds(vectors: F32, weights: F64, rows: int, seed: int, rng: np.random.Gene
     )
     found: F32 = centres
     return found
-
-
-def _resize(start: F32, vectors: F32, weights: F64, rows: int) -> F32:
-    """Cut an earlier codebook to `rows` rows, or extend it by the vectors of largest error."""
-    _, errors = nearest(vectors, start, 1)
-    missing = max(rows - len(start), 0)
-    worst = np.argsort(-(weights * errors), kind="stable")[:missing]
-    return np.concatenate([start[:rows], vectors[worst]])
 
 
 def _ignore_duplicate_rows(work: Callable[[], object]) -> None:

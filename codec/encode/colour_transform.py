@@ -56,15 +56,21 @@ class ColourBasis:
 
     def streams(self) -> list[Stream]:
         """Return the rows as one scalar stream per SH band."""
-        out: list[Stream] = []
-        for band, attribute in enumerate(SH_BANDS, start=1):
-            first, last = 3 * (band * band - 1), 3 * ((band + 1) * (band + 1) - 1)
-            if self.rows.shape[1] >= last:
-                values = np.ascontiguousarray(self.rows[:, first:last])
-                span = np.ptp(values.astype(np.float64), axis=0)
-                step = np.maximum(span, 1e-6) / (_ROW_LEVELS - 1)
-                out.append(scalar.write(attribute, values, grids.fit(values, step)))
-        return out
+        span = np.ptp(self.rows.astype(np.float64), axis=0)
+        return band_streams(self.rows, np.maximum(span, 1e-6) / (_ROW_LEVELS - 1))
+
+    def error(self, missed: F64, energy: F64) -> float:
+        """Return the squared picture error of (n, K-1, 3) coefficient errors.
+
+        Parameters
+        ----------
+        missed : (n, K-1, 3) float64
+            Source minus decoded.
+        energy : (n,) float64
+            Energy of each splat.
+        """
+        flat = missed.reshape(len(missed), -1)
+        return float(allocation.shn_cost(energy) @ ((flat @ self.metric) * flat).sum(axis=1))
 
     def with_decoded_rows(self, decoded: F32) -> ColourBasis:
         """Return the basis with its quantised rows.
@@ -125,6 +131,25 @@ class ColourBasis:
         values = np.sign(codes) * np.maximum(np.abs(codes) - _SHRINK, 0) * step
         decoded = (values @ self.rows.astype(np.float64)).reshape(coefficients.shape)
         return stream, coefficients - decoded
+
+
+def band_streams(rows: F32, steps: F64) -> list[Stream]:
+    """Return the rows of a colour codebook as one scalar stream per SH band.
+
+    Parameters
+    ----------
+    rows : (C, 3·(K-1)) float32
+        Rows, flattened by SH index, then by channel.
+    steps : (3·(K-1),) float64
+        Quantiser step of each column.
+    """
+    out: list[Stream] = []
+    for band, attribute in enumerate(SH_BANDS, start=1):
+        first, last = 3 * (band * band - 1), 3 * ((band + 1) * (band + 1) - 1)
+        if rows.shape[1] >= last:
+            values = np.ascontiguousarray(rows[:, first:last])
+            out.append(scalar.write(attribute, values, grids.fit(values, steps[first:last])))
+    return out
 
 
 def _flat(coefficients: F32) -> F64:

@@ -25,10 +25,10 @@ MIN_PSNR_DB: Final = 5.0
 
 @dataclass(frozen=True)
 class Ablation:
-    """Techniques of the `transform` profile, each of which can be switched off for an ablation.
+    """Techniques of the profiles for viewing, each of which can be switched off for an ablation.
 
     Every combination gives a valid file that decodes as usual; only size and quality differ. The
-    other profiles use none of these techniques.
+    profile `near-lossless` uses none of these techniques.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ class EncodeConfig:
     morton : bool
         Sort the splats of each chunk by Morton code.
     refine : bool
-        Profile `transform`: write coarse heads, and refinements later in the file.
+        Write coarse heads, and refinements later in the file; not with `near-lossless`.
     prune : PruneConfig or None
         Settings of pruning, which drops splats that hardly change the pictures. None keeps all
         splats, as `near-lossless` always does.
@@ -134,7 +134,7 @@ class EncodeConfig:
     threads : int
         Number of threads, 0 for all cores; the bytes do not depend on it.
     ablation : Ablation
-        Techniques of the profile `transform` that are switched off.
+        Techniques of the profiles for viewing that are switched off.
     """
 
     profile: str = "transform"

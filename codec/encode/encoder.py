@@ -140,7 +140,7 @@ def compress_chunks(
 
 def _digits(config: EncodeConfig) -> bool:
     """Tell whether several symbols may share a byte of a plane."""
-    return config.ablation.digits or config.profile != "transform"
+    return config.ablation.digits or config.profile == "near-lossless"
 
 
 @dataclass(frozen=True, eq=False)

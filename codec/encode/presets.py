@@ -37,7 +37,7 @@ class Preset:
     jitter_copies : int
         Jittered copies of each scored view (`ScoreConfig.jitter_copies`).
     sensitivity_every : int
-        Profile `transform`: interval of the scored views in which sensitivities are measured
+        Interval of the scored views in which sensitivities are measured
         (`ScoreConfig.sensitivity_every`).
     prediction_views : int
         Maximum number of views in which the quality of prefixes is predicted.
@@ -135,7 +135,7 @@ class Preset:
         Parameters
         ----------
         profile : str
-            One of `config.PROFILE_NAMES`; only `transform` uses sensitivities.
+            One of `config.PROFILE_NAMES`; `near-lossless` does not use sensitivities.
         top_k : int or None
             `ScoreConfig.top_k`; None for all weights of at least `LEAST_WEIGHT`.
         jitter : bool
@@ -147,7 +147,7 @@ class Preset:
         """
         from cogsplat.codec.scoring.contribution import LEAST_WEIGHT, ScoreConfig
 
-        every = self.sensitivity_every if profile == "transform" else 0
+        every = self.sensitivity_every if profile != "near-lossless" else 0
         return ScoreConfig(
             top_k=top_k or 0,
             least_weight=LEAST_WEIGHT if top_k is None else 0.0,

@@ -83,6 +83,17 @@ def step_per_value(lagrangian: float, cost: F64) -> F64:
     return steps
 
 
+def bit_price(lagrangian: float) -> float:
+    """Return the error that one bit removes from a value quantised at λ."""
+    # A value of step Δ has an error of cost · Δ²/12 = λ/12, and a bit more quarters it.
+    return float(2 * np.log(2) * lagrangian / 12)
+
+
+def shn_cost(energy: F64) -> F64:
+    """Return the squared picture error per squared error of a coordinate of shN, (n,) float64."""
+    return _SHN_WEIGHT * energy
+
+
 def shn_step(lagrangian: float, energy: F64) -> float:
     """Return the step of a chunk's shN coordinates from its splats' energies, (n,) float64."""
-    return equal_step(lagrangian, _SHN_WEIGHT * energy)
+    return equal_step(lagrangian, shn_cost(energy))

@@ -21,7 +21,6 @@ F64 = NDArray[np.float64]
 # figure) one attribute at a time; they agree within a factor of three, steps within 1.7.
 SH0_COST: Final = C0**2
 OPACITY_COST: Final = 0.02
-SCALE_FACTOR_COST: Final = 0.2
 SCALE_COST: Final = 0.06
 ROTATION_COST: Final = 0.48  # per squared step of a quaternion component, half the angle
 MEAN_COST: Final = 0.04  # per squared step relative to the splat's mean deviation

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams import decoding_tiers
-from cogsplat.codec.streams.chunk_arrays import ChunkArrays, CodebookRows
+from cogsplat.codec.streams.chunk_arrays import ChunkArrays
+from cogsplat.codec.streams.records import Kind
 
-from .codebooks import Codebook, ColourCodebook, ShapeCodebook
+from .codebooks import Codebook, ColourCodebook
 from .heads import decode_head
 from .tails import decode_tail
 
 F32 = NDArray[np.float32]
+
+# Offset of the kind of a payload's first stream (SPEC 6.1, 6.2).
+_FIRST_KIND: Final = 3
 
 
 def decode_chunk(
@@ -48,21 +53,23 @@ def decode_chunk(
     FormatError, UnsupportedError, LimitError
         See `decode_head` and `decode_tail`, in this order.
     """
-    if not _decode_compiled(head, refinement, tail, codebooks, out, sh_degree):
+    # Indices of shN are looked up by numpy, as fast as compiled code would.
+    indexed = tail is not None and len(tail) > _FIRST_KIND and tail[_FIRST_KIND] == Kind.VQ
+    compiled = _decode_compiled(head, refinement, None if indexed else tail, codebooks[1], out)
+    if not compiled:
         decode_head(head, codebooks[0], out, f"{where} head", refinement)
-        if tail is not None:
-            decode_tail(tail, codebooks[1], out.shN, f"{where} tail", sh_degree=sh_degree)
     if tail is None:
         out.shN[:] = 0
+    elif indexed or not compiled:
+        decode_tail(tail, codebooks[1], out.shN, f"{where} tail", sh_degree=sh_degree)
 
 
 def _decode_compiled(
     head: memoryview,
     refinement: memoryview | None,
     tail: memoryview | None,
-    codebooks: tuple[Mapping[int, Codebook], Mapping[int, Codebook]],
+    codebooks: Mapping[int, Codebook],
     out: Splats,
-    sh_degree: int,
 ) -> bool:
     """Decode a chunk by the compiled reader; return False if numpy must decode it instead."""
     read = decoding_tiers.chunk_reader()
@@ -70,12 +77,8 @@ def _decode_compiled(
         return False
     columns = out.shN.shape[1] * 3
 
-    def shapes(number: int) -> tuple[F32, F32] | None:
-        book = codebooks[0].get(number)
-        return (book.scales, book.quats) if isinstance(book, ShapeCodebook) else None
-
     def colours(number: int) -> F32 | None:
-        book = codebooks[1].get(number)
+        book = codebooks.get(number)
         if not isinstance(book, ColourCodebook) or 3 * book.shN.shape[1] < columns:
             return None
         return book.shN[:, : columns // 3].reshape(len(book), columns)
@@ -88,4 +91,4 @@ def _decode_compiled(
         out.sh0,
         out.shN.reshape(len(out), columns),
     )
-    return read(head, refinement, tail, CodebookRows(shapes, colours), arrays, sh_degree)
+    return read(head, refinement, tail, colours, arrays)

@@ -35,19 +35,6 @@ class ChunkArrays:
     shN: F32  # noqa: N815 - the field's name in 3DGS
 
 
-@dataclass(frozen=True)
-class CodebookRows:
-    """Lookup functions for the decoded codebooks of a file, by codebook number.
-
-    Parameters
-    ----------
-    shapes : callable
-        Returns the (C, 3) log scales and (C, 4) quaternions of a shape codebook; None if the file
-        has no shape codebook of this number.
-    colours : callable
-        Returns the (C, d) SH coefficients of a colour codebook, in the layout of
-        `ChunkArrays.shN`; None if the file has no colour codebook of this number.
-    """
-
-    shapes: Callable[[int], tuple[F32, F32] | None]
-    colours: Callable[[int], F32 | None]
+ColourRows = Callable[[int], F32 | None]
+"""Returns the (C, d) SH coefficients of a colour codebook, in the layout of `ChunkArrays.shN`, by
+its number; None if the file has no colour codebook of this number."""

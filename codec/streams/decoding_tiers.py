@@ -1,8 +1,7 @@
 """Choice between the two decoders of a chunk: numpy, or the compiled chunk reader.
 
 Both give the same bits. numba is optional and takes 0.5 s to load. A background thread therefore
-loads the kernels once a process has decoded enough splats; until then numpy decodes. The kernel
-for chunks of the profile `vq` is loaded later, at the first such chunk.
+loads the kernels once a process has decoded enough splats; until then numpy decodes.
 """
 
 from __future__ import annotations
@@ -12,11 +11,11 @@ import sys
 from collections.abc import Callable
 from typing import Final
 
-from .chunk_arrays import ChunkArrays, CodebookRows
+from .chunk_arrays import ChunkArrays, ColourRows
 from .kernel_loader import KernelLoader
 
 ChunkReader = Callable[
-    [memoryview, memoryview | None, memoryview | None, CodebookRows, ChunkArrays, int], bool
+    [memoryview, memoryview | None, memoryview | None, ColourRows, ChunkArrays], bool
 ]
 """Compiled chunk reader, `kernels_chunk.read`; it returns False if numpy must decode the chunk."""
 
@@ -28,21 +27,10 @@ MIN_SPLATS_REPEATED: Final = 150_000
 
 It is lower than `MIN_SPLATS` because a process that decodes repeatedly is likely to decode more."""
 
-TRANSFORM_MODULES: Final = tuple(
-    f"{__package__}.kernels_{name}" for name in ("chunk_layout", "chunk")
-)
-"""Modules of the kernels that decode files of the profile `transform`, for
-`compiling.kernels_in`."""
-
-_VQ_MODULE: Final = f"{__package__}.kernels_vq_chunk"
-
-KERNEL_MODULES: Final = (*TRANSFORM_MODULES, _VQ_MODULE)
-"""Modules of all kernels that decoding calls."""
+KERNEL_MODULES: Final = tuple(f"{__package__}.kernels_{name}" for name in ("chunk_layout", "chunk"))
+"""Modules of all kernels that decoding calls, for `compiling.kernels_in`."""
 
 _chunk_reader: ChunkReader | None = None
-
-# The kernel for chunks of the profile vq, once it is loaded.
-_vq_kernel: Callable[..., bool] | None = None
 
 # Whether `use_compiled` was called; until then kernels are used as soon as they are loaded.
 _decided = False
@@ -82,21 +70,6 @@ def load_if_worthwhile(splats: int) -> None:
         LOADER.start()
 
 
-def vq_kernel() -> Callable[..., bool] | None:
-    """Return `kernels_vq_chunk.decode_vq_chunk`; None while it is loaded in the background.
-
-    The first call starts loading. After ``use_compiled(True)`` the kernel is returned at once, and
-    its first call loads it.
-    """
-    if _decided:
-        _use_vq_kernel()
-    elif _vq_kernel is None:
-        # One loader at a time: both set the interpreter's switch interval.
-        LOADER.join()
-        VQ_LOADER.start()
-    return _vq_kernel
-
-
 def use_compiled(wanted: bool) -> bool:
     """Select the compiled chunk reader or numpy for all later decodes of the process.
 
@@ -126,12 +99,6 @@ def _switch_to_compiled() -> None:
         _chunk_reader = _load()
 
 
-def _use_vq_kernel() -> None:
-    """Let `vq_kernel` return the kernel; `VQ_LOADER` calls this once it is loaded."""
-    global _vq_kernel
-    _vq_kernel = importlib.import_module(_VQ_MODULE).decode_vq_chunk
-
-
 def _load() -> ChunkReader | None:
     """Import the compiled chunk reader; None without numba or on a big-endian machine."""
     # The kernels read packed fields as machine words.
@@ -145,8 +112,5 @@ def _load() -> ChunkReader | None:
     return reader
 
 
-LOADER: Final = KernelLoader(TRANSFORM_MODULES, _switch_to_compiled)
-"""Loads the kernels in the background, but for those of the profile `vq`."""
-
-VQ_LOADER: Final = KernelLoader((_VQ_MODULE,), _use_vq_kernel)
-"""Loads the kernel of the profile `vq` in the background."""
+LOADER: Final = KernelLoader(KERNEL_MODULES, _switch_to_compiled)
+"""Loads the kernels in the background."""

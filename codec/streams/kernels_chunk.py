@@ -1,9 +1,8 @@
 """Compiled chunk reader: decodes head, refinement and tail of a chunk in two compiled calls.
 
-It covers the streams that the profiles `transform` and `vq` write (SPEC 6.5 to 6.7, 6.10 to 6.17).
-The kernel for `vq` is in `kernels_vq_chunk`, which is loaded at the first such chunk.
-For any other or invalid chunk it returns False. numpy then decodes that chunk from the start and
-raises the errors, so that errors come from one place. The module needs numba.
+It covers the streams that the profile `transform` writes (SPEC 6.5, 6.10 to 6.17). For any other or
+invalid chunk it returns False. numpy then decodes that chunk from the start and raises the errors,
+so that errors come from one place. The module needs numba.
 """
 
 from __future__ import annotations
@@ -15,10 +14,10 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.compiling import called_with
 
-from . import decoding_tiers, swing_twist, zstd_frames
+from . import swing_twist, zstd_frames
 from .adaptive_step import KNEES
 from .byte_planes import digit_tables
-from .chunk_arrays import ChunkArrays, CodebookRows
+from .chunk_arrays import ChunkArrays, ColourRows
 from .kernels_bits import exact, read_floats
 from .kernels_chunk_layout import (
     COMPONENTS_OF,
@@ -32,10 +31,8 @@ from .kernels_chunk_layout import (
     SCALES,
     SH0,
     SH0_DIGITS,
-    SHAPE,
     SHN,
     TRANSFORM_STREAMS,
-    VQ_STREAMS,
     locate,
 )
 from .kernels_grid import read_values, scales_from_differences, sh0_from_coordinates
@@ -140,26 +137,23 @@ def read(
     head: memoryview,
     refinement: memoryview | None,
     tail: memoryview | None,
-    books: CodebookRows,
+    colours: ColourRows,
     out: ChunkArrays,
-    sh_degree: int,
 ) -> bool:
-    """Decode a chunk that has the streams of the profile `transform` or `vq`.
+    """Decode a chunk that has the streams of the profile `transform`.
 
     Parameters
     ----------
     head, refinement, tail : memoryview or None
         Payloads, their CRCs already checked; None if absent or not requested.
-    books : CodebookRows
+    colours : callable
+        See `ColourRows`.
     out : ChunkArrays
-    sh_degree : int
-        SH degree of the file.
 
     Returns
     -------
     bool
-        False if the chunk is invalid, has streams that neither profile writes, or is one of `vq`
-        while that kernel is loaded. `out` then holds arbitrary values.
+        False if the chunk is invalid or has other streams. `out` then holds arbitrary values.
     """
     payload = b"".join((head, refinement or b"", tail or b""))
     ends = np.array((len(head), len(head) + len(refinement or b""), len(payload)), np.int64)
@@ -172,29 +166,17 @@ def read(
         out.sh0,
         out.shN if tail is not None else out.shN[:0],
     )
-    for streams in (TRANSFORM_STREAMS, VQ_STREAMS):
-        found = _locate(payload, ends, streams, limit, len(out.scales))
-        if found is None:
-            continue
-        data, records, spans = found
-        colours = _NO_BOOK
-        if records[SHN, PRESENT]:
-            book = books.colours(_codebook_number(data, records, SHN))
-            if book is None or book.shape[1] > BASIS_COLUMNS:
-                return False
-            colours = book
-        if streams is TRANSFORM_STREAMS:
-            return _decode_transform_chunk(data, records, spans, _CONSTANTS, colours, arrays)
-        shapes = books.shapes(_codebook_number(data, records, SHAPE))
-        if shapes is None:
+    found = _locate(payload, ends, limit, len(out.scales))
+    if found is None:
+        return False
+    data, records, spans = found
+    basis = _NO_BOOK
+    if records[SHN, PRESENT]:
+        book = colours(_codebook_number(data, records, SHN))
+        if book is None or book.shape[1] > BASIS_COLUMNS:
             return False
-        decode_vq_chunk = decoding_tiers.vq_kernel()
-        if decode_vq_chunk is None:
-            return False
-        return decode_vq_chunk(
-            data, records, spans, _CONSTANTS, (*shapes, colours), sh_degree, arrays
-        )
-    return False
+        basis = book
+    return _decode_transform_chunk(data, records, spans, _CONSTANTS, basis, arrays)
 
 
 def _codebook_number(data: U8, records: I64, stream: int) -> int:
@@ -203,10 +185,8 @@ def _codebook_number(data: U8, records: I64, stream: int) -> int:
     return int.from_bytes(data[at : at + 4].tobytes(), "little")
 
 
-def _locate(
-    payload: bytes, ends: I64, streams: I64, limit: int, rows: int
-) -> tuple[U8, I64, I64] | None:
-    """Return data, records and spans of `ChunkPlanes`; None if a stream is not in `streams`.
+def _locate(payload: bytes, ends: I64, limit: int, rows: int) -> tuple[U8, I64, I64] | None:
+    """Return data, records and spans of `ChunkPlanes`; None if the chunk has other streams.
 
     Parameters
     ----------
@@ -214,13 +194,12 @@ def _locate(
         Head, refinement and tail end to end.
     ends : (3,) int64
         End of each part in `payload`.
-    streams : int64
-        `TRANSFORM_STREAMS` or `VQ_STREAMS`.
     limit : int
         Limit of the total size of all planes after decompression and unpacking, bytes.
     rows : int
         Splats of the chunk.
     """
+    streams = TRANSFORM_STREAMS
     records = np.empty((len(streams) + 1, 6), np.int64)
     spans = np.empty((4, MAX_PLANES), np.int64)
     frames = np.empty((MAX_PLANES, 2), np.uint64)

@@ -26,14 +26,14 @@ from .kernels_planes import (
     parse_frame,
 )
 from .payload_limits import MAX_PLANE_BYTES
-from .records import COMPONENTS, ESCAPE, Attribute, Kind
+from .records import COMPONENTS, Attribute, Kind
 
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 U64 = NDArray[np.uint64]
 
 PAYLOAD, ATTRIBUTE, KIND, FLAGS, PARAM_LENGTH, REQUIRED = range(6)
-"""Columns of `TRANSFORM_STREAMS` and `VQ_STREAMS`: payload (0 head, 1 refinement, 2 tail),
+"""Columns of `TRANSFORM_STREAMS`: payload (0 head, 1 refinement, 2 tail),
 attribute, kind, flags, bytes of parameters (-1 if they vary), and 1 if the payload requires it."""
 
 TRANSFORM_STREAMS: Final = np.array(
@@ -56,37 +56,13 @@ TRANSFORM_STREAMS: Final = np.array(
 SCALES, QUATS, MEANS, OPACITIES, SH0 = range(5)
 SCALE_DIGITS, MEAN_BITS, OPACITY_DIGITS, SH0_DIGITS, SHN = range(5, 10)
 
-VQ_STREAMS: Final = np.array(
-    [
-        (0, Attribute.SHAPE, Kind.VQ, 0, 8, 1),
-        (0, Attribute.SCALE_FACTOR, Kind.SCALAR, 0, 12, 1),
-        (0, Attribute.MEANS, Kind.SORTED, 0, 60, 1),
-        (0, Attribute.OPACITIES, Kind.SCALAR, 0, 12, 1),
-        (0, Attribute.SH0, Kind.SCALAR, 0, 36, 1),
-        (0, Attribute.SCALES, Kind.SCALAR, ESCAPE, 36, 0),
-        (0, Attribute.QUATS, Kind.QUAT, ESCAPE, 40, 0),
-        (2, Attribute.SH1, Kind.SCALAR, ESCAPE, 108, 0),
-        (2, Attribute.SH2, Kind.SCALAR, ESCAPE, 180, 0),
-        (2, Attribute.SHN, Kind.VQ, 0, 8, 1),
-        (2, Attribute.SH3, Kind.SCALAR, ESCAPE, 252, 0),
-    ],
-    np.int64,
-)
-"""Streams of chunks that the profile `vq` writes.
-
-Means, opacities, sh0 and shN have the same row numbers as in `TRANSFORM_STREAMS`."""
-
-SHAPE, SCALE_FACTOR = 0, 1
-SCALE_ESCAPES, QUAT_ESCAPES, SH1_ESCAPES, SH2_ESCAPES, SH3_ESCAPES = 5, 6, 7, 8, 10
-
 NO_STREAM: Final = -1
 """Index of the last row of `ChunkPlanes.records`: zeros, the record of an absent stream."""
 
 MAX_PLANES: Final = 192
-"""Limit of planes in a chunk, above the maximum of either profile at three bytes per code.
+"""Limit of planes in a chunk, above what the encoder writes at three bytes per code.
 
-transform: 21 of grids, 3 of means, 21 of rotations, 8 of refinements, 73 of coordinates. vq: 21 of
-grids and indices, 3 of means, 19 of escape rows of shapes, 135 of escape rows of SH."""
+21 of grids, 3 of means, 21 of rotations, 8 of refinements, 73 of coordinates."""
 
 COMPONENTS_OF: Final = np.array([0, *(COMPONENTS[a] for a in Attribute)], np.int64)
 """Number of components of each attribute, indexed by `Attribute`."""
@@ -120,7 +96,7 @@ def locate(
     rows : int
         Splats of the chunk.
     streams : (s, 6) int64
-        `TRANSFORM_STREAMS` or `VQ_STREAMS`.
+        `TRANSFORM_STREAMS`.
     components : int64
         `COMPONENTS_OF`.
     max_bytes : int

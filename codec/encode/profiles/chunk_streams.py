@@ -1,11 +1,10 @@
-"""Streams that all profiles share: means and opacities, and the order within a chunk."""
+"""Means with one step, and the order within a chunk, which all profiles share."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.segments.opacities import MAX_LOGIT
 from cogsplat.codec.streams import grid as grids
 from cogsplat.codec.streams import scalar, sorted_means
 from cogsplat.codec.streams.adaptive_step import StepModel
@@ -46,17 +45,3 @@ def chunk_means(means: F32, step: float, sort: bool) -> tuple[NDArray[np.int64],
     rows = sorted_means.morton_order(codes, extra)
     stream = sorted_means.write(codes[rows], cells, extra, StepModel.constant(bits))
     return rows, stream, sorted_means.dequantise(codes[rows], cells, extra)
-
-
-def chunk_opacities(opacities: F32, step: float) -> Stream:
-    """Quantise the opacities of a chunk, clipped to ±`MAX_LOGIT`.
-
-    Parameters
-    ----------
-    opacities : (n,) float32
-        Logits.
-    step : float
-        Largest quantiser step, logits.
-    """
-    values = np.clip(opacities, -MAX_LOGIT, MAX_LOGIT)[:, None]
-    return scalar.write(Attribute.OPACITIES, values, grids.fit(values, step))

@@ -12,16 +12,15 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.encode.encoded import EncodedCodebook
 from cogsplat.codec.encode.prepared import ChunkedScene
-from cogsplat.codec.geometry import covariance
 from cogsplat.codec.progress import Progress
 from cogsplat.codec.rate import allocation, segment_order
 from cogsplat.codec.rate import costs as rate_costs
 from cogsplat.codec.rate.costs import Costs
-from cogsplat.codec.segments.codebooks import ShapeCodebook
+from cogsplat.codec.segments.codebooks import ColourCodebook
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.splats import Splats
 
-from . import near_lossless, transform, vq
+from . import near_lossless, outliers, transform, vq
 
 
 def _no_chunk(run: slice) -> Payloads:
@@ -76,20 +75,21 @@ def _near_lossless(scene: ChunkedScene, quality_db: float, progress: Progress) -
 
 
 def _transform(scene: ChunkedScene, quality_db: float, progress: Progress) -> PlannedScene:
-    """Plan the profile `transform`."""
+    """Plan the profile `transform`, and `vq`: the same, with a codebook of shN where it gains."""
     source, config, workspace = scene.source.without_extras(), scene.config, scene.workspace
     scores = (
         scene.scores if config.ablation.sensitivities else replace(scene.scores, sensitivities=None)
     )
     energy = rate_costs.positive_energy(scores, scene.rows)
+    lagrangian = allocation.lagrangian(scene.scores, quality_db)
 
     def part(run: slice) -> Splats:
         """Return the splats of a range of rows, with outliers clipped."""
-        return vq.clip_outliers(workspace.take(source, scene.rows[run]))
+        return outliers.clip_outliers(workspace.take(source, scene.rows[run]))
 
     def coefficients_of(run: slice) -> NDArray[np.float32]:
         """Return the SH coefficients of a range of rows, with outliers clipped."""
-        return vq.clip_coefficients(workspace.gather(source.shN, scene.rows[run]))
+        return outliers.clip_coefficients(workspace.gather(source.shN, scene.rows[run]))
 
     def own_costs(run: slice) -> Costs:
         """Return the costs of a range of rows."""
@@ -106,56 +106,41 @@ def _transform(scene: ChunkedScene, quality_db: float, progress: Progress) -> Pl
         costs_of,
         energy,
         scene.scores.basis_spread,
-        allocation.lagrangian(scene.scores, quality_db),
+        lagrangian,
         scene.slices,
         config.ablation,
         scores.contribution[scene.rows] if config.refine else None,
         segment_order.MISSING_COMPENSATED if config.compensate else segment_order.MISSING_ALL,
     )
-    codebooks = []
-    if plan.basis is not None:
-        codebooks = [EncodedCodebook("colour", len(plan.basis.rows), plan.basis_payloads)]
+    if config.profile == "vq":
+        if plan.basis is not None:
+            codebook = vq.fit(
+                plan.basis,
+                coefficients_of,
+                rate_costs.limit_colour_steps(energy, lagrangian),
+                lagrangian,
+                scene.slices,
+                config.training,
+                _earlier_rows(scene.codebooks, source.sh_degree),
+            )
+            if codebook is not None:
+                plan = plan.with_codebook(codebook, len(scene.slices))
+        progress("codebooks", 1, 1)
     return PlannedScene(
-        codebooks, lambda run: transform.encode_chunk(part(run), plan, run, config.morton)
+        plan.codebooks, lambda run: transform.encode_chunk(part(run), plan, run, config.morton)
     )
 
 
-def _vq(scene: ChunkedScene, quality_db: float, progress: Progress) -> PlannedScene:
-    """Train the codebooks of the profile `vq`."""
-    # Codebooks are trained on all splats, so this profile copies the ordered scene.
-    ordered = vq.clip_outliers(scene.source.without_extras().take(scene.rows))
-    config = scene.config
-    plan = vq.plan(
-        ordered,
-        rate_costs.positive_energy(scene.scores)[scene.rows],
-        allocation.lagrangian(scene.scores, quality_db),
-        training=config.training,
-        threads=config.threads,
-        progress=progress,
-        start=_vq_start(scene.codebooks, ordered.sh_degree),
-    )
-    codebooks = [EncodedCodebook("shape", plan.shape_rows, (plan.shape_payload,))]
-    if plan.colour_rows:
-        codebooks.append(EncodedCodebook("colour", plan.colour_rows, plan.colour_payloads))
-    return PlannedScene(
-        codebooks,
-        lambda run: vq.encode_chunk(ordered, plan, np.arange(run.start, run.stop), config.morton),
-    )
-
-
-def _vq_start(codebooks: Sequence[EncodedCodebook], degree: int) -> vq.VqStart:
-    """Return the decoded rows of earlier codebooks, to start training from."""
-    start = vq.VqStart()
-    for book in codebooks:
-        rows = book.decode(degree)
-        if isinstance(rows, ShapeCodebook):
-            start = replace(start, shapes=covariance.shape_vectors(rows.quats, rows.scales))
-        else:
-            start = replace(start, colours=rows.shN.reshape(len(rows), -1))
-    return start
+def _earlier_rows(codebooks: Sequence[EncodedCodebook], degree: int) -> NDArray[np.float32] | None:
+    """Return the rows of an earlier encode's codebook of shN; None if it had none."""
+    # A basis has at most one row per coefficient; the codebook is the last.
+    if not codebooks or degree == 0:
+        return None
+    book = codebooks[-1].decode(degree)
+    return book.shN if isinstance(book, ColourCodebook) else None
 
 
 PROFILES: Final[Mapping[str, Profile]] = MappingProxyType(
-    {"transform": _transform, "vq": _vq, "near-lossless": _near_lossless}
+    {"transform": _transform, "vq": _transform, "near-lossless": _near_lossless}
 )
 """Profiles by the names of `EncodeConfig.profile`."""

@@ -75,18 +75,24 @@ def choose_refinement_bits(quantise: Callable[[int], Quantised], most_bits: int)
         Deferred bits at most.
     """
     whole = quantise(0)
-    whole_bits = _entropy_bits(whole[1])
+    whole_bits = entropy_bits(whole[1])
     for bits in range(most_bits, 0, -1):
         tried = quantise(bits)
-        waiting = _entropy_bits(tried[2].stream)
-        extra = _entropy_bits(tried[1]) + waiting - whole_bits
+        waiting = entropy_bits(tried[2].stream)
+        extra = entropy_bits(tried[1]) + waiting - whole_bits
         if extra <= refinement_split.DEFERRED_BIT_PRICE * waiting:
             return tried
     return whole
 
 
-def _entropy_bits(stream: Stream | None) -> float:
-    """Estimate the bits of a stream: the entropy of each plane."""
+def entropy_bits(stream: Stream | None) -> float:
+    """Estimate the bits of a stream: the entropy of each plane.
+
+    Parameters
+    ----------
+    stream : Stream or None
+        Stream to write; None takes no bits.
+    """
     if stream is None:
         return 0.0
     return sum(

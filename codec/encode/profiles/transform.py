@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.encode import colour_transform
 from cogsplat.codec.encode.colour_transform import ColourBasis
 from cogsplat.codec.encode.config import Ablation
+from cogsplat.codec.encode.encoded import EncodedCodebook
 from cogsplat.codec.geometry import rotations
 from cogsplat.codec.geometry.sh import C0
 from cogsplat.codec.rate import allocation, refinement_split, segment_order
@@ -29,12 +29,10 @@ from . import shapes
 from .chunk_streams import chunk_means
 from .means import quantise_means
 from .refined import NO_REFINEMENT, Refined, choose_refinement_bits, squared_error_drop
+from .vq import ColourCodebook
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
-
-BASIS: Final = 0
-"""Number of the codebook that holds the basis of shN."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +54,8 @@ class TransformPlan:
         Techniques that are switched off.
     coarseness : mapping of int to HeadCoarseness
         Coarseness of each coarse head, by the first row of its chunk; the other heads are fine.
+    codebook : ColourCodebook, optional
+        Codebook of shN of the profile `vq`, for some of the chunks.
     """
 
     lagrangian: float
@@ -64,6 +64,44 @@ class TransformPlan:
     basis_payloads: tuple[bytes, ...]
     ablation: Ablation
     coarseness: Mapping[int, HeadCoarseness]
+    codebook: ColourCodebook | None = None
+
+    @property
+    def codebooks(self) -> list[EncodedCodebook]:
+        """Codebooks of the file, numbered by their places."""
+        out = []
+        if self.basis is not None:
+            out.append(EncodedCodebook("colour", len(self.basis.rows), self.basis_payloads))
+        if self.codebook is not None:
+            rows, payloads = len(self.codebook.rows), self.codebook.payloads
+            out.append(EncodedCodebook("colour", rows, payloads))
+        return out
+
+    def with_codebook(self, codebook: ColourCodebook, chunks: int) -> TransformPlan:
+        """Return the plan with a codebook of shN, and without a basis that no chunk needs.
+
+        Parameters
+        ----------
+        codebook : ColourCodebook
+            Codebook and the chunks that use it.
+        chunks : int
+            Number of all chunks.
+        """
+        if len(codebook.chunks) < chunks:
+            return replace(self, codebook=codebook)
+        return replace(self, codebook=codebook, basis=None, basis_payloads=())
+
+    def colours_of(self, run: slice) -> tuple[ColourBasis | ColourCodebook | None, int]:
+        """Return the encoder of a chunk's shN, and the number of its codebook.
+
+        Parameters
+        ----------
+        run : slice
+            Row range of the chunk.
+        """
+        if self.codebook is not None and run.start in self.codebook.chunks:
+            return self.codebook, 0 if self.basis is None else 1
+        return self.basis, 0
 
 
 def plan(
@@ -167,8 +205,9 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
     quats = shapes.quantise_rotations(angles[inside], step_scales, costs, lagrangian)
     sh0 = part.sh0.astype(np.float64)
     tail: bytes | None = None
-    if plan_.basis is not None:
-        stream, missed = plan_.basis.encode(part.shN, costs.energy, lagrangian, BASIS)
+    colours, book = plan_.colours_of(run)
+    if colours is not None:
+        stream, missed = colours.encode(part.shN, costs.energy, lagrangian, book)
         if used.sh0_makes_up:
             # What shN lost, as its views see it on average.
             sh0 += np.einsum("nk,nkc->nc", costs.basis_mean, missed) / C0
@@ -183,13 +222,13 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
         coarseness.opacities,
     )
     opacity_drop = float(costs.opacity @ squared_error_drop(opacities, logits)[:, 0])
-    colours, refined_colours = _sh0(sh0, costs.energy, lagrangian, coarseness.sh0)
+    sh0_stream, refined_colours = _sh0(sh0, costs.energy, lagrangian, coarseness.sh0)
     head = [
         scale_differences.write(sizes.coarse, sizes.grid),
         quats,
         means,
         scalar.write(Attribute.OPACITIES, opacities.coarse, opacities.grid),
-        colours,
+        sh0_stream,
     ]
     refined = [
         shapes.refine_scales(sizes, differences, costs),
@@ -202,7 +241,7 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
         records.pack_uncompressed(head),
         tail,
         (),
-        (BASIS,) if tail is not None else (),
+        (book,) if tail is not None else (),
         inside,
         records.pack_uncompressed(streams) if streams else None,
         sum(part.distortion_drop for part in refined),

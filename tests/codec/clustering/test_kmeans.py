@@ -139,32 +139,6 @@ def test_the_seed_decides():
     assert not np.array_equal(a, b)
 
 
-def test_training_goes_on_from_a_codebook():
-    vectors, weights = cloud(21, n=2000), np.ones(2000)
-    once = TrainingConfig(iterations=1)
-    start = kmeans.train(vectors, weights, 64, TrainingConfig(iterations=30))
-    further = kmeans.train(vectors, weights, 64, once, start=start)
-    check(further, vectors, 64)
-    anew = kmeans.train(vectors, weights, 64, once)
-    error, of_start, of_new = (
-        brute(vectors, rows)[0].min(axis=1).sum() for rows in (further, start, anew)
-    )
-    assert error <= of_start * (1 + 1e-6)
-    assert error < of_new
-    # Each row is a slightly moved row of the start codebook.
-    assert np.sqrt(brute(further, start)[0].min(axis=1)).max() < 0.2
-
-
-@pytest.mark.parametrize("rows", [8, 64])
-def test_a_start_codebook_is_cut_or_extended(rows):
-    vectors = cloud(22, n=2000)
-    weights = np.random.default_rng(23).lognormal(0, 1, 2000)
-    start = kmeans.train(vectors, weights, 32)
-    out = kmeans.train(vectors, weights, rows, start=start)
-    check(out, vectors, rows)
-    assert len(out) == rows
-
-
 def test_inputs_are_not_modified():
     vectors, weights = cloud(17, n=500), np.full(500, 3.0)
     before = vectors.copy()

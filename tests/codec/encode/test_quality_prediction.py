@@ -181,5 +181,5 @@ def test_presets_thin_out_views_but_not_small_sets(name, count):
     assert len(chosen) <= -(-count // preset.views_every) or count < 36
     assert len(chosen) <= preset.most_views
     assert len(preset.views(views(3000))) == min(preset.most_views, 3000 // preset.views_every)
-    assert preset.score_config("vq").sensitivity_every == 0
+    assert preset.score_config("near-lossless").sensitivity_every == 0
     assert preset.score_config("transform").sensitivity_every == preset.sensitivity_every

@@ -84,7 +84,9 @@ def test_means_and_rotations_have_no_gradient(prepared):
 
 def test_opacities_and_colours_have_gradients_in_profile_vq():
     prepared = prepared_as("vq")
-    splats = prepared.source
+    # Few colours, so that all tails are indices of a codebook.
+    colours = np.random.default_rng(1).normal(0, 0.3, (4, 15, 3)).astype(np.float32)
+    splats = replace(prepared.source, shN=colours[np.arange(len(prepared.source)) % 4])
     made = round_trip(prepared, splats, QUALITY)
     gradients = rate_gradients(made.encoded, splats, made.rows)
     assert gradients.opacities.any()

@@ -138,7 +138,7 @@ def test_codebooks_train_with_the_splats(scene):
         states.append({name: np.array(values) for name, values in state.items()})
 
     made = run_tune(scene, Target(size_bytes=9000), config, size_of_all, checkpoint=keep)
-    assert [book.attribute for book in made.encoded.codebooks] == ["shape", "colour"]
+    assert {book.attribute for book in made.encoded.codebooks} == {"colour"}
     untrained = encode(
         made.splats,
         EncodeRequest(

@@ -45,35 +45,6 @@ def test_kernels_are_loaded_with_numba_or_for_many_splats(loaded, decoded, expec
         assert decoding_tiers.is_compiled() is wanted
 
 
-def test_the_vq_kernel_is_loaded_at_the_first_such_chunk(monkeypatch):
-    class BusyLoader(Loader):
-        """A loader that must have ended before another starts."""
-
-        def join(self):
-            assert vq_loader.starts == 0
-            self.starts = 0
-
-    loader, vq_loader = BusyLoader(), Loader()
-    monkeypatch.setattr(decoding_tiers, "LOADER", loader)
-    monkeypatch.setattr(decoding_tiers, "VQ_LOADER", vq_loader)
-    for name, value in (("_decided", False), ("_chunk_reader", None), ("_vq_kernel", None)):
-        monkeypatch.setattr(decoding_tiers, name, value)
-    monkeypatch.setattr(decoding_tiers, "_splats_begun", 0)
-    decoding_tiers.load_if_worthwhile(decoding_tiers.MIN_SPLATS)
-    decoding_tiers._switch_to_compiled()
-    assert (loader.starts, vq_loader.starts) == (1, 0)
-    assert decoding_tiers.vq_kernel() is None
-    assert (loader.starts, vq_loader.starts) == (0, 1)
-    decoding_tiers._use_vq_kernel()
-    kernel = decoding_tiers.vq_kernel()
-    assert kernel is not None
-    assert vq_loader.starts == 1
-    monkeypatch.setattr(decoding_tiers, "_vq_kernel", None)
-    decoding_tiers.use_compiled(True)
-    assert decoding_tiers.vq_kernel() is kernel
-    assert vq_loader.starts == 1
-
-
 def test_numpy_decodes_without_numba(monkeypatch):
     for name in ("_decided", "_chunk_reader"):
         monkeypatch.setattr(decoding_tiers, name, getattr(decoding_tiers, name))

@@ -133,19 +133,12 @@ plain = [cogsplat.decode(vectors[0]), cogsplat.decode(vectors[0])]
 USED = """
 decoding_tiers.LOADER.join()
 from cogsplat.codec.compiling import kernels_in
-kernels = kernels_in(decoding_tiers.TRANSFORM_MODULES)
+kernels = kernels_in(decoding_tiers.KERNEL_MODULES)
 assert decoding_tiers.is_compiled()
 assert (cogsplat.decode(vectors[0]).quats == plain[0].quats).all()
 # Decoding calls the loaded code: nothing is compiled in the middle of a decode.
 assert len(kernels) == 2
 assert {len(kernel.function.signatures) for kernel in kernels} == {1}
-# The kernel of another profile is not compiled before a file needs it.
-assert not any("vq" in name for name in sys.modules if "kernels" in name)
-for vector in vectors:
-    cogsplat.decode(vector)
-decoding_tiers.VQ_LOADER.join()
-kernels = kernels_in(decoding_tiers.KERNEL_MODULES)
-assert len(kernels) == 3
 for vector in vectors:
     cogsplat.decode(vector)
 assert {len(kernel.function.signatures) for kernel in kernels} == {1}

@@ -19,7 +19,6 @@ import cogsplat
 from cogsplat.codec.errors import CogsplatError, FormatError, TruncatedError
 from cogsplat.formats.cogs.description_json import to_json
 from cogsplat.formats.cogs.folder_map import FolderMap
-from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.network_folder import NetworkFolder
 from cogsplat.formats.cogs.open_file import open_source
 from cogsplat.formats.network.network_options import NetworkOptions
@@ -73,12 +72,11 @@ def test_one_chunk_takes_the_objects_that_it_needs(data: bytes) -> None:
             traffic = file.traffic
         asked = [asked.path for asked in server.asked]
     assert all(path.endswith("?key=1") for path in asked)
-    # The manifest, the head and the codebook of its shapes.
-    assert len(set(asked)) == len(asked) == traffic.requests == 3
+    # The manifest and the head.
+    assert len(set(asked)) == len(asked) == traffic.requests == 2
     with cogsplat.open(data) as whole:
         lengths = whole.segments.length
-        (book,) = whole.segment_rows(SegmentKind.SHAPE_CODEBOOK, 0)
-        wanted = int(lengths[whole.chunk_rows(7).head]) + int(lengths[book])
+        wanted = int(lengths[whole.chunk_rows(7).head])
         fine = whole.chunk_rows(7).refinement
         wanted += 0 if fine is None else int(lengths[fine])
     # Of the objects no more than that: tails and codebooks of colours lie in them too.

@@ -10,6 +10,7 @@ from cogsplat.codec.errors import Cancelled, FormatError, LimitError, TruncatedE
 from cogsplat.codec.splats import concatenate
 from cogsplat.codec.streams import decoding_tiers
 from cogsplat.formats.cogs import scene_writer as cogs
+from cogsplat.formats.cogs.decoded_rows import scratch_bytes
 from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.cogs.writer import lay_out
@@ -302,19 +303,20 @@ def test_what_a_caller_allows_is_not_exceeded(data):
 def test_the_limit_counts_codebooks():
     data = file_of("vq")
     with open_cogs(BytesSource(data)) as file:
-        file.decode([0], sh_degree=0)
+        file.decode([0], sh_degree=1)
         books = sum(book.nbytes for book in file._codebooks.values())
         # Beside its arrays the one chunk takes its working memory.
-        row = file.decode([0], sh_degree=0).nbytes + 128 * int(file.chunks.splats[0])
+        row = file.decode([0], sh_degree=1).nbytes
+        row += scratch_bytes(int(file.chunks.splats[0]), 1, file.root)
     assert books > 0
     for spare, fits in ((0, True), (-1, False)):
         limits = Limits(decoded_bytes=books + row + spare)
         with open_cogs(BytesSource(data), limits=limits) as file:
             if fits:
-                file.decode([0], sh_degree=0)
+                file.decode([0], sh_degree=1)
             else:
                 with pytest.raises(LimitError):
-                    file.decode([0], sh_degree=0)
+                    file.decode([0], sh_degree=1)
 
 
 def test_a_flipped_bit_spoils_its_segment_alone(data):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.clustering import kmeans
 from cogsplat.codec.clustering.kmeans import TrainingConfig
-from cogsplat.codec.encode.profiles import vq
+from cogsplat.codec.encode.profiles import outliers
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.geometry import covariance, morton, rotations
 from cogsplat.codec.scoring.contribution import Scores
@@ -70,7 +70,7 @@ def write(splats: Splats, scores: Scores, path: Path, *, threads: int = 0) -> No
             "value-range", f"{path}: a mean of {far:g}, expected at most {_HALF_MAX:g} (fp16)"
         )
     order = np.flatnonzero(seen)[_morton_order(splats.means[seen])]
-    splats, scores = vq.clip_outliers(splats.take(order)), scores.take(order)
+    splats, scores = outliers.clip_outliers(splats.take(order)), scores.take(order)
     colours = np.concatenate([splats.sh0, splats.shN.reshape(len(splats), -1)], axis=1)
     weights = scores.colour_sensitivity
     kept = weights * len(weights) > _MIN_KEPT_SENSITIVITY

@@ -8,7 +8,7 @@ from typing import Final
 import click
 
 from cogsplat.codec.compiling import kernels_in
-from cogsplat.codec.streams.decoding_tiers import TRANSFORM_MODULES
+from cogsplat.codec.streams.decoding_tiers import KERNEL_MODULES
 from cogsplat.codec.threads import thread_count
 from cogsplat.tools.terminal.options import (
     force_option,
@@ -67,7 +67,7 @@ def demo(out: Path, splats: int, threads: int, force: bool, quiet: bool, as_json
 
     from . import demonstration
 
-    kernels = needed_kernels(EncodeConfig()) + kernels_in(TRANSFORM_MODULES)
+    kernels = needed_kernels(EncodeConfig()) + kernels_in(KERNEL_MODULES)
     with (
         Stages(shown=not (quiet or as_json)) as stages,
         CompileAhead(kernels, thread_count(threads)) as ahead,

@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from cogsplat.codec.encode.profiles.chunk_streams import chunk_means, chunk_opacities
+from cogsplat.codec.encode.profiles.chunk_streams import chunk_means
 from cogsplat.codec.geometry import morton
-from cogsplat.codec.segments.opacities import MAX_LOGIT
 from cogsplat.codec.streams import grid as grids
 from cogsplat.codec.streams import kinds, records
 from cogsplat.codec.streams.records import Kind
@@ -76,19 +75,3 @@ def test_steps_too_small_for_the_range_stop_at_what_an_axis_holds(sort):
     span = np.ptp(means.astype(np.float64), axis=0)
     error = np.abs(out.astype(np.float64) - means[rows]).max(axis=0)
     assert (error <= span / 2**22).all()
-
-
-def test_opacities_are_clipped_where_no_pixel_can_tell():
-    logits = np.array([-np.inf, -500, -3, 0.5, 2, 90, np.inf], np.float32)
-    out = read(chunk_opacities(logits, 0.01), 1)[:, 0]
-    assert np.isfinite(out).all()
-    np.testing.assert_allclose(out, np.clip(logits, -MAX_LOGIT, MAX_LOGIT), atol=0.0051)
-    assert 1 / (1 + np.exp(-MAX_LOGIT)) > 1 - 1 / 255 / 100
-
-
-def test_opacities_of_one_value_cost_no_plane():
-    for value in (-np.inf, 0.25, np.inf):
-        stream = chunk_opacities(np.full(9, value, np.float32), 0.01)
-        assert stream.planes == []
-        expected = np.clip(np.float32(value), -MAX_LOGIT, MAX_LOGIT)
-        assert (read(stream, 1) == expected).all()

@@ -5,9 +5,9 @@ import oracle
 import pytest
 
 from cogsplat.codec.encode.profiles import shapes
-from cogsplat.codec.encode.profiles.chunk_streams import MAX_LOGIT
 from cogsplat.codec.rate.costs import costs
 from cogsplat.codec.scoring.contribution import zero_scores
+from cogsplat.codec.segments.opacities import MAX_LOGIT
 from cogsplat.codec.streams import scale_differences
 
 N = 4000
