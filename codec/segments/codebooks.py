@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from cogsplat.codec.errors import FormatError
 from cogsplat.codec.splats import sh_coefficients
 from cogsplat.codec.streams import kinds
 from cogsplat.codec.streams.records import Attribute, StoredStream
+from cogsplat.codec.streams.stream_inputs import Inputs
 
 from .bands import read_band
 from .stream_set import StreamSet
@@ -70,11 +72,22 @@ Codebook = ShapeCodebook | ColourCodebook
 def decode_shape_codebook(payload: memoryview, rows: int, where: str) -> ShapeCodebook:
     """Decode a shape codebook from its segment (SPEC 7.1)."""
     found = StreamSet(payload, where, rows, "7.1")
-    book = ShapeCodebook(np.empty((rows, 3), np.float32), np.empty((rows, 4), np.float32))
-    kinds.read(found.pop(Attribute.SCALES), book.scales)
-    kinds.read(found.pop(Attribute.QUATS), book.quats)
+    book = read_shapes(found, rows)
     found.require_empty()
     return book
+
+
+def read_shapes(found: StreamSet, rows: int, *, escape: bool = False) -> ShapeCodebook:
+    """Decode the rows of a shape codebook, or with `escape` the escape rows of a head.
+
+    No streams are read for no rows.
+    """
+    out = ShapeCodebook(np.empty((rows, 3), np.float32), np.empty((rows, 4), np.float32))
+    if rows:
+        take = partial(found.pop_escape, rows=rows) if escape else found.pop
+        kinds.read(take(Attribute.SCALES), out.scales)
+        kinds.read(take(Attribute.QUATS), out.quats, Inputs(scales=out.scales))
+    return out
 
 
 def decode_colour_codebook(

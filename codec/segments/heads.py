@@ -12,7 +12,7 @@ from cogsplat.codec.streams import codebook_index, kinds
 from cogsplat.codec.streams.records import Attribute
 from cogsplat.codec.streams.stream_inputs import Inputs
 
-from .codebooks import Codebook, ShapeCodebook, missing_codebook_error
+from .codebooks import Codebook, ShapeCodebook, missing_codebook_error, read_shapes
 from .stream_set import RefinementSet, StreamSet
 
 F32 = NDArray[np.float32]
@@ -45,7 +45,7 @@ def decode_head(
     FormatError, UnsupportedError, LimitError
         A payload breaks SPEC 6, 7.2 or 7.4.
     """
-    found = StreamSet(payload, where, len(out), "7.2", heads_only=True)
+    found = StreamSet(payload, where, len(out), "7.2")
     finer = RefinementSet(refinement, f"{where}, refined", len(out))
     if found.has(Attribute.SHAPE):
         scales = _read_shapes(found, codebooks, out)
@@ -91,12 +91,7 @@ def _read_shapes(found: StreamSet, codebooks: Mapping[int, Codebook], out: Splat
     """Decode scales and quats from a codebook and escape rows into `out`; return the scales."""
     stream = found.pop(Attribute.SHAPE)
     use = kinds.codebook_use(stream)
-    escape = ShapeCodebook(
-        np.empty((use.escape_rows, 3), np.float32), np.empty((use.escape_rows, 4), np.float32)
-    )
-    if use.escape_rows:
-        kinds.read(found.pop_escape(Attribute.SCALES, use.escape_rows), escape.scales)
-        kinds.read(found.pop_escape(Attribute.QUATS, use.escape_rows), escape.quats)
+    escape = read_shapes(found, use.escape_rows, escape=True)
     book = codebooks.get(use.number)
     if not isinstance(book, ShapeCodebook):
         raise missing_codebook_error(stream, use.number, "shape")

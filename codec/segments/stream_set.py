@@ -22,8 +22,6 @@ class StreamSet:
         Rows of the chunk or the codebook.
     clause : str
         Clause of SPEC 7 that lists the payload's streams.
-    heads_only : bool
-        Whether kinds limited to heads are allowed.
     levels : bool
         Whether kinds limited to opacities of later levels are allowed.
     """
@@ -35,7 +33,6 @@ class StreamSet:
         rows: int,
         clause: str,
         *,
-        heads_only: bool = False,
         levels: bool = False,
     ) -> None:
         stored = records.unpack(payload, where, rows)
@@ -43,7 +40,6 @@ class StreamSet:
         self._where = where
         self._rows = rows
         self._clause = clause
-        self._heads_only = heads_only
         self._levels = levels
 
     def has(self, attribute: Attribute, *, escape: bool = False) -> bool:
@@ -85,13 +81,6 @@ class StreamSet:
                 clause=self._clause,
             )
         _require_rows(stream, rows)
-        if kinds.codec_of(stream).heads_only and (flag or not self._heads_only):
-            raise FormatError(
-                "stream-kind",
-                f"{stream.where}: kind {stream.kind.name.lower()}, "
-                "which is for splats of a head without shape indices only",
-                clause="6.2",
-            )
         if kinds.codec_of(stream).levels_only and not self._levels:
             raise FormatError(
                 "stream-kind",

@@ -37,7 +37,7 @@ class CodebookUse:
     escape_rows: int = 0
 
 
-def write(attribute: Attribute, indices: U32, codebook: int, size: int, escape_rows: int) -> Stream:
+def write(attribute: Attribute, indices: U32, codebook: int, size: int) -> Stream:
     """Return a vq stream.
 
     Parameters
@@ -45,15 +45,14 @@ def write(attribute: Attribute, indices: U32, codebook: int, size: int, escape_r
     attribute : Attribute
         `SHAPE` or `SHN`.
     indices : (n,) uint32
-        Rows of the codebook below `size`, escape rows from `size` on.
+        Rows of the codebook, below `size`; `size` stands for the next escape row.
     codebook : int
         Number of the codebook in the file.
     size : int
         Rows of the codebook.
-    escape_rows : int
-        Number of escape rows in the same payload.
     """
-    planes = grid_planes.split_planes(indices, size + escape_rows)
+    escape_rows = int((indices == size).sum())
+    planes = grid_planes.split_planes(indices, size + min(escape_rows, 1))
     params = _PARAMS.pack(codebook, escape_rows)
     return Stream(attribute, Kind.VQ, len(indices), params, planes)
 
@@ -77,7 +76,7 @@ def parse(stream: StoredStream) -> CodebookUse:
 
 
 def read_indices(stream: StoredStream, size: int) -> U32:
-    """Return the (rows,) indices of a vq stream; indices from `size` on refer to escape rows.
+    """Return the (rows,) indices of a vq stream, escape rows numbered from `size` on.
 
     Parameters
     ----------
@@ -92,16 +91,24 @@ def read_indices(stream: StoredStream, size: int) -> U32:
         Codes of `parse`; ``stream-planes``; ``index-range``.
     """
     escape_rows = parse(stream).escape_rows
-    total = size + escape_rows
-    planes = stream.read_planes([stream.rows] * grid_planes.code_bytes(total))
+    codes = size + min(escape_rows, 1)
+    planes = stream.read_planes([stream.rows] * grid_planes.code_bytes(codes))
     indices = grid_planes.join_planes(planes, stream.rows)
-    if len(indices) and int(indices.max()) >= total:
+    if len(indices) and int(indices.max()) >= codes:
         raise FormatError(
             "index-range",
-            f"{stream.where}: index {int(indices.max())}, expected below {size} codebook rows "
-            f"and {escape_rows} escape rows",
+            f"{stream.where}: index {int(indices.max())}, expected below {codes}",
             clause="6.7",
         )
+    escaped = np.flatnonzero(indices == size)
+    if len(escaped) != escape_rows:
+        raise FormatError(
+            "index-range",
+            f"{stream.where}: {len(escaped)} indices {size}, which stands for an escape row, "
+            f"expected {escape_rows}",
+            clause="6.7",
+        )
+    indices[escaped] += np.arange(escape_rows, dtype=np.uint32)
     return indices
 
 

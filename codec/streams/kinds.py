@@ -40,8 +40,6 @@ class StreamCodec:
         Writes the (rows, c) float32 values of a stream.
     refined_by : Kind or None
         Kind of the stream in the refinement that refines this one; None if it cannot be refined.
-    heads_only : bool
-        Whether the kind is allowed only for splats of heads: not for escape rows or codebooks.
     levels_only : bool
         Whether the kind is allowed only for opacities of later levels (SPEC 7.5); its reader adds
         to `out`.
@@ -52,7 +50,6 @@ class StreamCodec:
 
     read: Callable[[StoredStream, F32, Inputs], None]
     refined_by: Kind | None = None
-    heads_only: bool = False
     levels_only: bool = False
     codebook: Callable[[StoredStream], CodebookUse] | None = None
 
@@ -79,13 +76,11 @@ KINDS: Final[Mapping[Attribute, Mapping[Kind, StreamCodec]]] = {
     },
     Attribute.SCALES: {
         **_REFINABLE,
-        Kind.DIFFERENCES: StreamCodec(
-            scale_differences.read, refined_by=Kind.DIGITS, heads_only=True
-        ),
+        Kind.DIFFERENCES: StreamCodec(scale_differences.read, refined_by=Kind.DIGITS),
     },
     Attribute.QUATS: {
         Kind.QUAT: StreamCodec(quaternion.read),
-        Kind.SWING_TWIST: StreamCodec(swing_twist.read, heads_only=True),
+        Kind.SWING_TWIST: StreamCodec(swing_twist.read),
     },
     Attribute.SCALE_FACTOR: _PLAIN,
     Attribute.SHAPE: _INDEX,

@@ -168,8 +168,8 @@ def sorted_means(
 
 
 def vq(attribute: Attribute, codes: Sequence[int], book: int, size: int, escape: int) -> Stream:
-    """Return a vq stream of indices into `size` rows of codebook `book`, then `escape` rows."""
-    planes = grid_planes.split_planes(np.array(codes, np.uint32), size + escape)
+    """Return a vq stream of indices into codebook `book`; `size` stands for an escape row."""
+    planes = grid_planes.split_planes(np.array(codes, np.uint32), size + min(escape, 1))
     return Stream(attribute, Kind.VQ, len(codes), struct.pack("<II", book, escape), planes)
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import zstandard
 
-from cogsplat.codec.streams.records import ESCAPE, Attribute, Kind, Stream
+from cogsplat.codec.streams.records import Attribute, Kind, Stream
 
 from . import handmade_streams as handmade
 from . import valid_transform as good_streams
@@ -134,36 +134,7 @@ def kinds() -> list[Invalid]:
             "an axis of NaN"),
         bad("basis-on-opacities", [replace(sh0, attribute=Attribute.OPACITIES)], "stream-kind",
             "6.2", "opacities on axes"),
-        *_heads_only(),
     ]  # fmt: skip
-
-
-def _heads_only() -> list[Invalid]:
-    """Return the vectors of escape rows and codebooks with kinds that are allowed in heads only."""
-    scales = good_streams.differences(3, 1)
-    rotations = good_streams.rotations(scales, 2)
-    shape = handmade.vq(Attribute.SHAPE, [5, 6, 7], 0, 5, 3)
-    plain = [handmade.random_scalar(Attribute.SCALES, 3, 3), handmade.random_quats(3, 4)]
-
-    def escape(name: str, own: Sequence[Stream], note: str) -> Invalid:
-        own = [replace(stream, flags=ESCAPE) for stream in own]
-        head = pack_streams(handmade.vq_head(3, 1, shape, *own))
-        books = {"shape": (5, [pack_streams(handmade.shape_codebook(5, 1))])}
-        data = build(one_chunk(head, 3, books=books, needs=(0,)))
-        return Invalid(name, data, "stream-kind", "6.2", note, "decode")
-
-    def book(name: str, body: Sequence[Stream], note: str) -> Invalid:
-        head = pack_streams(handmade.vq_head(3, 1, replace(shape, params=struct.pack("<II", 0, 0))))
-        books = {"shape": (3, [pack_streams(body)])}
-        data = build(one_chunk(head, 3, books=books, needs=(0,)))
-        return Invalid(name, data, "stream-kind", "6.2", note, "decode")
-
-    return [
-        escape("escape-differences", [scales, plain[1]], "escape rows of scales as differences"),
-        escape("escape-swing-twist", [plain[0], rotations], "escape rows as swing and twist"),
-        book("book-differences", [scales, plain[1]], "scales of a codebook as differences"),
-        book("book-swing-twist", [plain[0], rotations], "quats of a codebook as swing and twist"),
-    ]
 
 
 def large_planes() -> list[Invalid]:

@@ -315,9 +315,11 @@ def quats(record: Record, scales: list[Row] | None = None) -> list[Row]:
 
 
 def indices(record: Record, size: int) -> list[int]:
-    """Return the indices of a vq stream; from `size` on they refer to escape rows (SPEC 6.7)."""
+    """Return the indices of a vq stream, with escape rows counted from `size` on (SPEC 6.7)."""
     escape = struct.unpack("<II", record.params)[1]
-    return _codes(record, 0, _bytes_per_code(size + escape), record.rows)
+    codes = _codes(record, 0, _bytes_per_code(size + (escape > 0)), record.rows)
+    own = iter(range(size, size + escape))
+    return [next(own) if code == size else code for code in codes]
 
 
 def shn_basis(record: Record, basis: list[Row]) -> list[Row]:

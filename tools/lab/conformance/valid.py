@@ -203,31 +203,31 @@ def _vq() -> Valid:
 
 
 def _vq_escape() -> Valid:
-    # 250 rows and 10 escape rows, only because of which indices need a second plane.
-    """Return the vector of escape rows, appended to the rows of a codebook."""
-    index = [handmade.pseudo_random(1, 260, i)[0] for i in range(30)]
-    index[:10] = range(250, 260)
-    shape = handmade.vq(Attribute.SHAPE, index, 0, 250, 10)
+    # 256 rows: only because of the escape rows do indices need a second plane.
+    """Return the vector of escape rows between rows of a codebook."""
+    index = [handmade.pseudo_random(1, 256, i)[0] for i in range(30)]
+    index[::3] = [256] * 10
+    shape = handmade.vq(Attribute.SHAPE, index, 0, 256, 10)
     own = [
         handmade.random_scalar(Attribute.SCALES, 10, 70, levels=40, escape=True),
         handmade.random_quats(10, 71, largest=2, escape=True),
     ]
-    colour = handmade.vq(Attribute.SHN, [4, 5, 6, *handmade.pseudo_random(27, 7, 3)], 1, 4, 3)
+    colour = handmade.vq(Attribute.SHN, [4, *handmade.pseudo_random(27, 4, 3), 4, 4], 1, 4, 3)
     own_bands = [handmade.band(2, 3, 80, escape=True)]
     books = {
-        "shape": (250, [pack_streams(handmade.shape_codebook(250, 1))]),
+        "shape": (256, [pack_streams(handmade.shape_codebook(256, 1))]),
         "colour": (4, [pack_streams([handmade.band(i, 4, 2)]) for i in (1, 2)]),
     }
     head = pack_streams(handmade.vq_head(30, 4, shape, *own))
     tail = pack_streams([colour, *own_bands])
     draft = one_chunk(head, 30, tail=tail, sh_degree=2, books=books, needs=(0, 1))
-    note = "escape rows behind the codebook's, one of their bands absent"
+    note = "escape rows between those of the codebook, one of their bands absent"
     return Valid("vq-escape", build(draft), ("6.7", "7.2", "7.3"), note)
 
 
 def _vq_all_escape() -> Valid:
     """Return the vector of a chunk with escape rows only; its codebook is unused."""
-    shape = handmade.vq(Attribute.SHAPE, [1, 2, 3], 0, 1, 3)
+    shape = handmade.vq(Attribute.SHAPE, [1, 1, 1], 0, 1, 3)
     scales = [[-1.0, -2.0, -3.0], [0.1, 0.2, 0.3], [0.0, -0.0, 1.0]]
     own = [
         replace(handmade.floats(Attribute.SCALES, scales), flags=ESCAPE),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.streams import shn_transform, swing_twist
 from cogsplat.codec.streams.adaptive_step import StepModel
-from cogsplat.codec.streams.records import COMPONENTS, SH_BANDS, Attribute, Kind, Stream
+from cogsplat.codec.streams.records import COMPONENTS, ESCAPE, SH_BANDS, Attribute, Kind, Stream
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
 
@@ -244,6 +244,22 @@ def _sorted_shapes() -> Valid:
     return Valid("sorted-shapes", data, ("6.5", "6.10", "7.2"), note)
 
 
+def _shapes_swing_twist() -> Valid:
+    """Return the vector of a codebook and escape rows whose extra bits depend on their scales."""
+    rows, size, escape = 12, 5, 4
+    index = [size if i % 3 == 1 else i % size for i in range(rows)]
+    shape = handmade.vq(Attribute.SHAPE, index, 0, size, escape)
+    book, own = (differences(count, seed) for count, seed in ((size, 1), (escape, 2)))
+    turned = [rotations(scales, 7) for scales in (book, own)]
+    head = handmade.vq_head(
+        rows, 4, shape, replace(own, flags=ESCAPE), replace(turned[1], flags=ESCAPE)
+    )
+    books = {"shape": (size, [pack_streams([book, turned[0]])])}
+    data = build(one_chunk(pack_streams(head), rows, books=books, needs=(0,)))
+    note = "a codebook and escape rows as differences and as swing and twist"
+    return Valid("shapes-swing-twist", data, ("6.7", "6.10", "6.11", "7.1", "7.2"), note)
+
+
 def _sorted_underflow(scales: Stream) -> Valid:
     """Return the vector of means with grid steps so small that half a step underflows float32."""
     cells = [handmade.pseudo_random(3, 9, 60 + row) for row in range(scales.rows)]
@@ -296,6 +312,7 @@ def valid() -> list[Valid]:
         _chunk_vector("sorted-bits", [scales, sorted_means(scales, 3)], ("6.5", "6.10"),
                       "means of 0 to 15 extra bits an axis"),
         _sorted_shapes(),
+        _shapes_swing_twist(),
         _sorted_underflow(scales),
         _chunk_vector("differences", [scales], ("6.12",), "scales from the longest axis down"),
         _chunk_vector("swing-twist", [scales, rotations(scales, 2)], clauses,

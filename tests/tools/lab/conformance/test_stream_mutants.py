@@ -7,6 +7,7 @@ from cogsplat.codec.segments import stream_set
 from cogsplat.codec.streams import (
     bit_fields,
     byte_planes,
+    codebook_index,
     decoding_tiers,
     refinement_bits,
     scalar,
@@ -64,11 +65,11 @@ READER = [
         ("6.11",),
     ),
     Mutant(
-        "escape rows and codebooks may have any kind",
-        stream_set.StreamSet._pop,
-        "kinds.codec_of(stream).heads_only and",
-        "kinds.codec_of(stream) is None and",
-        ("6.2",),
+        "escape rows that no index takes are overlooked",
+        codebook_index.read_indices,
+        "if len(escaped) != escape_rows:",
+        "if len(escaped) > escape_rows:",
+        ("6.7",),
     ),
     Mutant(
         "digits of a float stream are skipped",

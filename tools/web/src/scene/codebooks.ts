@@ -4,7 +4,7 @@ import { CogsplatError } from "../errors.js";
 import type { Kernels } from "../kernels/kernels.js";
 import { readFloatRows, readFloatStream } from "../streams/float_streams.js";
 import { readGridStream, readScalarRows } from "../streams/grid_streams.js";
-import { readQuats } from "../streams/quat_streams.js";
+import { readQuats, readSwingTwist } from "../streams/quat_streams.js";
 import { Attribute, Kind, Payload, type StreamRecord } from "../streams/records.js";
 
 /** Values per row of each SH band: coefficients times channels. */
@@ -115,7 +115,8 @@ export function readShapeRows(k: Kernels, payload: Payload, escapes?: number): n
   const take = (attribute: number) =>
     escapes === undefined ? payload.take(attribute) : payload.takeEscape(attribute, escapes);
   const scales = readPlainColumns(k, take(Attribute.scales));
-  return [...scales, ...readQuats(k, take(Attribute.quats))];
+  const quats = take(Attribute.quats);
+  return [...scales, ...(quats.kind === Kind.swingTwist ? readSwingTwist(k, quats, scales) : readQuats(k, quats))];
 }
 
 /** Read the columns of a scalar or float stream. */

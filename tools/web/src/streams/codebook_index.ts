@@ -6,7 +6,7 @@ import { checkParams, checkPlanes, type StreamRecord } from "./records.js";
 /** Parameters of a vq stream (SPEC 6.7). */
 export interface IndexParams {
   readonly codebook: number;
-  /** Number of escape rows, which the chunk holds itself, with indices after the codebook's rows. */
+  /** Number of escape rows, which the chunk holds itself. */
   readonly escapes: number;
 }
 
@@ -19,9 +19,18 @@ export function readIndexParams(stream: StreamRecord): IndexParams {
   return { codebook, escapes };
 }
 
-/** Read indices below `size` + `escapes` into a column of u32. */
+/** Read indices into a column of u32, with escape rows numbered from `size` on. */
 export function readIndices(k: Kernels, stream: StreamRecord, size: number, escapes: number): number {
-  const limit = size + escapes;
+  const limit = size + Math.min(escapes, 1);
   checkPlanes(stream, planesOf(limit));
-  return readCodes(k, stream.planes, stream.rows, limit, "index-range");
+  const target = readCodes(k, stream.planes, stream.rows, limit, "index-range");
+  const indices = k.u32.subarray(target >>> 2, (target >>> 2) + stream.rows);
+  let next = size;
+  indices.forEach((index, row) => {
+    if (index === size) indices[row] = next++;
+  });
+  if (next !== size + escapes) {
+    throw new CogsplatError("index-range", `${next - size} indices of escape rows, not ${escapes}`);
+  }
+  return target;
 }

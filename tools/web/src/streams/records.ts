@@ -58,8 +58,6 @@ const RULES: ReadonlyMap<number, AttributeRule> = new Map<number, AttributeRule>
   [Attribute.sh2, { name: "sh2", components: 15, kinds: PLAIN }],
   [Attribute.sh3, { name: "sh3", components: 21, kinds: PLAIN }],
 ]);
-/** Kinds excluded from escape rows and codebooks; for opacities they are in later levels alone (SPEC 6.2). */
-const HEADS_ONLY: readonly number[] = [Kind.differences, Kind.swingTwist];
 /** Attributes whose grid codes a refinement may extend by digits (SPEC 6.16). */
 const WITH_DIGITS: readonly number[] = [Attribute.opacities, Attribute.sh0, Attribute.scales];
 const KNOWN_KINDS = new Set<number>(Object.values(Kind));
@@ -128,8 +126,9 @@ export class Payload {
     }
     this.streams.delete(keyOf(attribute, isEscape));
     checkRows(stream, rows);
-    const only = attribute === Attribute.opacities ? "opacities" : "head";
-    const isElsewhere = HEADS_ONLY.includes(stream.kind) && (isEscape || this.place !== only);
+    // Differences of opacities are in later levels alone (SPEC 6.2).
+    const isElsewhere =
+      attribute === Attribute.opacities && stream.kind === Kind.differences && this.place !== "opacities";
     if (!kinds.includes(stream.kind) || isElsewhere) {
       throw new CogsplatError("stream-kind", `${name} of kind ${stream.kind} in a ${this.place}`);
     }
