@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -54,25 +55,43 @@ class WeightedRows:
         bit_price : float
             Error that one bit is worth, positive.
         """
-        count = len(vectors)
-        best = np.empty(count, np.int64)
-        costs = np.empty((count, 2))
+        best = np.empty(len(vectors), np.int64)
+        costs = np.empty((len(vectors), 2))
+        for block, total in self._costs(vectors, weights, bit_price):
+            rows = np.arange(len(total))
+            chosen = total.argmin(axis=1)
+            best[block] = chosen
+            costs[block, 0] = total[rows, chosen]
+            total[rows, chosen] = np.inf
+            costs[block, 1] = total.min(axis=1)
+        return best, costs[:, 0], costs[:, 1]
+
+    def candidates(self, vectors: F32, weights: F64, bit_price: float, count: int) -> I64:
+        """Return the `count` rows of least cost of each vector, in any order, or all rows.
+
+        Parameters
+        ----------
+        vectors, weights, bit_price
+            As in `place`.
+        count : int
+            Rows to return for each vector.
+        """
+        count = min(count, len(self.rows))
+        out = np.empty((len(vectors), count), np.int64)
+        for block, total in self._costs(vectors, weights, bit_price):
+            out[block] = np.argpartition(total, count - 1, axis=1)[:, :count]
+        return out
+
+    def _costs(self, vectors: F32, weights: F64, bit_price: float) -> Iterator[tuple[slice, F64]]:
+        """Yield the costs of all rows for each block of vectors."""
         norms = np.square(self.rows).sum(axis=1)
         transposed = np.ascontiguousarray(self.rows.T)
         index_price = bit_price * self.bits
-        for start in range(0, count, _BLOCK):
-            stop = min(start + _BLOCK, count)
-            block = vectors[start:stop]
-            squares = np.square(block).sum(axis=1)
-            found = np.maximum(squares[:, None] + norms - 2 * (block @ transposed), 0)
-            total = weights[start:stop, None] * found + index_price
-            rows = np.arange(stop - start)
-            chosen = total.argmin(axis=1)
-            best[start:stop] = chosen
-            costs[start:stop, 0] = total[rows, chosen]
-            total[rows, chosen] = np.inf
-            costs[start:stop, 1] = total.min(axis=1)
-        return best, costs[:, 0], costs[:, 1]
+        for start in range(0, len(vectors), _BLOCK):
+            block = slice(start, min(start + _BLOCK, len(vectors)))
+            squares = np.square(vectors[block]).sum(axis=1)
+            found = np.maximum(squares[:, None] + norms - 2 * (vectors[block] @ transposed), 0)
+            yield block, weights[block, None] * found + index_price
 
 
 def train(
@@ -83,6 +102,7 @@ def train(
     row_bits: float,
     config: TrainingConfig,
     start: F32 | None = None,
+    alone: F64 | None = None,
 ) -> WeightedRows:
     """Train a codebook whose indices are entropy-coded.
 
@@ -102,15 +122,20 @@ def train(
         Iterations and seed; all vectors are used.
     start : (c, d) float32, optional
         Rows of an earlier codebook to start from, the first of them zero; None draws vectors.
+    alone : (n,) float64, optional
+        Cost of each vector without the codebook. A vector that costs less alone shapes no row.
 
     Notes
     -----
     Entropy-constrained vector quantisation: Chou, Lookabaugh and Gray, "Entropy-constrained vector
     quantization" (1989).
     """
-    book = _first(vectors, weights, rows, bit_price, config.seed, start)
+    limit = np.full(len(vectors), np.inf) if alone is None else alone
+    book = _first(vectors, weights, rows, bit_price, config.seed, start, limit)
     for iteration in range(config.iterations):
         labels, costs, second = book.place(vectors, weights, bit_price)
+        # What a vector saves by its row: nothing where it costs less alone.
+        second, costs = np.minimum(second, limit), np.minimum(costs, limit)
         saved = np.bincount(labels, second - costs, minlength=len(book.rows))
         worth = saved > bit_price * row_bits
         worth[0] = True
@@ -121,20 +146,27 @@ def train(
             kept = np.ones(len(worth), np.bool_)
             kept[dropped] = False
             book = WeightedRows(book.rows[kept], book.bits[kept])
-            labels, _, _ = book.place(vectors, weights, bit_price)
-        book = _updated(book, vectors, weights, labels)
+            labels, costs, _ = book.place(vectors, weights, bit_price)
+        served = costs < limit
+        book = _updated(book, vectors[served], weights[served], labels[served])
     return book
 
 
 def _first(
-    vectors: F32, weights: F64, rows: int, bit_price: float, seed: int, start: F32 | None
+    vectors: F32,
+    weights: F64,
+    rows: int,
+    bit_price: float,
+    seed: int,
+    start: F32 | None,
+    limit: F64,
 ) -> WeightedRows:
     """Return the rows that training starts from, with indices of equal bits."""
     zero = np.zeros((1, vectors.shape[1]), np.float32)
     if start is None:
         rng = np.random.default_rng(seed)
         # In proportion to the bits that a vector is worth.
-        error = weights * np.square(vectors.astype(np.float64)).sum(axis=1)
+        error = np.minimum(weights * np.square(vectors.astype(np.float64)).sum(axis=1), limit)
         worth = np.log1p(error / bit_price)
         able = np.flatnonzero(worth > 0)
         share = worth[able] / worth[able].sum() if len(able) else None

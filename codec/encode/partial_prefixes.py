@@ -136,8 +136,14 @@ def _heads(encoded: EncodedScene, runs: Sequence[slice]) -> Splats:
     """
     rows = np.arange(runs[-1].stop if runs else 0)
     coarse = encoded.decoded.with_sh_degree(0).take(rows)
+    degree = encoded.decoded.sh_degree
+    books = {
+        number: book.decode(degree)
+        for number, book in enumerate(encoded.codebooks)
+        if book.attribute == "shape"
+    }
     for chunk, run in zip(encoded.chunks, runs, strict=False):
-        # A head without refinement is complete; heads that need a codebook have no refinement.
+        # A head without refinement is complete.
         if chunk.payloads.refinement is not None:
-            decode_head(memoryview(chunk.payloads.head), {}, coarse.take(run), "chunk")
+            decode_head(memoryview(chunk.payloads.head), books, coarse.take(run), "chunk")
     return coarse

@@ -22,7 +22,7 @@ from cogsplat.codec.streams import (
     shn_transform,
 )
 from cogsplat.codec.streams.grid import Grid
-from cogsplat.codec.streams.records import INFINITIES, Attribute, Kind, StoredStream
+from cogsplat.codec.streams.records import ESCAPE, INFINITIES, Attribute, Kind, StoredStream
 
 from .differentiable_rendering import Gradients
 
@@ -95,7 +95,7 @@ def _smooth_counts(counts: F64, values: F64) -> F64:
 
 @dataclass(frozen=True, eq=False)
 class _Streams:
-    """Streams of a chunk by attribute: head and tail, and refinements."""
+    """Streams of a chunk by attribute: head and tail without escape rows, and refinements."""
 
     main: dict[Attribute, StoredStream]
     refinements: dict[Attribute, StoredStream]
@@ -109,6 +109,7 @@ class _Streams:
             for payload, where in parts
             if payload
             for stream in records.unpack(memoryview(payload), where, rows)
+            if not stream.flags & ESCAPE
         ]
         payload = memoryview(payloads.refinement or b"")
         refinements = records.unpack(payload, "refinement", rows) if payload else []
@@ -140,7 +141,7 @@ def rate_gradients(encoded: EncodedScene, splats: Splats, rows: Sequence[I64]) -
 
     It covers values that are entropy-coded on a grid of their chunk: opacities, differences of
     scales, and SH coefficients on the axes of the chunk or the scene. It is 0 for means and
-    rotations, whose bits depend on the shape of the splat alone.
+    rotations, whose bits depend on the shape of the splat alone, and for what a codebook holds.
 
     Parameters
     ----------

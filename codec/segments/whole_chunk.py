@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams import decoding_tiers
-from cogsplat.codec.streams.chunk_arrays import ChunkArrays
+from cogsplat.codec.streams.chunk_arrays import ChunkArrays, CodebookRows
 from cogsplat.codec.streams.records import Kind
 
-from .codebooks import Codebook, ColourCodebook
+from .codebooks import Codebook, ColourCodebook, ShapeCodebook
 from .heads import decode_head
 from .tails import decode_tail
 
@@ -55,7 +55,7 @@ def decode_chunk(
     """
     # Indices of shN are looked up by numpy, as fast as compiled code would.
     indexed = tail is not None and len(tail) > _FIRST_KIND and tail[_FIRST_KIND] == Kind.VQ
-    compiled = _decode_compiled(head, refinement, None if indexed else tail, codebooks[1], out)
+    compiled = _decode_compiled(head, refinement, None if indexed else tail, codebooks, out)
     if not compiled:
         decode_head(head, codebooks[0], out, f"{where} head", refinement)
     if tail is None:
@@ -68,7 +68,7 @@ def _decode_compiled(
     head: memoryview,
     refinement: memoryview | None,
     tail: memoryview | None,
-    codebooks: Mapping[int, Codebook],
+    codebooks: tuple[Mapping[int, Codebook], Mapping[int, Codebook]],
     out: Splats,
 ) -> bool:
     """Decode a chunk by the compiled reader; return False if numpy must decode it instead."""
@@ -77,8 +77,12 @@ def _decode_compiled(
         return False
     columns = out.shN.shape[1] * 3
 
+    def shapes(number: int) -> tuple[F32, F32] | None:
+        book = codebooks[0].get(number)
+        return (book.scales, book.quats) if isinstance(book, ShapeCodebook) else None
+
     def colours(number: int) -> F32 | None:
-        book = codebooks.get(number)
+        book = codebooks[1].get(number)
         if not isinstance(book, ColourCodebook) or 3 * book.shN.shape[1] < columns:
             return None
         return book.shN[:, : columns // 3].reshape(len(book), columns)
@@ -91,4 +95,4 @@ def _decode_compiled(
         out.sh0,
         out.shN.reshape(len(out), columns),
     )
-    return read(head, refinement, tail, colours, arrays)
+    return read(head, refinement, tail, CodebookRows(shapes, colours), arrays)

@@ -35,6 +35,17 @@ class ChunkArrays:
     shN: F32  # noqa: N815 - the field's name in 3DGS
 
 
-ColourRows = Callable[[int], F32 | None]
-"""Returns the (C, d) SH coefficients of a colour codebook, in the layout of `ChunkArrays.shN`, by
-its number; None if the file has no colour codebook of this number."""
+@dataclass(frozen=True)
+class CodebookRows:
+    """Rows of the codebooks that a chunk needs, by number; None where it needs no such codebook.
+
+    Parameters
+    ----------
+    shapes : callable
+        Returns the (C, 3) log scales and the (C, 4) quaternions of a shape codebook.
+    colours : callable
+        Returns the (C, d) SH coefficients of a colour codebook, in the layout of `ChunkArrays.shN`.
+    """
+
+    shapes: Callable[[int], tuple[F32, F32] | None]
+    colours: Callable[[int], F32 | None]

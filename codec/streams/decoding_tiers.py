@@ -11,11 +11,11 @@ import sys
 from collections.abc import Callable
 from typing import Final
 
-from .chunk_arrays import ChunkArrays, ColourRows
+from .chunk_arrays import ChunkArrays, CodebookRows
 from .kernel_loader import KernelLoader
 
 ChunkReader = Callable[
-    [memoryview, memoryview | None, memoryview | None, ColourRows, ChunkArrays], bool
+    [memoryview, memoryview | None, memoryview | None, CodebookRows, ChunkArrays], bool
 ]
 """Compiled chunk reader, `kernels_chunk.read`; it returns False if numpy must decode the chunk."""
 

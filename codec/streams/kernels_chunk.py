@@ -1,8 +1,9 @@
 """Compiled chunk reader: decodes head, refinement and tail of a chunk in two compiled calls.
 
-It covers the streams that the profile `transform` writes (SPEC 6.5, 6.10 to 6.17). For any other or
-invalid chunk it returns False. numpy then decodes that chunk from the start and raises the errors,
-so that errors come from one place. The module needs numba.
+It covers the streams that the profiles `transform` and `vq` write in heads and refinements, and
+tails on a basis (SPEC 6.5, 6.7, 6.10 to 6.17). For any other or invalid chunk it returns False.
+numpy then decodes that chunk from the start and raises the errors, so that errors come from one
+place. The module needs numba.
 """
 
 from __future__ import annotations
@@ -17,26 +18,31 @@ from cogsplat.codec.compiling import called_with
 from . import swing_twist, zstd_frames
 from .adaptive_step import KNEES
 from .byte_planes import digit_tables
-from .chunk_arrays import ChunkArrays, ColourRows
+from .chunk_arrays import ChunkArrays, CodebookRows
 from .kernels_bits import exact, read_floats
 from .kernels_chunk_layout import (
     COMPONENTS_OF,
+    INDEXED_STREAMS,
     MAX_PLANES,
     MEAN_BITS,
     MEANS,
+    NO_STREAM,
     OPACITIES,
     OPACITY_DIGITS,
     QUATS,
     SCALE_DIGITS,
+    SCALE_FACTOR,
     SCALES,
     SH0,
     SH0_DIGITS,
+    SHAPE,
     SHN,
     TRANSFORM_STREAMS,
     locate,
 )
+from .kernels_codebook_index import gather, read_indices
 from .kernels_grid import read_values, scales_from_differences, sh0_from_coordinates
-from .kernels_planes import PARAMS, PRESENT, ChunkPlanes
+from .kernels_planes import PARAMS, PRESENT, ROWS, ChunkPlanes
 from .kernels_shn_transform import BASIS_COLUMNS, read_coefficients
 from .kernels_sorted_means import AXES_OF_BITS, read_means
 from .kernels_swing_twist import read_rotations
@@ -57,19 +63,20 @@ _MIN_PLANE_BYTES: Final = 1 << 14
 @called_with(
     "uint8[::1], int64[:, ::1], int64[:, ::1], "
     "Tuple((uint8[:, :, ::1], float32[::1], float32[::1], float32[::1], uint64[::1], int64[::1])), "
-    "float32[:, ::1], Tuple((float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], "
+    "Tuple((float32[:, ::1], float32[:, ::1], float32[:, ::1])), "
+    "Tuple((float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], "
     "float32[:, ::1], float32[:, ::1]))"
 )
 @exact
-def _decode_transform_chunk(
+def _decode_chunk(
     data: U8,
     records: I64,
     spans: I64,
     constants: tuple[U8, F32, F32, F32, U64, I64],
-    basis: F32,
+    books: tuple[F32, F32, F32],
     out: tuple[F32, F32, F32, F32, F32, F32],
 ) -> bool:
-    """Decode a chunk of the profile `transform` into `out`; return False if a stream is invalid.
+    """Decode a chunk into `out`; return False if a stream is invalid.
 
     Parameters
     ----------
@@ -78,8 +85,9 @@ def _decode_transform_chunk(
     constants : tuple
         `_CONSTANTS`, lookup tables of the kernels: `digit_tables()`, `KNEES`, `swing_twist.STEPS`,
         `POWERS`, `AXES_OF_BITS`, `GROUP_STARTS`.
-    basis : (C, d) float32
-        Rows of the colour codebook that the tail refers to.
+    books : tuple
+        (C, 3) log scales and (C, 4) quaternions of the shape codebook that the head refers to, and
+        (C, d) rows of the colour codebook that the tail refers to.
     out : tuple
         Means, scales, quats, opacities, sh0 and shN, two-dimensional; shN without rows if there
         is no tail.
@@ -88,36 +96,63 @@ def _decode_transform_chunk(
     means, scales, quats, opacities, sh0, shN = out
     planes = ChunkPlanes(data, records, spans, tables)
     rows = len(scales)
-    differences = np.empty((rows, 3), np.float32)
+    indexed = records[SHAPE, PRESENT] != 0
+    # Of a head with indices, scales and quats are those of escape rows.
+    stored = records[SCALES, ROWS]
+    if records[QUATS, ROWS] != stored:
+        return False
+    differences = np.empty((stored, 3), np.float32)
     refined = records[SCALE_DIGITS, PRESENT] != 0
     head_differences = np.empty((rows if refined else 0, 3), np.float32)
-    if not read_values(
-        planes, records[SCALES], records[SCALE_DIGITS], head_differences, differences
-    ):
-        return False
-    scales_from_differences(differences, scales)
+    stored_scales, stored_quats = scales, quats
+    if indexed:
+        stored_scales = np.empty((stored, 3), np.float32)
+        stored_quats = np.empty((stored, 4), np.float32)
     # Steps follow from the scales of the head alone.
-    head_scales = scales
+    head_scales = stored_scales
     if refined:
         head_scales = np.empty((rows, 3), np.float32)
-        scales_from_differences(head_differences, head_scales)
-    if not read_rotations(planes, records[QUATS], knees, rotation_steps, head_scales, quats):
-        return False
+    if stored:
+        if not read_values(
+            planes, records[SCALES], records[SCALE_DIGITS], head_differences, differences
+        ):
+            return False
+        scales_from_differences(differences, stored_scales)
+        if refined:
+            scales_from_differences(head_differences, head_scales)
+        if not read_rotations(
+            planes, records[QUATS], knees, rotation_steps, head_scales, stored_quats
+        ):
+            return False
+    no_rows = head_differences[:0]
+    if indexed:
+        indices = np.empty(rows, np.uint32)
+        factors = np.empty((rows, 1), np.float32)
+        if not read_indices(planes, records[SHAPE], len(books[0]), stored, indices):
+            return False
+        if not read_values(planes, records[SCALE_FACTOR], records[NO_STREAM], no_rows, factors):
+            return False
+        gather(books[0], stored_scales, indices, scales)
+        gather(books[1], stored_quats, indices, quats)
+        for row in range(rows):
+            for axis in range(3):
+                scales[row, axis] = scales[row, axis] + factors[row, 0]
+        head_scales = scales
     if not read_means(
         planes, records[MEANS], records[MEAN_BITS], knees, powers, axes_of_bits, head_scales, means
     ):
         return False
-    no_rows = head_differences[:0]
     if not read_values(planes, records[OPACITIES], records[OPACITY_DIGITS], no_rows, opacities):
         return False
     axes = np.empty(9, np.float32)
     if not read_floats(data, records[SH0, PARAMS] + 36, 9, 1.0, axes):
         return False
-    if not read_values(planes, records[SH0], records[SH0_DIGITS], no_rows, differences):
+    coordinates = np.empty((rows, 3), np.float32)
+    if not read_values(planes, records[SH0], records[SH0_DIGITS], no_rows, coordinates):
         return False
-    sh0_from_coordinates(differences, axes.reshape(3, 3), sh0)
+    sh0_from_coordinates(coordinates, axes.reshape(3, 3), sh0)
     if records[SHN, PRESENT] and len(shN):
-        return read_coefficients(planes, records[SHN], group_starts, basis, shN)
+        return read_coefficients(planes, records[SHN], group_starts, books[2], shN)
     return True
 
 
@@ -137,17 +172,16 @@ def read(
     head: memoryview,
     refinement: memoryview | None,
     tail: memoryview | None,
-    colours: ColourRows,
+    books: CodebookRows,
     out: ChunkArrays,
 ) -> bool:
-    """Decode a chunk that has the streams of the profile `transform`.
+    """Decode a chunk that has the streams of the profile `transform`, shapes perhaps indexed.
 
     Parameters
     ----------
     head, refinement, tail : memoryview or None
         Payloads, their CRCs already checked; None if absent or not requested.
-    colours : callable
-        See `ColourRows`.
+    books : CodebookRows
     out : ChunkArrays
 
     Returns
@@ -166,17 +200,25 @@ def read(
         out.sh0,
         out.shN if tail is not None else out.shN[:0],
     )
-    found = _locate(payload, ends, limit, len(out.scales))
-    if found is None:
+    for streams in (TRANSFORM_STREAMS, INDEXED_STREAMS):
+        found = _locate(payload, ends, streams, limit, len(out.scales))
+        if found is not None:
+            break
+    else:
         return False
     data, records, spans = found
-    basis = _NO_BOOK
+    colours, shapes = _NO_BOOK, (_NO_BOOK, _NO_BOOK)
     if records[SHN, PRESENT]:
-        book = colours(_codebook_number(data, records, SHN))
+        book = books.colours(_codebook_number(data, records, SHN))
         if book is None or book.shape[1] > BASIS_COLUMNS:
             return False
-        basis = book
-    return _decode_transform_chunk(data, records, spans, _CONSTANTS, basis, arrays)
+        colours = book
+    if records[SHAPE, PRESENT]:
+        rows = books.shapes(_codebook_number(data, records, SHAPE))
+        if rows is None:
+            return False
+        shapes = rows
+    return _decode_chunk(data, records, spans, _CONSTANTS, (*shapes, colours), arrays)
 
 
 def _codebook_number(data: U8, records: I64, stream: int) -> int:
@@ -185,7 +227,9 @@ def _codebook_number(data: U8, records: I64, stream: int) -> int:
     return int.from_bytes(data[at : at + 4].tobytes(), "little")
 
 
-def _locate(payload: bytes, ends: I64, limit: int, rows: int) -> tuple[U8, I64, I64] | None:
+def _locate(
+    payload: bytes, ends: I64, streams: I64, limit: int, rows: int
+) -> tuple[U8, I64, I64] | None:
     """Return data, records and spans of `ChunkPlanes`; None if the chunk has other streams.
 
     Parameters
@@ -194,12 +238,13 @@ def _locate(payload: bytes, ends: I64, limit: int, rows: int) -> tuple[U8, I64, 
         Head, refinement and tail end to end.
     ends : (3,) int64
         End of each part in `payload`.
+    streams : (s, 6) int64
+        `TRANSFORM_STREAMS` or `INDEXED_STREAMS`.
     limit : int
         Limit of the total size of all planes after decompression and unpacking, bytes.
     rows : int
         Splats of the chunk.
     """
-    streams = TRANSFORM_STREAMS
     records = np.empty((len(streams) + 1, 6), np.int64)
     spans = np.empty((4, MAX_PLANES), np.int64)
     frames = np.empty((MAX_PLANES, 2), np.uint64)

@@ -26,7 +26,7 @@ from .kernels_planes import (
     parse_frame,
 )
 from .payload_limits import MAX_PLANE_BYTES
-from .records import COMPONENTS, Attribute, Kind
+from .records import COMPONENTS, ESCAPE, Attribute, Kind
 
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
@@ -35,6 +35,9 @@ U64 = NDArray[np.uint64]
 PAYLOAD, ATTRIBUTE, KIND, FLAGS, PARAM_LENGTH, REQUIRED = range(6)
 """Columns of `TRANSFORM_STREAMS`: payload (0 head, 1 refinement, 2 tail),
 attribute, kind, flags, bytes of parameters (-1 if they vary), and 1 if the payload requires it."""
+
+# Payload of streams that a chunk does not have.
+_NEVER: Final = 3
 
 TRANSFORM_STREAMS: Final = np.array(
     [
@@ -48,13 +51,22 @@ TRANSFORM_STREAMS: Final = np.array(
         (1, Attribute.OPACITIES, Kind.DIGITS, 0, 13, 0),
         (1, Attribute.SH0, Kind.DIGITS, 0, 39, 0),
         (2, Attribute.SHN, Kind.BASIS, 0, -1, 1),
+        (_NEVER, Attribute.SHAPE, Kind.VQ, 0, 8, 0),
+        (_NEVER, Attribute.SCALE_FACTOR, Kind.SCALAR, 0, 12, 0),
     ],
     np.int64,
 )
 """Streams of chunks that the profile `transform` writes."""
 
+INDEXED_STREAMS: Final = TRANSFORM_STREAMS.copy()
+"""Streams of chunks with a codebook of shapes, in the same rows: scales and quats are those of
+escape rows."""
+INDEXED_STREAMS[:2, [FLAGS, REQUIRED]] = ESCAPE, 0
+INDEXED_STREAMS[5, PAYLOAD] = _NEVER
+INDEXED_STREAMS[-2:, [PAYLOAD, REQUIRED]] = 0, 1
+
 SCALES, QUATS, MEANS, OPACITIES, SH0 = range(5)
-SCALE_DIGITS, MEAN_BITS, OPACITY_DIGITS, SH0_DIGITS, SHN = range(5, 10)
+SCALE_DIGITS, MEAN_BITS, OPACITY_DIGITS, SH0_DIGITS, SHN, SHAPE, SCALE_FACTOR = range(5, 12)
 
 NO_STREAM: Final = -1
 """Index of the last row of `ChunkPlanes.records`: zeros, the record of an absent stream."""
@@ -96,7 +108,7 @@ def locate(
     rows : int
         Splats of the chunk.
     streams : (s, 6) int64
-        `TRANSFORM_STREAMS`.
+        `TRANSFORM_STREAMS` or `INDEXED_STREAMS`.
     components : int64
         `COMPONENTS_OF`.
     max_bytes : int

@@ -16,11 +16,12 @@ from cogsplat.codec.progress import Progress
 from cogsplat.codec.rate import allocation, segment_order
 from cogsplat.codec.rate import costs as rate_costs
 from cogsplat.codec.rate.costs import Costs
-from cogsplat.codec.segments.codebooks import ColourCodebook
+from cogsplat.codec.segments.codebooks import ColourCodebook, ShapeCodebook
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.splats import Splats
 
-from . import near_lossless, outliers, transform, vq
+from . import colour_codebook, near_lossless, outliers, shape_codebook, transform
+from .shapes import ShapeSource
 
 
 def _no_chunk(run: slice) -> Payloads:
@@ -75,7 +76,7 @@ def _near_lossless(scene: ChunkedScene, quality_db: float, progress: Progress) -
 
 
 def _transform(scene: ChunkedScene, quality_db: float, progress: Progress) -> PlannedScene:
-    """Plan the profile `transform`, and `vq`: the same, with a codebook of shN where it gains."""
+    """Plan the profile `transform`, and `vq`: the same, with codebooks where they gain."""
     source, config, workspace = scene.source.without_extras(), scene.config, scene.workspace
     scores = (
         scene.scores if config.ablation.sensitivities else replace(scene.scores, sensitivities=None)
@@ -113,31 +114,38 @@ def _transform(scene: ChunkedScene, quality_db: float, progress: Progress) -> Pl
         segment_order.MISSING_COMPENSATED if config.compensate else segment_order.MISSING_ALL,
     )
     if config.profile == "vq":
+        # A basis has at most one row per coefficient; the codebook of shN stands behind it.
+        earlier = {book.attribute: book for book in scene.codebooks}
+        shapes, colours = (
+            earlier[name].decode(source.sh_degree) if name in earlier else None
+            for name in ("shape", "colour")
+        )
         if plan.basis is not None:
-            codebook = vq.fit(
+            codebook = colour_codebook.fit(
                 plan.basis,
                 coefficients_of,
                 rate_costs.limit_colour_steps(energy, lagrangian),
                 lagrangian,
                 scene.slices,
                 config.training,
-                _earlier_rows(scene.codebooks, source.sh_degree),
+                colours.shN if isinstance(colours, ColourCodebook) else None,
             )
             if codebook is not None:
                 plan = plan.with_codebook(codebook, len(scene.slices))
+        plan = replace(
+            plan,
+            shapes=shape_codebook.fit(
+                lambda run: ShapeSource.of(part(run), costs_of(run), lagrangian),
+                lagrangian,
+                scene.slices,
+                config.training,
+                shapes if isinstance(shapes, ShapeCodebook) else None,
+            ),
+        )
         progress("codebooks", 1, 1)
     return PlannedScene(
         plan.codebooks, lambda run: transform.encode_chunk(part(run), plan, run, config.morton)
     )
-
-
-def _earlier_rows(codebooks: Sequence[EncodedCodebook], degree: int) -> NDArray[np.float32] | None:
-    """Return the rows of an earlier encode's codebook of shN; None if it had none."""
-    # A basis has at most one row per coefficient; the codebook is the last.
-    if not codebooks or degree == 0:
-        return None
-    book = codebooks[-1].decode(degree)
-    return book.shN if isinstance(book, ColourCodebook) else None
 
 
 PROFILES: Final[Mapping[str, Profile]] = MappingProxyType(

@@ -2,29 +2,123 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.rate import allocation
+from cogsplat.codec.encode.config import Ablation
+from cogsplat.codec.geometry import rotations
+from cogsplat.codec.rate import allocation, refinement_split
+from cogsplat.codec.rate import costs as rate_costs
 from cogsplat.codec.rate.costs import Costs
 from cogsplat.codec.rate.refinement_split import Split
 from cogsplat.codec.segments.opacities import MAX_LOGIT
+from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams import adaptive_step, scale_differences, swing_twist
 from cogsplat.codec.streams import grid as grids
+from cogsplat.codec.streams.adaptive_step import StepModel
 from cogsplat.codec.streams.grid import Grid
-from cogsplat.codec.streams.records import Stream
+from cogsplat.codec.streams.records import Attribute, Stream
 
 from .refined import Refined, squared_error_drop
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 
 # Share of an area change that opacity compensates, and the least 1 - α in its derivative. Of 0, 0.5
 # and 1, 0.5 gave the best renders of three trained scenes, because splats overlap.
 _AREA_SHARE: Final = 0.5
 _LEAST_CLEAR: Final = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeSource:
+    """Shapes of a chunk before quantisation, and the costs of their errors.
+
+    Parameters
+    ----------
+    angles : (n, 3) float64
+        Swing and twist of each rotation (`swing_twist.decompose`).
+    scales : (n, 3) float32
+        Log scales; columns middle, thin, long.
+    costs : Costs
+        Costs of these rows, with no step beyond the coarsest.
+    """
+
+    angles: F64
+    scales: F32
+    costs: Costs
+
+    @classmethod
+    def of(cls, part: Splats, costs: Costs, lagrangian: float) -> ShapeSource:
+        """Return the shapes of splats, given their costs and λ."""
+        limited = rate_costs.limit_steps(costs, part.scales, lagrangian)
+        return cls(*swing_twist.decompose(rotations.unit(part.quats), part.scales), limited)
+
+    def __len__(self) -> int:
+        return len(self.scales)
+
+    def take(self, rows: I64) -> ShapeSource:
+        """Return the shapes of the splats `rows`."""
+        return ShapeSource(self.angles[rows], self.scales[rows], self.costs.take(rows))
+
+
+@dataclass(frozen=True, eq=False)
+class PlainShapes:
+    """Quantised shapes of a chunk, without a codebook.
+
+    Parameters
+    ----------
+    source : ShapeSource
+        Shapes before quantisation.
+    differences : (n, 3) float32
+        Scale differences before quantisation (`differences_to_store`).
+    sizes : Split
+        Quantised differences.
+    head_scales, scales : (n, 3) float32
+        Log scales decoded from the head alone, and refined; columns middle, thin, long.
+    lagrangian : float
+        λ of the head.
+    fine_rotations : bool
+        Whether the step of a rotation follows from its splat's scales.
+    needs : tuple of int
+        Codebooks that the head needs: none.
+    """
+
+    source: ShapeSource
+    differences: F32
+    sizes: Split
+    head_scales: F32
+    scales: F32
+    lagrangian: float
+    fine_rotations: bool
+    needs: tuple[int, ...] = ()
+
+    @classmethod
+    def of(
+        cls, source: ShapeSource, lagrangian: float, used: Ablation, most: tuple[int, ...]
+    ) -> PlainShapes:
+        """Quantise shapes; the refinement holds digits of scales of radices up to `most`."""
+        costs = source.costs
+        differences, grid = differences_to_store(source.scales, costs, lagrangian, used.areas)
+        sizes = refinement_split.split(Attribute.SCALES, differences, grid, costs.scale_long, most)
+        head, fine = (scale_differences.scales_of(part) for part in (sizes.coarse, sizes.fine))
+        return cls(source, differences, sizes, head, fine, lagrangian, used.fine_rotations)
+
+    def write(self, inside: I64) -> tuple[list[Stream], Refined]:
+        """Return the streams of the head and the refinement, for rows in the order `inside`."""
+        source, sizes = self.source.take(inside), self.sizes.take(inside)
+        # Of shapes that are all alike, every rotation gets the same step.
+        scales = self.head_scales[inside]
+        step_scales = scales if self.fine_rotations else np.zeros_like(scales)
+        streams = [
+            scale_differences.write(sizes.coarse, sizes.grid),
+            quantise_rotations(source, step_scales, self.lagrangian),
+        ]
+        return streams, refine_scales(sizes, self.differences[inside], source.costs)
 
 
 def differences_to_store(
@@ -102,22 +196,27 @@ def opacities_to_store(opacities: F32, scales: F32, stored: F32) -> F32:
     return (logits - shift).astype(np.float32)[:, None]
 
 
-def quantise_rotations(values: F64, scales: F32, costs: Costs, lagrangian: float) -> Stream:
+def quantise_rotations(source: ShapeSource, scales: F32, lagrangian: float) -> Stream:
     """Quantise the rotations of a chunk, each with a precision that follows from its shape.
 
     Parameters
     ----------
-    values : (n, 3) float64
-        Swing and twist of each rotation (`swing_twist.decompose`).
+    source : ShapeSource
+        Shapes to quantise.
     scales : (n, 3) float32
-        Log scales decoded from the head, which decide the bits of each row.
-    costs : Costs
-        Costs of these rows.
+        Decoded log scales, which decide the bits of each row.
     lagrangian : float
         λ of the head.
     """
+    return swing_twist.write(source.angles, scales, *rotation_steps(source, scales, lagrangian))
+
+
+def rotation_steps(
+    source: ShapeSource, scales: F32, lagrangian: float
+) -> tuple[StepModel, StepModel]:
+    """Return the step models of swing and twist for `quantise_rotations`."""
     swing, twist = (
         adaptive_step.fit(scales, cost, lagrangian, swing_twist.BASE_STEP)
-        for cost in (costs.swing, costs.twist)
+        for cost in (source.costs.swing, source.costs.twist)
     )
-    return swing_twist.write(values, scales, swing, twist)
+    return swing, twist

@@ -12,7 +12,6 @@ from cogsplat.codec.encode import colour_transform
 from cogsplat.codec.encode.colour_transform import ColourBasis
 from cogsplat.codec.encode.config import Ablation
 from cogsplat.codec.encode.encoded import EncodedCodebook
-from cogsplat.codec.geometry import rotations
 from cogsplat.codec.geometry.sh import C0
 from cogsplat.codec.rate import allocation, refinement_split, segment_order
 from cogsplat.codec.rate import costs as rate_costs
@@ -22,14 +21,16 @@ from cogsplat.codec.segments.codebooks import decode_colour_codebook
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams import grid as grids
-from cogsplat.codec.streams import records, scalar, scale_differences, sh0_transform, swing_twist
+from cogsplat.codec.streams import records, scalar, sh0_transform
 from cogsplat.codec.streams.records import Attribute, Stream
 
 from . import shapes
 from .chunk_streams import chunk_means
+from .colour_codebook import ColourCodebook
 from .means import quantise_means
 from .refined import NO_REFINEMENT, Refined, choose_refinement_bits, squared_error_drop
-from .vq import ColourCodebook
+from .shape_codebook import IndexedShapes, ShapeCodebook
+from .shapes import PlainShapes, ShapeSource
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -56,6 +57,8 @@ class TransformPlan:
         Coarseness of each coarse head, by the first row of its chunk; the other heads are fine.
     codebook : ColourCodebook, optional
         Codebook of shN of the profile `vq`, for some of the chunks.
+    shapes : ShapeCodebook, optional
+        Codebook of shapes of the profile `vq`, for some of the chunks.
     """
 
     lagrangian: float
@@ -65,6 +68,7 @@ class TransformPlan:
     ablation: Ablation
     coarseness: Mapping[int, HeadCoarseness]
     codebook: ColourCodebook | None = None
+    shapes: ShapeCodebook | None = None
 
     @property
     def codebooks(self) -> list[EncodedCodebook]:
@@ -75,7 +79,14 @@ class TransformPlan:
         if self.codebook is not None:
             rows, payloads = len(self.codebook.rows), self.codebook.payloads
             out.append(EncodedCodebook("colour", rows, payloads))
+        if self.shapes is not None:
+            out.append(EncodedCodebook("shape", len(self.shapes.rows), (self.shapes.payload,)))
         return out
+
+    @property
+    def shapes_number(self) -> int:
+        """Number of the codebook of shapes, the last."""
+        return len(self.codebooks) - 1
 
     def with_codebook(self, codebook: ColourCodebook, chunks: int) -> TransformPlan:
         """Return the plan with a codebook of shN, and without a basis that no chunk needs.
@@ -177,19 +188,18 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
     """
     lagrangian, used = plan_.lagrangian, plan_.ablation
     coarseness = plan_.coarseness.get(run.start, FINE)
-    costs = rate_costs.limit_steps(plan_.costs_of(run), part.scales, lagrangian)
-    angles, source_scales = swing_twist.decompose(rotations.unit(part.quats), part.scales)
+    source = ShapeSource.of(part, plan_.costs_of(run), lagrangian)
+    costs = source.costs
     # Scales come first: the decoded scales decide the bits of means and rotations.
-    differences, grid = shapes.differences_to_store(source_scales, costs, lagrangian, used.areas)
-    sizes = refinement_split.split(
-        Attribute.SCALES, differences, grid, costs.scale_long, coarseness.scales
-    )
-    head_scales = scale_differences.scales_of(sizes.coarse)
-    scales = scale_differences.scales_of(sizes.fine)
+    stored: PlainShapes | IndexedShapes
+    if plan_.shapes is not None and run.start in plan_.shapes.chunks:
+        stored = plan_.shapes.quantise(source, lagrangian, plan_.shapes_number)
+    else:
+        stored = PlainShapes.of(source, lagrangian, used, coarseness.scales)
     if used.fine_means:
         inside, means, refined_means = choose_refinement_bits(
             lambda bits: quantise_means(
-                part.means, head_scales, costs.mean, lagrangian, bits, sort
+                part.means, stored.head_scales, costs.mean, lagrangian, bits, sort
             ),
             coarseness.means,
         )
@@ -198,11 +208,8 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
         inside, means, _ = chunk_means(part.means, step, sort)
         refined_means = NO_REFINEMENT
     # From here on in the order that the chunk is stored in.
-    part, head_scales, scales = part.take(inside), head_scales[inside], scales[inside]
-    sizes, differences, costs = sizes.take(inside), differences[inside], costs.take(inside)
-    # Of shapes that are all alike, every rotation gets the same step.
-    step_scales = head_scales if used.fine_rotations else np.zeros_like(head_scales)
-    quats = shapes.quantise_rotations(angles[inside], step_scales, costs, lagrangian)
+    part, costs, scales = part.take(inside), costs.take(inside), stored.scales[inside]
+    shape_streams, refined_scales = stored.write(inside)
     sh0 = part.sh0.astype(np.float64)
     tail: bytes | None = None
     colours, book = plan_.colours_of(run)
@@ -212,7 +219,7 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
             # What shN lost, as its views see it on average.
             sh0 += np.einsum("nk,nkc->nc", costs.basis_mean, missed) / C0
         tail = records.pack_uncompressed([stream])
-    before = source_scales[inside] if used.areas else scales
+    before = source.scales[inside] if used.areas else scales
     logits = shapes.opacities_to_store(part.opacities, before, scales)
     opacities = refinement_split.split(
         Attribute.OPACITIES,
@@ -224,14 +231,13 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
     opacity_drop = float(costs.opacity @ squared_error_drop(opacities, logits)[:, 0])
     sh0_stream, refined_colours = _sh0(sh0, costs.energy, lagrangian, coarseness.sh0)
     head = [
-        scale_differences.write(sizes.coarse, sizes.grid),
-        quats,
+        *shape_streams,
         means,
         scalar.write(Attribute.OPACITIES, opacities.coarse, opacities.grid),
         sh0_stream,
     ]
     refined = [
-        shapes.refine_scales(sizes, differences, costs),
+        refined_scales,
         refined_means,
         Refined(opacities.digits, opacity_drop),
         refined_colours,
@@ -240,7 +246,7 @@ def encode_chunk(part: Splats, plan_: TransformPlan, run: slice, sort: bool) -> 
     return Payloads(
         records.pack_uncompressed(head),
         tail,
-        (),
+        stored.needs,
         (book,) if tail is not None else (),
         inside,
         records.pack_uncompressed(streams) if streams else None,

@@ -34,6 +34,34 @@ def test_every_vector_gets_the_row_of_least_cost():
     np.testing.assert_allclose(second, np.sort(costs, axis=1)[:, 1], rtol=1e-4)
 
 
+def test_candidates_are_the_rows_of_least_cost():
+    rng = np.random.default_rng(4)
+    vectors = rng.normal(size=(700, 5)).astype(np.float32)
+    weights = rng.lognormal(0, 1, 700)
+    book = WeightedRows(rng.normal(size=(40, 5)).astype(np.float32), rng.uniform(1, 9, 40))
+    distances = np.square(vectors[:, None].astype(np.float64) - book.rows).sum(axis=2)
+    costs = weights[:, None] * distances + 0.3 * book.bits
+    found = np.sort(book.candidates(vectors, weights, 0.3, 6), axis=1)
+    np.testing.assert_array_equal(found, np.sort(np.argsort(costs, axis=1)[:, :6], axis=1))
+    assert book.candidates(vectors, weights, 0.3, 50).shape == (700, 40)
+
+
+def test_vectors_that_cost_less_alone_shape_no_row():
+    vectors = groups((400, 300, 200, 100))
+    alone = np.where(np.arange(1000) < 900, np.inf, 1e-3)
+    book = entropy_kmeans.train(vectors, np.ones(1000), 32, 0.05, 50.0, CONFIG, None, alone)
+    np.testing.assert_allclose(book.rows, CENTRES[:3], atol=0.05)
+    np.testing.assert_allclose(book.bits, -np.log2([4 / 9, 3 / 9, 2 / 9]), atol=1e-6)
+    # Moved vectors stand alone wherever they are.
+    vectors[900:] *= 5
+    again = entropy_kmeans.train(vectors, np.ones(1000), 32, 0.05, 50.0, CONFIG, None, alone)
+    np.testing.assert_allclose(again.rows, book.rows, atol=1e-2)
+    none = entropy_kmeans.train(
+        vectors, np.ones(1000), 32, 0.05, 50.0, CONFIG, None, np.full(1000, 1e-9)
+    )
+    assert none.rows.tolist() == [[0, 0, 0]]
+
+
 def test_rows_are_the_groups_and_often_used_ones_have_few_bits():
     book = train(groups((400, 300, 200, 100)))
     assert len(book.rows) == 4

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,16 @@ from cogsplat.codec.segments.codebooks import (
 from cogsplat.codec.segments.heads import decode_head
 from cogsplat.codec.segments.tails import decode_tail
 from cogsplat.codec.splats import empty, sh_coefficients
-from cogsplat.codec.streams import codebook_index, kinds, quaternion, records, scalar
+from cogsplat.codec.streams import (
+    codebook_index,
+    kinds,
+    quaternion,
+    records,
+    scalar,
+    scale_differences,
+    swing_twist,
+)
+from cogsplat.codec.streams.adaptive_step import StepModel
 from cogsplat.codec.streams.grid import fit
 from cogsplat.codec.streams.records import COMPONENTS, SH_BANDS, Attribute
 
@@ -80,8 +91,11 @@ def indices(attribute, size, escape, book=0, rows=ROWS):
     values = rng(23).integers(0, max(size, 1), rows).astype(np.uint32)
     values[0] = max(size, 1) - 1
     if escape:
-        values[-escape:] = size + np.arange(escape)
-    return codebook_index.write(attribute, values, book, size, escape), values
+        values[-escape:] = size
+    stream = codebook_index.write(attribute, values, book, size)
+    if escape:
+        values[-escape:] += np.arange(escape, dtype=np.uint32)
+    return stream, values
 
 
 def shaped(escape=0, book=0):
@@ -303,6 +317,39 @@ def test_a_shape_codebook_comes_back():
     assert book.nbytes == ROWS * 28
     assert book.scales.tobytes() == parts[0][1].tobytes()
     assert book.quats.tobytes() == parts[1][1].tobytes()
+
+
+@pytest.mark.parametrize("escape", [False, True])
+def test_rows_turn_by_steps_that_follow_from_their_own_scales(escape):
+    scales = np.sort(rng(30).normal(0, 2, (ROWS, 3)), axis=1)[:, [1, 0, 2]].astype(np.float32)
+    differences = scale_differences.differences_of(scales)
+    grid = fit(differences, 0.01)
+    stored = scale_differences.scales_of(grid.dequantise(grid.quantise(differences)))
+    model = StepModel((4.0, 1.0, 0.5, 0.0, 0.5, 0.0))
+    angles = rng(31).uniform(-0.7, 0.7, (ROWS, 3))
+    extra = swing_twist.extra_bits_of(stored, model, model)
+    assert len(set(extra[0].tolist())) > 3
+    turned = swing_twist.dequantise(swing_twist.quantise(angles[:, 0], extra[0]), extra[0])
+    own = [
+        scale_differences.write(differences, grid),
+        swing_twist.write(angles, stored, model, model),
+    ]
+    out, book = blank(), shape_book()
+    if escape:
+        own = [(replace(stream, flags=records.ESCAPE), None) for stream in own]
+        factor = numbers(Attribute.SCALE_FACTOR)
+        index = indices(Attribute.SHAPE, 9, ROWS)
+        rest = (Attribute.MEANS, Attribute.OPACITIES, Attribute.SH0)
+        head([*own, index, factor, *map(numbers, rest)], out, {0: book})
+        assert out.scales.tobytes() == (stored + factor[1]).tobytes()
+        quats = out.quats
+    else:
+        book = decode_shape_codebook(memoryview(records.pack(own)), ROWS, "codebook 0")
+        assert book.scales.tobytes() == stored.tobytes()
+        quats = book.quats
+    # a is (x·w - y·z) / (w² + z²).
+    w, x, y, z = quats.T.astype(np.float64)
+    np.testing.assert_allclose((x * w - y * z) / (w * w + z * z), turned, atol=1e-5)
 
 
 def test_shape_codebooks_that_break_the_rules_are_refused():

@@ -47,7 +47,7 @@ def test_every_kind_stands_for_some_attribute():
 
 def test_codebooks_are_asked_of_streams_that_have_one():
     plain = scalar.write(Attribute.SH0, np.zeros((2, 3), np.float32), grid_of([1] * 3))
-    index = codebook_index.write(Attribute.SHAPE, np.zeros(2, np.uint32), 7, 4, 1)
+    index = codebook_index.write(Attribute.SHAPE, np.array([0, 4], np.uint32), 7, 4)
     first, second = stored(plain, index)
     assert kinds.codebook_use(second) == CodebookUse(7, 1)
     with pytest.raises(ValueError, match="refers to no codebook"):

@@ -78,7 +78,7 @@ class ColourCodebook:
         price = _price(lagrangian)
         labels, _, _ = self.placed.place(coordinates, allocation.shn_cost(energy), price)
         indices = labels.astype(np.uint32)
-        stream = codebook_index.write(Attribute.SHN, indices, codebook, len(self.rows), 0)
+        stream = codebook_index.write(Attribute.SHN, indices, codebook, len(self.rows))
         missed = coefficients.astype(np.float64) - self.rows[labels]
         return stream, missed
 

@@ -9,7 +9,7 @@ from encoding import encode, unseen
 
 from cogsplat.codec.clustering.kmeans import TrainingConfig
 from cogsplat.codec.encode import colour_transform
-from cogsplat.codec.encode.profiles import vq
+from cogsplat.codec.encode.profiles import colour_codebook
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.rate import allocation
 from cogsplat.codec.render.rasteriser import render
@@ -43,7 +43,7 @@ def fitted(splats, energy=None, chunks=CHUNKS, start=None, **training):
 
     basis = colour_transform.fit(of, energy, np.zeros((15, 15)), LAMBDA, chunks)
     config = TrainingConfig(**training)
-    return basis, vq.fit(basis, of, energy, LAMBDA, chunks, config, start)
+    return basis, colour_codebook.fit(basis, of, energy, LAMBDA, chunks, config, start)
 
 
 def bits(coder, splats, run, energy):
