@@ -82,16 +82,22 @@ class WeightedRows:
             out[block] = np.argpartition(total, count - 1, axis=1)[:, :count]
         return out
 
-    def _costs(self, vectors: F32, weights: F64, bit_price: float) -> Iterator[tuple[slice, F64]]:
+    def _costs(self, vectors: F32, weights: F64, bit_price: float) -> Iterator[tuple[slice, F32]]:
         """Yield the costs of all rows for each block of vectors."""
         norms = np.square(self.rows).sum(axis=1)
         transposed = np.ascontiguousarray(self.rows.T)
-        index_price = bit_price * self.bits
+        index_price = (bit_price * self.bits).astype(np.float32)
+        scales = weights.astype(np.float32)
         for start in range(0, len(vectors), _BLOCK):
             block = slice(start, min(start + _BLOCK, len(vectors)))
-            squares = np.square(vectors[block]).sum(axis=1)
-            found = np.maximum(squares[:, None] + norms - 2 * (vectors[block] @ transposed), 0)
-            yield block, weights[block, None] * found + index_price
+            total = vectors[block] @ transposed
+            total *= -2
+            total += norms
+            total += np.square(vectors[block]).sum(axis=1)[:, None]
+            np.maximum(total, 0, out=total)
+            total *= scales[block, None]
+            total += index_price
+            yield block, total
 
 
 def train(

@@ -158,33 +158,26 @@ def quality(whole):
     return np.mean([psnr(render(out, c), render(scene(), c)) for c in CAMERAS])
 
 
-def test_the_profile_takes_fewer_bytes_than_transform_at_hardly_less_quality():
+def test_the_profile_takes_fewer_bytes_than_transform_at_little_less_quality():
     indexed, plain = encoded("vq"), encoded("transform")
-    assert size(indexed) < 0.97 * size(plain)
-    assert quality(indexed) > quality(plain) - 1.0
-    # Heads differ in sh0 alone, which makes up for what shN lost.
-    for one, other in zip(indexed.chunks, plain.chunks, strict=True):
-        pair = [
-            {s.attribute: s for s in records.unpack(memoryview(c.payloads.head), "head", 500)}
-            for c in (one, other)
-        ]
-        for attribute in (Attribute.MEANS, Attribute.SCALES, Attribute.QUATS):
-            first, second = (streams[attribute] for streams in pair)
-            assert bytes(first.params) == bytes(second.params)
+    assert size(indexed) < 0.88 * size(plain)
+    assert quality(indexed) > quality(plain) - 2.5
 
 
 def test_chunks_name_the_codebook_they_need():
     whole = encoded("vq")
-    assert {book.attribute for book in whole.codebooks} == {"colour"}
+    names = [book.attribute for book in whole.codebooks]
+    assert names in (["colour", "shape"], ["colour", "colour", "shape"])
     kinds = set()
     for chunk in whole.chunks:
         (stream,) = records.unpack(memoryview(chunk.payloads.tail), "tail", chunk.splats)
         kinds.add(stream.kind)
-        assert chunk.payloads.head_needs == ()
-        (number,) = chunk.payloads.tail_needs
-        last = len(whole.codebooks) - 1
-        assert number == (last if stream.kind is Kind.VQ else 0)
+        assert chunk.payloads.tail_needs == ((len(names) - 2 if stream.kind is Kind.VQ else 0),)
+        head = records.unpack(memoryview(chunk.payloads.head), "head", chunk.splats)
+        indexed = Attribute.SHAPE in {stream.attribute for stream in head}
+        assert chunk.payloads.head_needs == ((len(names) - 1,) if indexed else ())
     assert Kind.VQ in kinds
+    assert any(chunk.payloads.head_needs for chunk in whole.chunks)
 
 
 def test_without_sh_the_profile_is_transform():
