@@ -159,8 +159,8 @@ _GROUPS: Final = {
     type=click.Choice(PROFILE_NAMES),
     default=_DEFAULTS.profile,
     show_default=True,
-    help="transform, vq: for viewing, with a shared transform or with codebooks. near-lossless: "
-    "for archives, every attribute within an error bound.",
+    help="transform, vq: for viewing; vq is transform with codebooks of shapes and view-dependent "
+    "colour. near-lossless: for archives, every attribute within an error bound.",
 )
 @quality_option(
     "Nominal PSNR of the profiles for viewing. Without --cameras it is corrected to what is "
