@@ -1,4 +1,4 @@
-"""Effort of the order by marginal gain: its share of the scene, stages and views."""
+"""Effort of the order by marginal gain: its share of the effective splats, stages and views."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ from cogsplat.codec.finite_fields import require_finite
 
 @dataclass(frozen=True)
 class GainEffort:
-    """Share of the scene ordered by marginal gain, and size and views of each stage.
+    """Share of the effective splats ordered by gain, and size and views of each stage.
 
     Parameters
     ----------
     until : float
-        Share of the scene ordered by gain, above 0 to 1; the rest is ordered by contribution.
-        Beyond 0.6 gains hardly differ. A smaller share gives a smaller file, because chunks of an
-        order by contribution hold more similar splats.
+        Number of splats ordered by gain, as a ratio to the scene's effective splats
+        (`prefix_inflation.effective_splats`), above 0; the rest is ordered by contribution. A
+        smaller ratio gives a smaller file, because chunks of an order by contribution hold more
+        similar splats. At 0.75 a captured room's prefixes show as much as at 1, and a trained
+        object of 14,000 splats shows 0.4 dB more in as many bytes than at 1.2.
     growth : float
         Splats that a stage adds, as a ratio to the splats of the prefix so far; above 0. Small
         stages add fewer redundant splats; the run time is proportional to the number of stages.
@@ -29,13 +31,11 @@ class GainEffort:
     proportionally more time.
     """
 
-    until: float = 0.6
+    until: float = 0.75
     growth: float = 0.16
     views: int = 20
 
     def __post_init__(self) -> None:
         require_finite(self)
-        if not 0 < self.until <= 1 or not self.growth > 0 or self.views < 1:
-            raise ValueError(
-                f"{self}, expected until above 0 to 1, growth above 0 and at least 1 view"
-            )
+        if not self.until > 0 or not self.growth > 0 or self.views < 1:
+            raise ValueError(f"{self}, expected until above 0, growth above 0 and at least 1 view")

@@ -64,7 +64,7 @@ class GainConfig:
     threads : int
         Number of threads; 0 for every core this process may use. The order does not depend on it.
     effort : GainEffort
-        Share of the scene ordered by gain, and size and views of each stage.
+        Share of the effective splats ordered by gain, and size and views of each stage.
     """
 
     inflated: bool = True
@@ -282,7 +282,7 @@ def gain_rows(
     placed = 0
     effective_splats = prefix_inflation.effective_splats(scores.contribution)
     effort = config.effort
-    until = int(effort.until * count)
+    until = min(max(int(effort.until * effective_splats), 1), count)
     first = min(max(1, round(_FIRST * count)), _MAX_FIRST)
     rng = np.random.default_rng(0)
     progress("gain", 0, until)

@@ -8,7 +8,7 @@ from gsplat_on_cpu import on_cpu
 from cogsplat.codec.errors import Cancelled, DataError
 from cogsplat.codec.executor import LocalThreads
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.codec.scoring.contribution import COVERING_SHARE, ScoreConfig, score
+from cogsplat.codec.scoring.contribution import COVERING_ENERGY, COVERING_SHARE, ScoreConfig, score
 from cogsplat.codec.splats import SceneInfo, empty
 from cogsplat.codec.views.view_sets import jitter
 
@@ -129,10 +129,9 @@ def test_covering_views_count_in_maxima_and_in_no_mean():
         np.testing.assert_array_equal(getattr(both, name), getattr(alone, name), err_msg=name)
     np.testing.assert_array_equal(both.sensitivities.means, alone.sensitivities.means)
     assert (other.peak > alone.peak).any()
-    share = COVERING_SHARE
-    best = np.maximum(alone.peak, np.float32(share) * other.peak)
+    best = np.maximum(alone.peak, np.float32(COVERING_SHARE) * other.peak)
     np.testing.assert_allclose(both.peak, best, rtol=1e-6)
-    largest = np.maximum(alone.largest_energy, share**2 * other.largest_energy)
+    largest = np.maximum(alone.largest_energy, COVERING_ENERGY * other.largest_energy)
     np.testing.assert_allclose(both.largest_energy, largest, rtol=1e-12)
     np.testing.assert_array_equal(both.seen, alone.seen + other.seen)
     np.testing.assert_array_equal(both.covered, alone.covered + other.covered)
