@@ -48,7 +48,7 @@ _ORDER: Final = (1e-3, 7e-8)
 _QUANTISERS: Final = (0.2, 2e-6)
 _CHUNKS: Final = (0.05, 2e-5)
 _RENDER: Final = (8e-8, 4e-7)
-_CODEBOOKS: Final = (0.1, 3e-5)
+_CODEBOOKS: Final = (0.1, 5.5e-5)
 _WRITE: Final = (0.02, 2e-6)
 
 # Average encodes of a search for a target, and of a nominal quality in planned views; cost of one
