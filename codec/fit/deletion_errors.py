@@ -8,24 +8,23 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.cameras import Camera
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.marginal_gains import marginal_gains
 from cogsplat.codec.render.projection import project
-from cogsplat.codec.render.rasteriser import render
+from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.render.shading import footprint_colours
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
-
-from .training_views import TrainingViews
 
 F64 = NDArray[np.float64]
 
 
 def _view_errors(
-    number: int, splats: Splats, views: TrainingViews
+    view: tuple[Camera, RenderConfig], splats: Splats
 ) -> tuple[NDArray[np.int32], F64]:
     """Return the rows of the splats that one view shows, and the deletion error of each in it."""
-    camera, config = views.cameras[number], views.configs[number]
+    camera, config = view
     footprints = project(splats, camera, reduction=config.reduction)
     colours = footprint_colours(splats, camera, footprints)
     picture = render(splats, camera, config)
@@ -38,8 +37,7 @@ def _view_errors(
 
 def deletion_errors(
     splats: Splats,
-    views: TrainingViews,
-    subset: Sequence[int] | None = None,
+    views: Sequence[tuple[Camera, RenderConfig]],
     *,
     threads: int = 0,
     progress: Progress = silent,
@@ -53,10 +51,8 @@ def deletion_errors(
     ----------
     splats : Splats
         Scene of N splats.
-    views : TrainingViews
-        Cameras to measure in; the ground truth is not used.
-    subset : sequence of int, optional
-        Indices of the views to measure in; all views by default.
+    views : sequence of (Camera, RenderConfig)
+        Views to measure in, and their render settings.
     threads : int
         Number of threads; 0 uses all cores. The sums do not depend on it.
     progress : Progress
@@ -67,12 +63,11 @@ def deletion_errors(
     (N,) float64
         Squared colour change by the removal of each splat, summed over views, pixels and channels.
     """
-    numbers = range(len(views)) if subset is None else subset
     errors = np.zeros(len(splats))
-    measure = partial(_view_errors, splats=splats, views=views)
-    progress("deletions", 0, len(numbers))
-    found = ordered_map(measure, numbers, thread_count(threads))
+    measure = partial(_view_errors, splats=splats)
+    progress("deletions", 0, len(views))
+    found = ordered_map(measure, views, thread_count(threads))
     for done, (rows, changes) in enumerate(found, start=1):
         errors[rows] += changes
-        progress("deletions", done, len(numbers))
+        progress("deletions", done, len(views))
     return errors

@@ -229,8 +229,8 @@ class TrainedPreview:
 
     def _prune(self, trainer: Trainer, views: TrainingViews, count: int) -> None:
         """Delete all splats but the `count` with the largest deletion errors."""
-        subset = sample_evenly(range(len(views)), _DELETION_VIEWS)
-        errors = deletion_errors(trainer.splats, views, subset, threads=self._config.threads)
+        shown = views.sample(_DELETION_VIEWS, self._config.seed)
+        errors = deletion_errors(trainer.splats, shown, threads=self._config.threads)
         trainer.keep(np.sort(np.argsort(-errors, kind="stable")[:count]))
 
     def _train_quantised(
@@ -324,7 +324,7 @@ def _as_training_views(references: ReferenceViews, splats: Splats) -> TrainingVi
         for reduction in references.reductions
     ]
     given = references.given
-    return TrainingViews(references.cameras, configs, references.pictures, given, given)
+    return TrainingViews(references.cameras, configs, references.pictures, given)
 
 
 def _mean_error(splats: Splats, references: ReferenceViews) -> float:

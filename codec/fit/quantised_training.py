@@ -23,6 +23,7 @@ from cogsplat.codec.rate.allocation import lagrangian
 from cogsplat.codec.scoring.contribution import score
 from cogsplat.codec.scoring.reference_views import render_references
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.drawn_views import ViewDrawer
 from cogsplat.codec.views.view_sets import TEST_VIEWS, sample_evenly
 
 from .checkpoint_arrays import CheckpointArrays
@@ -57,8 +58,8 @@ _MAX_QUALITY_STEP_DB: Final = 4.0
 _DAMPING, _FINAL_DAMPING = 0.4, 0.6
 # Names of a codebook's payloads in a checkpoint: number, attribute and rows of the codebook, part.
 _CODEBOOK_NAME: Final = re.compile(r"codebook\.([0-9]{1,2})\.(\w{1,20})\.([0-9]{1,9})\.[0-9]{1,2}")
-# Maximum number of views for scoring.
-_MAX_SCORED_VIEWS: Final = 64
+# Maximum number of given views for scoring, and the number up to which views near them are added.
+_MAX_SCORED_VIEWS, _LEAST_SCORED_VIEWS = 64, 48
 
 
 class QuantisedTraining:
@@ -71,7 +72,8 @@ class QuantisedTraining:
     source : Splats
         Ground truth: quality is measured against its renders.
     base : Splats
-        Scene at the start of quantised training, which is scored and ordered.
+        Scene at the start of quantised training, which is scored and ordered; `source` itself to
+        encode it as without tuning.
     request : TuneRequest
         Views, target and configuration.
     size_of : callable
@@ -99,6 +101,12 @@ class QuantisedTraining:
         threads, profile = config.train.threads, config.profile
         cameras, covering = request.views.cameras, request.views.covering
         views = sample_evenly(cameras, _MAX_SCORED_VIEWS)
+        if base is not source:
+            # What training kept between few cameras counts as much as what they show. The source
+            # itself is scored as without tuning.
+            drawer, rng = ViewDrawer(source, views), np.random.default_rng(config.train.seed)
+            for number in range(len(views), _LEAST_SCORED_VIEWS):
+                views.append(drawer.draw(rng, off_path=bool(number % 2)))
         settings = preset.score_config(profile, threads=threads)
         scores = score(base, views, settings, covering=covering, progress=progress)
         # The source is the ground truth of prefixes, not the trained scene.

@@ -44,9 +44,6 @@ class TrainConfig:
     ----------
     loss : str
         One of `LOSS_NAMES`.
-    worst_views : float
-        Exponent of the weight of a view by its mean squared error: 0 weighs all views equally, 1
-        in proportion to their error.
     noise : bool
         Whether quantisation errors get a random sign per value and step: additive noise (Ballé et
         al. 2017) in place of straight-through gradients. For comparisons; measured to be worse.
@@ -59,7 +56,6 @@ class TrainConfig:
     """
 
     loss: str = "squared"
-    worst_views: float = 1.0
     noise: bool = False
     rates: Mapping[str, float] = field(default_factory=lambda: RATES)
     seed: int = 0
@@ -69,8 +65,6 @@ class TrainConfig:
         require_finite(self)
         if self.loss not in LOSS_NAMES:
             raise ValueError(f"loss {self.loss!r}, expected one of {LOSS_NAMES}")
-        if not 0.0 <= self.worst_views <= 1.0:
-            raise ValueError(f"worst_views {self.worst_views}, expected 0 to 1")
         unknown = self.rates.keys() - RATES.keys()
         if unknown:
             raise ValueError(f"learning rates of {sorted(unknown)}, expected some of {list(RATES)}")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
@@ -26,17 +27,13 @@ from .prefix_loss import PrefixLoss
 from .splat_adam import SplatAdam
 from .tile_kernels import DELETED
 from .train_config import TrainConfig
-from .training_views import TrainingViews
+from .training_views import TrainingView, TrainingViews
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 # Steps between two updates of the learning rates of means, which follow the sizes of splats.
 _RATE_UPDATE_INTERVAL: Final = 20
-# Decay of the moving average of each view's error.
-_ERROR_DECAY: Final = 0.5
-# Limit of the weight of a view by its error, relative to the mean, and of its inverse.
-_MAX_VIEW_WEIGHT: Final = 4.0
 
 # Steps, of two views each, after which deletion errors accumulated in training are reliable. Fewer
 # steps suffice where every view has been rendered.
@@ -46,15 +43,31 @@ _DELETION_STEPS: Final = 90
 # photo shows.
 _RENDER_WEIGHT: Final = 0.1
 
-# Salts of the random generators for noise and prefixes; views use 0 and 1.
-_NOISE_SALT, _PREFIX_SALT = 2, 3
+# Steps between two fixed views of a kind, where new ones are drawn in the other steps. Covering
+# views are few, and shown rarely.
+_GIVEN_INTERVAL, _COVERING_INTERVAL = 3, 8
+
+# Salts of the random generators for noise, prefixes and drawn views; fixed views use 0 and 1.
+_NOISE_SALT, _PREFIX_SALT, _DRAWN_SALT = 2, 3, 4
+
+
+@dataclass(frozen=True, eq=False)
+class _RenderedView:
+    """A view of one step: its forward pass, footprint sums, mean squared error and weight."""
+
+    training_view: TrainingView
+    forward: ForwardPass
+    sums: F64
+    error: float
+    weight: float
 
 
 class Trainer:
     """A scene in training, with its optimiser state.
 
     Each step renders one view on the capture path and one view off it, and updates all values once.
-    Where photos are ground truth, it renders one photo's view and one other view of lower weight.
+    Most of them are new in every step (`TrainingViews.drawn`). Where photos are ground truth, it
+    renders one photo's view and one other view of lower weight.
 
     Parameters
     ----------
@@ -75,12 +88,9 @@ class Trainer:
         self.steps = steps
         self._views = views
         self._config = config
-        self._pixels = [picture.shape[0] * picture.shape[1] for picture in views.pictures]
         self._adam = SplatAdam(splats)
         self._gradients = Gradients.zeros(splats)
         self._reset_deletion_errors()
-        # Moving average of each view's mean squared error; NaN until it is first rendered.
-        self._view_errors = np.full(len(views), np.nan)
 
     def run(
         self,
@@ -169,8 +179,10 @@ class Trainer:
             changed between these views, but the sums cost next to nothing. None where too few views
             were rendered.
         """
-        on_path, total = self._views.num_on_path, len(self._views)
-        needed = min(max(on_path, total - on_path), _DELETION_STEPS)
+        needed = _DELETION_STEPS
+        if self._views.drawn is None:
+            given, total = self._views.num_given, len(self._views)
+            needed = min(max(given, total - given), needed)
         return self._deletion_errors if self._deletion_steps >= needed else None
 
     def state(self) -> dict[str, NDArray[np.generic]]:
@@ -181,7 +193,7 @@ class Trainer:
         arrays |= self._adam.state()
         arrays["deleted"] = self._deletion_errors
         arrays["deleted_steps"] = np.array(self._deletion_steps)
-        return arrays | {"steps": np.array(self.steps), "errors": self._view_errors}
+        return arrays | {"steps": np.array(self.steps)}
 
     def restore(self, state: CheckpointArrays) -> None:
         """Restore the trainer from the checkpoint arrays of `state`.
@@ -194,11 +206,9 @@ class Trainer:
         splats = with_values(self.splats, checkpoint_splats(state, "splats.", self.splats))
         adam = SplatAdam.from_state(state, splats)
         steps, deletion_steps = (checkpoint_count(state, n) for n in ("steps", "deleted_steps"))
-        errors = checkpoint_array(state, "errors", (len(self._views),))
         deletion_errors = checkpoint_array(state, "deleted", (len(splats),))
         self.splats, self._adam, self.steps = splats, adam, steps
         self._gradients = Gradients.zeros(splats)
-        self._view_errors = np.array(errors, np.float64)
         self._deletion_errors = np.array(deletion_errors, np.float64)
         self._deletion_steps = deletion_steps
 
@@ -231,45 +241,36 @@ class Trainer:
             Mean squared error of each rendered view.
         """
         scene = self._with_offsets(offsets)
-        views = self._choose_views()
-        # Weights follow from the view errors, which the loop below updates.
-        weighted_views = [(view, self._view_weight(view)) for view in views]
+        choices = self._choose_views()
         self._gradients.clear()
-        errors = []
-        found = ordered_map(
-            partial(self._render_and_differentiate, scene=scene),
-            weighted_views,
-            thread_count(self._config.threads),
-        )
-        for (view, weight), (forward, sums, error) in zip(weighted_views, found, strict=True):
-            forward.add_gradients(sums, self._gradients)
-            self._deletion_errors[forward.footprints.index] += weight * sums[:, DELETED]
-            before = self._view_errors[view]
-            averaged = error if math.isnan(before) else _ERROR_DECAY * (before - error) + error
-            self._view_errors[view] = averaged
-            errors.append(error)
+        render_view = partial(self._render_and_differentiate, scene=scene)
+        rendered = list(ordered_map(render_view, choices, thread_count(self._config.threads)))
+        for view in rendered:
+            view.forward.add_gradients(view.sums, self._gradients)
+            self._deletion_errors[view.forward.footprints.index] += (
+                view.weight * view.sums[:, DELETED]
+            )
         if prefix_loss is not None:
-            number = self.steps % len(views)
-            view, weight = weighted_views[number]
+            view = rendered[self.steps % len(rendered)]
             prefix_loss.add_gradients(
                 scene,
-                self._views.cameras[view],
-                self._views.configs[view],
-                self._views.pictures[view],
+                view.training_view.camera,
+                view.training_view.config,
+                view.training_view.picture,
                 loss=self._config.loss,
                 # Prefixes are rendered in one view for all views of the step.
-                error=len(views) * weight * errors[number],
+                error=len(rendered) * view.weight * view.error,
                 rng=np.random.default_rng((self._config.seed, _PREFIX_SALT, self.steps)),
                 gradients=self._gradients,
             )
         if extra_gradients is not None:
             # The loss is half the squared error, summed over the pixels of these views.
-            pixels = sum(self._pixels[view] for view in views)
+            pixels = sum(view.training_view.picture[..., 0].size for view in rendered)
             self._gradients.add(extra_gradients.times(0.5 * pixels))
         self._adam.step(self.splats, self._gradients, rates, self._config.threads)
         self.steps += 1
         self._deletion_steps += 1
-        return errors
+        return [view.error for view in rendered]
 
     def _with_offsets(self, offsets: Mapping[str, F32] | None) -> Splats:
         """Return the scene to render: the current values plus their quantisation errors."""
@@ -289,36 +290,41 @@ class Trainer:
         }
 
     def _render_and_differentiate(
-        self, weighted_view: tuple[int, float], *, scene: Splats
-    ) -> tuple[ForwardPass, F64, float]:
-        """Render a view; return its forward pass, the footprint sums, and its squared error."""
-        view, weight = weighted_view
-        views = self._views
-        forward = render_forward(scene, views.cameras[view], views.configs[view])
-        error, by_picture = LOSSES[self._config.loss](forward.picture, views.pictures[view])
+        self, choice: tuple[Callable[[], TrainingView], float], *, scene: Splats
+    ) -> _RenderedView:
+        """Render a chosen view and differentiate its loss; see `_choose_views`."""
+        make_view, weight = choice
+        view = make_view()
+        forward = render_forward(scene, view.camera, view.config)
+        error, by_picture = LOSSES[self._config.loss](forward.picture, view.picture)
         by_picture *= np.float32(weight)
-        return forward, forward.footprint_sums(by_picture), error
+        return _RenderedView(view, forward, forward.footprint_sums(by_picture), error, weight)
 
-    def _view_weight(self, view: int) -> float:
-        """Return the weight of a view in the loss, from its ground truth and its last errors."""
-        error = self._view_errors[view]
-        photos = self._views.num_photos
-        weight = _RENDER_WEIGHT if 0 < photos <= view else 1.0
-        if not self._config.worst_views or not error > 0.0:
-            return weight
-        ratio = float((error / np.nanmean(self._view_errors)) ** self._config.worst_views)
-        return weight * min(max(ratio, 1.0 / _MAX_VIEW_WEIGHT), _MAX_VIEW_WEIGHT)
+    def _choose_views(self) -> list[tuple[Callable[[], TrainingView], float]]:
+        """Return functions that make the views of this step, one of each kind, and their weights.
 
-    def _choose_views(self) -> list[int]:
-        """Return the views of this step, one of each kind; an epoch shows each view once."""
-        first_kind, total = self._views.num_photos or self._views.num_on_path, len(self._views)
-        chosen = []
-        kinds = ((0, first_kind), (first_kind, total - first_kind))
-        for kind, (first, count) in enumerate(kinds):
-            if count:
-                epoch, position = divmod(self.steps, count)
-                rng = np.random.default_rng((self._config.seed, kind, epoch))
-                chosen.append(first + int(rng.permutation(count)[position]))
+        An epoch shows each fixed view of a kind once.
+        """
+        views, seed = self._views, self._config.seed
+        given, total = views.num_given, len(views)
+        rng = np.random.default_rng((seed, _DRAWN_SALT, self.steps))
+        given_interval = 1 if views.photos else _GIVEN_INTERVAL
+        kinds = ((0, given, given_interval), (given, total - given, _COVERING_INTERVAL))
+        chosen: list[tuple[Callable[[], TrainingView], float]] = []
+        for kind, (first, count, interval) in enumerate(kinds):
+            interval = 1 if views.drawn is None else interval
+            if count and self.steps % interval == 0:
+                epoch, position = divmod(self.steps // interval, count)
+                order = np.random.default_rng((seed, kind, epoch)).permutation(count)
+                number = first + int(order[position])
+                chosen.append((partial(views.fixed, number), 1.0))
+            elif views.drawn is not None:
+                # Photos show the path alone: the other view is on and off it in turn.
+                off_path = bool(kind) and not (views.photos and self.steps % 2)
+                camera, config = views.drawn.camera(rng, off_path=off_path)
+                chosen.append((partial(views.drawn.render, camera, config), 1.0))
+        if views.photos:
+            chosen[1:] = [(make_view, _RENDER_WEIGHT) for make_view, _ in chosen[1:]]
         return chosen
 
     def _rates(self, factor: float) -> dict[str, F32]:

@@ -51,6 +51,8 @@ _MAX_EARLIER_ROUNDS: Final = 2
 # Time reserved for the end of the encode, in durations of the setup of quantised training, plus
 # durations of one cycle of encoding and training.
 _RESERVED_SETUPS, _RESERVED_CYCLES = 2.0, 8.0
+# Views in which the first deletion errors are measured; later ones accumulate in training.
+_DELETION_VIEWS: Final = 128
 # Cycle whose duration the number of cycles is planned by; one-off compilation is over by then.
 _TIMED_CYCLE: Final = 2
 # Cycles between two checkpoints.
@@ -210,7 +212,7 @@ class _TuningRun:
         self._views = make_views(views.cameras, photos=request.photos, covering=views.covering)
         self._measured = self._views
         if views.test_views:
-            self._measured = make_views(views.test_views, copies=False)
+            self._measured = make_views(views.test_views, draw=False)
         # Checkpoint arrays from before the last rounds.
         self._earlier_rounds: list[dict[str, NDArray[np.generic]]] = []
         # Recoveries made, and the number of splats that a correction prunes down to; 0 without one.
@@ -253,7 +255,7 @@ class _TuningRun:
         if errors is None:
             errors = deletion_errors(
                 self.trainer.splats,
-                self._views,
+                self._views.sample(_DELETION_VIEWS, self._config.train.seed),
                 threads=self._config.train.threads,
                 progress=self._progress,
             )

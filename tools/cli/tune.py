@@ -276,8 +276,6 @@ class TuneOptions:
         photos = None
         if self.images is not None:
             photos = read_ground_truth(self.images, views.cameras)
-        # The worst photos may have errors of their own, so they get no extra weight.
-        worst_views = 0.0 if photos else 1.0
         config = TuneConfig(
             keep=self.keep,
             seconds=None if self.minutes is None else 60 * self.minutes,
@@ -285,7 +283,7 @@ class TuneOptions:
             profile=self.profile,
             preview=self.preview,
             prefix_weight=0.0 if self.preview is None else _PREFIX_WEIGHT,
-            train=TrainConfig(worst_views=worst_views, seed=self.seed, threads=self.threads),
+            train=TrainConfig(seed=self.seed, threads=self.threads),
         )
         return TuneRequest(views, target, config, photos, self.background, self.device)
 

@@ -19,7 +19,7 @@ from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 @pytest.fixture(scope="module")
 def scene():
     splats = synth(600, seed=3)
-    return splats, make_training_views(splats, synth_cameras(4, 64, 48), copies=False)
+    return splats, make_training_views(splats, synth_cameras(4, 64, 48), draw=False)
 
 
 def squared_error(splats, prefixes, number, views, view):

@@ -45,7 +45,7 @@ def mean_db(splats, views):
 @pytest.mark.parametrize("loss", ["squared", "photo"])
 def test_training_reduces_the_error_of_renders(scenes, loss):
     _, views, noisy = scenes
-    trainer = Trainer(noisy, views, TrainConfig(loss=loss, worst_views=0.5))
+    trainer = Trainer(noisy, views, TrainConfig(loss=loss))
     before = mean_db(noisy, views)
     seen = trainer.run(60, 1.0, 0.1)
     after = mean_db(trainer.splats, views)
@@ -71,7 +71,7 @@ def test_the_result_depends_on_the_seed_but_not_on_threads(scenes):
 
 def test_a_restored_trainer_gives_the_same_result(scenes):
     _, views, noisy = scenes
-    config = TrainConfig(seed=3, worst_views=1.0)
+    config = TrainConfig(seed=3)
     whole = Trainer(noisy, views, config)
     whole.run(6, 1.0, 1.0)
     whole.keep(np.arange(0, 60, 2))
@@ -110,15 +110,14 @@ def test_kernels_are_called_with_their_declared_types(scenes):
 
 def test_steps_accumulate_deletion_errors(scenes):
     _, _, noisy = scenes
-    views = make_training_views(noisy, [oracle.camera()])
-    assert len(views) == 3
-    trainer = Trainer(noisy, views, TrainConfig(worst_views=0.0, rates={}))
+    cameras = [oracle.camera(angle) for angle in (0.0, 0.4)]
+    views = make_training_views(noisy, cameras, draw=False)
+    trainer = Trainer(noisy, views, TrainConfig(rates={}))
     trainer.run(1, 1.0, 1.0)
-    # One of the two jittered copies was not rendered yet.
+    # One of the two cameras was not rendered yet.
     assert trainer.deletion_errors() is None
     trainer.run(1, 1.0, 1.0)
-    # The given camera was rendered in both steps.
-    expected = deletion_errors(noisy, views) + deletion_errors(noisy, views, [0])
+    expected = deletion_errors(noisy, views.sample(2, 0))
     np.testing.assert_allclose(trainer.deletion_errors(), expected, rtol=0.02, atol=1e-3)
     resumed = Trainer(noisy, views, TrainConfig())
     resumed.restore(trainer.state())
@@ -140,7 +139,6 @@ def test_arrays_without_a_learning_rate_do_not_change(scenes):
     ("settings", "said"),
     [
         ({"loss": "l3"}, "loss 'l3'"),
-        ({"worst_views": 2.0}, "worst_views 2.0"),
         ({"rates": {"colour": 0.1}}, "learning rates of"),
         ({"seed": -1}, "seed -1"),
         ({"threads": -1}, "-1 threads"),
@@ -163,7 +161,7 @@ def test_extra_gradients_are_added_to_those_of_pictures(scenes):
     off = replace(source, sh0=source.sh0 + np.float32(0.1))
     moved = []
     for factor in (0.0, -1e-7, -1.0):
-        trainer = Trainer(off, views, TrainConfig(worst_views=0.0))
+        trainer = Trainer(off, views, TrainConfig())
         trainer.run(20, 1.0, 1.0, extra_gradients=extra.times(factor))
         moved.append(np.median(trainer.splats.sh0[:, 0] - off.sh0[:, 0]))
     assert moved[0] == pytest.approx(moved[1], abs=0.01)
@@ -176,16 +174,35 @@ def test_photos_outweigh_renders_of_the_source():
     camera = oracle.camera(0.0)
     photo, plain = (np.clip(render(each, camera), 0, 1) for each in (brighter, source))
     views = make_training_views(source, [camera], photos=[photo])
-    assert (views.num_photos, len(views)) == (1, 3)
-    trainer = Trainer(source, views, TrainConfig(worst_views=0.0))
+    assert (views.photos, len(views)) == (True, 1)
+    trainer = Trainer(source, views, TrainConfig())
     trainer.run(80, 1.0, 0.3)
     drawn = np.clip(render(trainer.splats, camera), 0, 1)
     assert psnr(photo, drawn) > psnr(plain, drawn) + 6.0
-    # Without photos in the set, the first view counts as one of three.
-    alike = Trainer(source, replace(views, num_photos=0), TrainConfig(worst_views=0.0))
+    # If it is not known as a photo, it is shown in every third step alone.
+    alike = Trainer(source, replace(views, photos=False), TrainConfig())
     alike.run(80, 1.0, 0.3)
     assert psnr(photo, drawn) > psnr(photo, np.clip(render(alike.splats, camera), 0, 1))
-    # Jittered copies still have an acceptable error.
-    off = [psnr(views.pictures[view], render(trainer.splats, views.cameras[view]))
-           for view in (1, 2)]  # fmt: skip
+    # Views off the path still have an acceptable error.
+    off = [psnr(render(source, camera, config), render(trainer.splats, camera, config))
+           for camera, config in views.sample(4, 0)[1:]]  # fmt: skip
     assert min(off) > 12.0
+
+
+def test_new_views_are_drawn_in_most_steps(scenes):
+    _, views, noisy = scenes
+    renders = []
+
+    def render_drawn(camera, config):
+        renders.append(camera)
+        return views.drawn.render(camera, config)
+
+    class Recorded:
+        camera = views.drawn.camera
+        render = staticmethod(render_drawn)
+
+    trainer = Trainer(noisy, replace(views, drawn=Recorded()), TrainConfig(threads=1))
+    trainer.run(6, 1.0, 1.0)
+    # Twelve views, of which two are given ones. No view is drawn twice.
+    assert len(renders) == 10
+    assert len({camera.rotation.tobytes() for camera in renders}) == 10

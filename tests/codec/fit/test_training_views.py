@@ -10,39 +10,33 @@ from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import SceneInfo
 
 
-def test_renders_are_the_ground_truth_of_cameras_and_copies():
+def test_renders_are_the_ground_truth_of_given_and_drawn_views():
     splats = oracle.scene(0, info=SceneInfo(antialiased=True, kernel_px=0.1))
     cameras = [oracle.camera(angle) for angle in (0.1, 0.6)]
     background = (0.2, 0.0, 1.0)
-    training_views = make_training_views(splats, cameras, background=background, threads=2)
-    assert (
-        len(training_views),
-        training_views.num_given,
-        training_views.num_on_path,
-        len(training_views.pictures),
-    ) == (8, 2, 3, 8)
-    for camera, config, picture in zip(
-        training_views.cameras, training_views.configs, training_views.pictures, strict=True
-    ):
-        assert config == RenderConfig(background=background, threads=1)
-        np.testing.assert_array_equal(picture, np.clip(render(splats, camera, config), 0, 1))
-    alone = make_training_views(splats, cameras, copies=False)
-    assert len(alone) == alone.num_given == alone.num_on_path == 2
+    views = make_training_views(splats, cameras, background=background, threads=2)
+    assert (len(views), views.num_given, len(views.pictures)) == (2, 2, 2)
+    drawn = views.drawn.camera(np.random.default_rng(0), off_path=True)
+    for view in [views.fixed(0), views.fixed(1), views.drawn.render(*drawn)]:
+        assert view.config == RenderConfig(background=background, threads=1)
+        expected = np.clip(render(splats, view.camera, view.config), 0, 1)
+        np.testing.assert_array_equal(view.picture, expected)
+    assert make_training_views(splats, cameras, draw=False).drawn is None
 
 
-def test_interpolated_cameras_are_halfway():
-    splats = oracle.scene(4)
-    one, other, middle = (oracle.camera(angle) for angle in (0.2, 1.0, 0.6))
-    between = make_training_views(splats, [one, other]).cameras[2]
-    np.testing.assert_allclose(between.rotation, middle.rotation, atol=1e-12)
-    np.testing.assert_allclose(between.position, (one.position + other.position) / 2, atol=1e-12)
-    # Of three cameras on a path, each pair is interpolated.
-    three = make_training_views(splats, [one, middle, other])
-    assert (three.num_given, three.num_on_path) == (3, 6)
-    assert len({camera.name for camera in three.cameras}) == len(three)
+def test_samples_add_drawn_views_to_fixed_ones():
+    cameras = [oracle.camera(angle) for angle in (0.1, 0.6, 1.1)]
+    views = make_training_views(oracle.scene(4), cameras)
+    sample = views.sample(5, 7)
+    assert [camera for camera, _ in sample[:3]] == list(views.cameras)
+    assert [len(views.sample(count, 7)) for count in (2, 5)] == [2, 5]
+    alike, other = views.sample(5, 7), views.sample(5, 8)
+    for (one, _), (two, _), (three, _) in list(zip(sample, alike, other, strict=True))[3:]:
+        np.testing.assert_array_equal(one.rotation, two.rotation)
+        assert not np.array_equal(one.rotation, three.rotation)
 
 
-def test_covering_views_have_no_copies():
+def test_covering_views_stand_behind_given_ones():
     splats = oracle.scene(6)
     cameras = [oracle.camera(angle) for angle in (0.1, 0.6)]
     below = [replace(oracle.camera(2.0), name="covering-000")]
@@ -50,10 +44,7 @@ def test_covering_views_have_no_copies():
         make_training_views(splats, cameras, covering=views) for views in (below, ())
     )
     assert len(training_views) == len(without) + 1
-    assert (training_views.num_given, training_views.num_on_path) == (
-        without.num_given,
-        without.num_on_path,
-    )
+    assert training_views.num_given == without.num_given == 2
     last = training_views.cameras[-1]
     assert last.name == "covering-000"
     assert (last.width, last.height) == (below[0].width // 2, below[0].height // 2)
@@ -66,8 +57,9 @@ def test_photos_are_the_ground_truth_of_cameras_only():
     photo = np.full((camera.height, camera.width, 3), 0.25, np.float32)
     training_views = make_training_views(splats, [camera], photos=[photo])
     np.testing.assert_array_equal(training_views.pictures[0], photo)
-    assert (training_views.num_photos, make_training_views(splats, [camera]).num_photos) == (1, 0)
-    assert not (training_views.pictures[1] == 0.25).all()
+    assert (training_views.photos, make_training_views(splats, [camera]).photos) == (True, False)
+    drawn = training_views.drawn.camera(np.random.default_rng(0), off_path=False)
+    assert not (training_views.drawn.render(*drawn).picture == 0.25).all()
     with pytest.raises(ValueError, match="1 photos for 2 cameras"):
         make_training_views(splats, [camera, camera], photos=[photo])
 

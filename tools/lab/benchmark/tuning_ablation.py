@@ -102,13 +102,11 @@ def variants(config: TuneConfig, share: float, *, photos: bool) -> list[Variant]
             replace(config, train=replace(train, noise=True)),
         ),
         Variant("no rate term", replace(config, rate_weight=0.0)),
-        Variant("equal view weights", replace(config, train=replace(train, worst_views=0.0))),
         Variant("half of the views", config, views_share=0.5),
         Variant("a quarter of the views", config, views_share=0.25),
     ]
     if photos:
-        taught = replace(config, train=replace(train, worst_views=0.0))
-        found.append(Variant("photos as ground truth", taught, photos=True))
+        found.append(Variant("photos as ground truth", config, photos=True))
     return found
 
 

@@ -16,7 +16,7 @@ SHORT = TuneConfig(round_steps=10, recovery_steps=80, quantised_steps=20)
 
 def test_every_variant_differs_in_what_it_is_named_after() -> None:
     found = {variant.name: variant for variant in tuning_ablation.variants(SHORT, 0.4, photos=True)}
-    assert len(found) == 12
+    assert len(found) == 11
     assert found["default"].config == SHORT
     assert found["1.5 times as many splats"].config.keep == pytest.approx(0.6)
     # 0.8⁵ is below 0.4: one cut is followed by the steps of five rounds.
@@ -25,7 +25,7 @@ def test_every_variant_differs_in_what_it_is_named_after() -> None:
         SHORT, train=replace(SHORT.train, noise=True)
     )
     assert [name for name, variant in found.items() if variant.photos] == ["photos as ground truth"]
-    assert len(tuning_ablation.variants(SHORT, 0.4, photos=False)) == 11
+    assert len(tuning_ablation.variants(SHORT, 0.4, photos=False)) == 10
 
 
 @pytest.mark.slow
