@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable
 from typing import Final
+
+from cogsplat.codec.errors import CogsplatWarning
 
 # Share of a step's time that does not depend on the number of splats. Measured on a captured scene
 # with 15 to 100 % of its splats.
@@ -30,9 +33,16 @@ class TimeBudget:
     def __init__(self, seconds: float | None, clock: Callable[[], float] = time.monotonic) -> None:
         self.factor = 1.0
         self._clock = clock
-        self._deadline = None if seconds is None else clock() + seconds
+        self._begin = clock()
+        self._deadline = None if seconds is None else self._begin + seconds
+        self._has_warned = False
         self._measured_seconds = 0.0
         self._measured_work = 0.0
+
+    @property
+    def needs_measurement(self) -> bool:
+        """Whether there is a deadline, and no work was timed yet."""
+        return self._deadline is not None and not self._measured_work
 
     @staticmethod
     def work(steps: float, share: float) -> float:
@@ -44,11 +54,14 @@ class TimeBudget:
         self.factor = factor
         self._deadline = None
 
-    def fit_to_deadline(self, fixed_work: float, scalable_work: float) -> None:
+    def fit_to_deadline(
+        self, fixed_work: float, scalable_work: float, reserved_seconds: float = 0.0
+    ) -> None:
         """Set `factor` so that the remaining work fits the remaining time.
 
         A factor below 1 shortens all steps. A factor above 1 extends the scalable steps alone.
-        Nothing changes without a deadline, and before any work was timed (`run_timed`).
+        Nothing changes without a deadline, and before any work was timed (`run_timed`). A warning
+        is issued, once, if even the smallest factor misses the deadline.
 
         Parameters
         ----------
@@ -56,11 +69,25 @@ class TimeBudget:
             Remaining work that is never extended, in steps with all splats.
         scalable_work : float
             Remaining work that is extended to fill the time, above 0, in the same unit.
+        reserved_seconds : float
+            Time to leave for what is no training step.
         """
         if self._deadline is None or not self._measured_work:
             return
-        remaining = self._deadline - self._clock()
+        remaining = self._deadline - self._clock() - reserved_seconds
         possible = remaining * self._measured_work / self._measured_seconds
+        least = _MIN_FACTOR * (fixed_work + scalable_work)
+        if possible < least and not self._has_warned:
+            self._has_warned = True
+            missing = (least - possible) * self._measured_seconds / self._measured_work
+            planned = self._deadline - self._begin
+            warnings.warn(
+                f"a time limit of {planned:.0f} s, expected about {planned + missing:.0f} s or "
+                f"more: {_MIN_FACTOR:.0%} of the usual steps, and what precedes and follows them, "
+                "take that long; fewer views or splats would take less",
+                CogsplatWarning,
+                stacklevel=2,
+            )
         factor = possible / (fixed_work + scalable_work)
         if factor > 1.0:
             factor = (possible - fixed_work) / scalable_work
@@ -99,6 +126,10 @@ class TimeBudget:
         return max(
             1, min(max(affordable, round(_MIN_FACTOR * planned)), round(_MAX_FACTOR * planned))
         )
+
+    def seconds_of(self, work: float) -> float:
+        """Return the duration of an amount of work (`work`), seconds; 0 if none was timed yet."""
+        return work * self._measured_seconds / self._measured_work if self._measured_work else 0.0
 
     def now(self) -> float:
         """Return the current time of the clock, seconds."""

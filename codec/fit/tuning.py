@@ -55,6 +55,9 @@ _RESERVED_SETUPS, _RESERVED_CYCLES = 2.0, 8.0
 _DELETION_VIEWS: Final = 128
 # Cycle whose duration the number of cycles is planned by; one-off compilation is over by then.
 _TIMED_CYCLE: Final = 2
+# Steps that are not timed, because they compile kernels, and steps that are timed before the first
+# plan that has to meet a deadline.
+_WARM_STEPS, _TIMED_STEPS = 2, 8
 # Cycles between two checkpoints.
 _CHECKPOINT_CYCLES: Final = 5
 
@@ -160,7 +163,9 @@ def tune(
     )
     # A given share of splats is kept even where the untuned source is smaller.
     compare_untuned = request.target.psnr_db is not None and config.keep is None
+    begin = run.time_budget.now()
     of_source = make_quantised(source) if compare_untuned else None
+    run.reserved_seconds = (1.0 + _RESERVED_SETUPS) * (run.time_budget.now() - begin)
     untuned = None if of_source is None else of_source.encode_untrained(source)
     if resume is not None:
         run.restore(resume)
@@ -201,6 +206,12 @@ class _TuningRun:
         self._progress = progress
         self._source_count = len(source)
         self.time_budget = TimeBudget(config.seconds)
+        # Time to leave for quantised training's own setup and the end of the encode, as far as it
+        # was measured, seconds.
+        self.reserved_seconds = 0.0
+        # Time between two trainings: deletion errors, merging and measurements, seconds.
+        self._round_seconds = 0.0
+        self._trained_at = 0.0
         make_views = partial(
             make_training_views,
             source,
@@ -235,6 +246,7 @@ class _TuningRun:
 
     def prune(self) -> None:
         """Prune and train in rounds until the target allows no further round."""
+        self._trained_at = self.time_budget.now()
         if not self._recoveries:
             while (count := self._next_count()) is not None:
                 self._run_round(count)
@@ -343,10 +355,19 @@ class _TuningRun:
         recovery : bool
             Whether this is a recovery, which the time budget may extend, or a round.
         """
+        budget = self.time_budget
+        self._round_seconds = budget.now() - self._trained_at
+        done = 0
+        if budget.needs_measurement and planned > _WARM_STEPS + _TIMED_STEPS:
+            self.trainer.run(_WARM_STEPS, rates[0], rates[0])
+            timed = partial(self.trainer.run, _TIMED_STEPS, rates[0], rates[0])
+            budget.run_timed(timed, TimeBudget.work(_TIMED_STEPS, self._share))
+            done = _WARM_STEPS + _TIMED_STEPS
         self._update_time_budget(planned if recovery else 0)
-        steps = self.time_budget.scaled_steps(planned, extend=recovery)
+        steps = max(1, budget.scaled_steps(planned, extend=recovery) - done)
         run = partial(self.trainer.run, steps, *rates, progress=self._progress)
-        self.time_budget.run_timed(run, TimeBudget.work(steps, self._share))
+        budget.run_timed(run, TimeBudget.work(steps, self._share))
+        self._trained_at = budget.now()
 
     def _update_time_budget(self, recovery_steps: int) -> None:
         """Set the factor on planned steps so that the remaining training meets the deadline.
@@ -359,15 +380,20 @@ class _TuningRun:
         config, share = self._config, self._share
         final = self._final_count()
         final_share = _ASSUMED_SHARE if final is None else final / max(self._source_count, 1)
-        rounds = 0.0
+        rounds, reserved = 0.0, self.reserved_seconds
         if not recovery_steps and not self._recoveries:
             while share > final_share:
                 rounds += TimeBudget.work(config.round_steps, share)
                 share *= config.round_keep
+                reserved += self._round_seconds
             recovery_steps = config.recovery_steps
         quantised = _QUANTISED_STEP_COST * config.quantised_steps
-        scalable = TimeBudget.work(recovery_steps + quantised, min(final_share, share))
-        self.time_budget.fit_to_deadline(rounds, scalable)
+        last_share = min(final_share, share)
+        scalable = TimeBudget.work(recovery_steps + quantised, last_share)
+        # The last corrections train too, and no plan shortens them.
+        corrections = _RESERVED_CYCLES * config.encode_interval * _QUANTISED_STEP_COST
+        reserved += self.time_budget.seconds_of(TimeBudget.work(corrections, last_share))
+        self.time_budget.fit_to_deadline(rounds, scalable, reserved)
 
     def _measure_psnr(self) -> tuple[float, float]:
         """Return the mean and the lowest PSNR of the test views, dB."""

@@ -1,5 +1,8 @@
+import warnings
+
 import pytest
 
+from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.fit.time_budget import TimeBudget
 
 
@@ -55,7 +58,8 @@ def test_the_factor_has_bounds():
     assert budget.scaled_steps(100, extend=True) == 1200
     assert budget.affordable_count(10, 1e-9, 0.0) == 120
     clock.spend(100.0)
-    budget.fit_to_deadline(0.0, 100.0)
+    with pytest.warns(CogsplatWarning):
+        budget.fit_to_deadline(0.0, 100.0)
     assert budget.scaled_steps(100, extend=True) == 5
     assert budget.scaled_steps(1, extend=True) == 1
     assert budget.affordable_count(100, 1.0, 0.0) == 5
@@ -84,3 +88,27 @@ def test_a_fixed_factor_ignores_the_clock():
 def test_a_step_has_a_fixed_cost_and_one_per_splat():
     assert TimeBudget.work(10, 1.0) == pytest.approx(10.0)
     assert 0.5 < TimeBudget.work(10, 0.0) < TimeBudget.work(10, 0.5) < 6.0
+
+
+def test_time_is_left_for_what_is_no_step():
+    clock = Clock()
+    budget = TimeBudget(100.0, clock)
+    assert budget.needs_measurement
+    assert budget.seconds_of(5.0) == 0.0
+    budget.run_timed(lambda: clock.spend(40.0), 20.0)
+    assert not budget.needs_measurement
+    assert budget.seconds_of(5.0) == 10.0
+    budget.fit_to_deadline(40.0, 40.0, 20.0)
+    assert budget.factor == pytest.approx(40 / 160)
+
+
+def test_a_limit_that_cannot_be_met_is_told_once_with_the_time_that_is_needed():
+    clock = Clock()
+    budget = TimeBudget(10.0, clock)
+    budget.run_timed(lambda: clock.spend(8.0), 4.0)
+    # 2 s remain; 5 % of 1000 units take 100 s, and 12 s are reserved.
+    with pytest.warns(CogsplatWarning, match="limit of 10 s, expected about 120 s or more"):
+        budget.fit_to_deadline(600.0, 400.0, 12.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        budget.fit_to_deadline(600.0, 400.0, 12.0)
