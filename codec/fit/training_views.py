@@ -58,7 +58,7 @@ class TrainingView:
 class TrainingViews:
     """Views that a scene is trained in: a fixed set, and new views drawn near it in every step.
 
-    Fixed views alone are learnt by heart: other views then gain less, or lose.
+    Fixed views alone are learnt by heart: other views then gain less, or lose (docs/ablations.md).
 
     Parameters
     ----------
