@@ -41,7 +41,8 @@ _GAIN: Final = (5.5, 6e-5)
 _COMPENSATE: Final = (1.35, 3.7e-5)
 # Cost per view of a view table: for each pixel, and for each splat.
 _VIEW_TABLE: Final = (1.4e-7, 4e-7)
-# The first prefix of the order by marginal gain, as a share of the scene.
+# The first prefix of the order by marginal gain, as a share of the scene. All splats are taken as
+# effective here.
 _FIRST_PREFIX: Final = 1 / 8000
 _PREVIEW: Final = 16.0
 _ORDER: Final = (1e-3, 7e-8)

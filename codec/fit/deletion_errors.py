@@ -31,7 +31,9 @@ def _view_errors(
     present = np.ones(len(footprints), np.bool_)
     # With the scene's own render as ground truth, the gain of a splat is minus the squared change
     # that its deletion makes.
-    gains, _ = marginal_gains(footprints, colours, present, picture)
+    # Relative to the background, a picture over it is one over black, as `marginal_gains` expects.
+    background = np.array(config.background, np.float32)
+    gains, _ = marginal_gains(footprints, colours - background, present, picture - background)
     return footprints.index, -gains
 
 
@@ -44,8 +46,8 @@ def deletion_errors(
 ) -> F64:
     """Measure how much the pictures of a scene change when a single splat is removed.
 
-    In a pixel where a splat has weight w, alpha α and colour c, and the splats behind it add up to
-    the colour R, its removal changes the colour by ``w·c - R·α/(1 - α)``.
+    In a pixel where a splat has weight w, alpha α and colour c, and the splats and the background
+    behind it add up to the colour R, its removal changes the colour by ``w·c - R·α/(1 - α)``.
 
     Parameters
     ----------

@@ -285,11 +285,11 @@ def _gain_order(
     """Order the splats by marginal gain in views, and return the inflation of the first `count`."""
     scores = score(source, views, ScoreConfig(threads=config.threads), progress=progress)
     # Behind the splats of this level the order has no effect.
-    until = min(GainEffort().until, max(count, 1) / max(len(source), 1))
-    effort = GainEffort(until=until)
+    relative = max(count, 1) / effective_splats(scores.contribution)
+    effort = GainEffort(until=min(GainEffort().until, relative))
     gain = GainConfig(jitter=False, threads=config.threads, effort=effort)
     order = gain_order(source, scores, views, gain, progress=progress)
-    return order, best_inflation(count / effective_splats(scores.contribution))
+    return order, best_inflation(relative)
 
 
 def _targets(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -306,7 +306,13 @@ class QuantisedTraining:
             self._finisher.file_bytes(encoded),
         )
 
-    def reach_target(self, trainer: Trainer, quality_db: float, interval: int) -> EncodedScene:
+    def reach_target(
+        self,
+        trainer: Trainer,
+        quality_db: float,
+        interval: int,
+        has_time: Callable[[], bool] = lambda: True,
+    ) -> EncodedScene:
         """Alternate corrections of the nominal quality with training; return the best encode.
 
         Parameters
@@ -317,6 +323,8 @@ class QuantisedTraining:
             Nominal quality to start from, dB.
         interval : int
             Training steps between two encodes.
+        has_time : callable
+            Returns whether there is time to train; without it, corrections encode alone.
 
         Returns
         -------
@@ -342,6 +350,8 @@ class QuantisedTraining:
                 quality_db + (self._damped_quality_change_db(encoded, _FINAL_DAMPING) or -0.05)
             )
             for _ in range(_CYCLES_PER_CORRECTION):
+                if not has_time():
+                    break
                 made = self._encode(trainer.splats, quality_db)
                 last = _LEARNING_RATE_FACTORS[1]
                 self.train(trainer, made, quality_db, interval, (last, last))

@@ -61,7 +61,7 @@ class TimeBudget:
         """Set `factor` so that the remaining work fits the remaining time.
 
         A factor below 1 shortens all steps. A factor above 1 extends the scalable steps alone.
-        Nothing changes without a deadline, and before any work was timed (`run_timed`). A warning
+        Nothing changes if there is no deadline, or no work was timed yet (`run_timed`). A warning
         is issued, once, if even the smallest factor misses the deadline.
 
         Parameters
@@ -71,7 +71,7 @@ class TimeBudget:
         scalable_work : float
             Remaining work that is extended to fill the time, above 0, in the same unit.
         reserved_seconds : float
-            Time to leave for what is no training step.
+            Time to leave for other work than training steps, seconds.
         """
         if self._deadline is None or not self._measured_work:
             return
@@ -108,9 +108,10 @@ class TimeBudget:
         return max(1, round(planned * factor))
 
     def affordable_count(self, planned: int, seconds: float, reserved_seconds: float) -> int:
-        """Return the number of repetitions of some work that fit before the deadline, at least 1.
+        """Return how often some work is repeated to end by the deadline; `planned` without one.
 
-        The result stays between `_MIN_FACTOR` and `_MAX_FACTOR` times `planned`.
+        At least 1, and between `_MIN_FACTOR` and `_MAX_FACTOR` times `planned`: the lower bound may
+        miss the deadline.
 
         Parameters
         ----------
@@ -131,6 +132,10 @@ class TimeBudget:
     def seconds_of(self, work: float) -> float:
         """Return the duration of an amount of work (`work`), seconds; 0 if none was timed yet."""
         return work * self._measured_seconds / self._measured_work if self._measured_work else 0.0
+
+    def has_time(self, reserved_seconds: float) -> bool:
+        """Return whether more than `reserved_seconds` remain, or there is no deadline."""
+        return self._deadline is None or self._deadline - self._clock() > reserved_seconds
 
     def now(self) -> float:
         """Return the current time of the clock, seconds."""

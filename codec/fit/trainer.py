@@ -43,8 +43,8 @@ _DELETION_STEPS: Final = 90
 # photo shows.
 _RENDER_WEIGHT: Final = 0.1
 
-# Steps between two fixed views of a kind, where new ones are drawn in the other steps. Covering
-# views are few, and shown rarely.
+# Where views are drawn, a given camera is rendered every third step, and one of the few covering
+# views every eighth.
 _GIVEN_INTERVAL, _COVERING_INTERVAL = 3, 8
 
 # Salts of the random generators for noise, prefixes and drawn views; fixed views use 0 and 1.
@@ -65,9 +65,10 @@ class _RenderedView:
 class Trainer:
     """A scene in training, with its optimiser state.
 
-    Each step renders one view on the capture path and one view off it, and updates all values once.
-    Most of them are new in every step (`TrainingViews.drawn`). Where photos are ground truth, it
-    renders one photo's view and one other view of lower weight.
+    A step renders a view on the capture path and a view off it, and updates all values once. Most
+    of these views are drawn anew (`TrainingViews.drawn`). Where photos are ground truth, the first
+    view is a photo's, and the second has a lower weight. Without drawn views, both come from the
+    fixed set; a set without views off the path has one view per step.
 
     Parameters
     ----------
@@ -301,7 +302,7 @@ class Trainer:
         return _RenderedView(view, forward, forward.footprint_sums(by_picture), error, weight)
 
     def _choose_views(self) -> list[tuple[Callable[[], TrainingView], float]]:
-        """Return functions that make the views of this step, one of each kind, and their weights.
+        """Return functions that make the views of this step, on and off the path, with weights.
 
         An epoch shows each fixed view of a kind once.
         """

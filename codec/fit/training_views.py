@@ -56,14 +56,14 @@ class TrainingView:
 
 @dataclass(frozen=True, eq=False)
 class TrainingViews:
-    """Views that a scene is trained in: a fixed set, and new views drawn near it in every step.
+    """Views that a scene is trained in: a fixed set, and new views drawn near its given cameras.
 
-    Fixed views alone are learnt by heart: other views then gain less, or lose (docs/ablations.md).
+    With few fixed views alone, other views gain less or lose (docs/ablations.md).
 
     Parameters
     ----------
     cameras : sequence of Camera
-        Fixed views in this order: given cameras, views off their path or covering views.
+        Fixed views: first the given cameras, then covering views, or views off the path.
     configs : sequence of RenderConfig
         Render settings of each fixed view, on one thread.
     pictures : sequence of (H, W, 3) float32
@@ -96,8 +96,8 @@ class TrainingViews:
         Parameters
         ----------
         count : int
-            Number of views: of more fixed ones, evenly spread ones are taken; where they are fewer
-            and views are drawn, drawn ones are added, on and off the path in turn.
+            Number of views. More fixed views are sampled evenly; to fewer, drawn views are added if
+            there are any, on and off the path in turn.
         seed : int
             Seed of the drawn views.
         """
@@ -192,8 +192,8 @@ def make_training_views(
         Whether new views are drawn near the cameras while training.
     covering : sequence of Camera
         Views of regions that `cameras` hardly show (`planner.ViewPlan.covering_views`), so that
-        training keeps these regions. Used like given cameras, they made a third of the views of one
-        figure show its underside, and views around it lost 1 dB at the same size.
+        training keeps these regions. They are rendered at half the width and height, and shown
+        rarely: with equal weight, other views of a figure lost 1 dB at the same file size.
     background : tuple of float
         RGB behind the splats.
     max_pixels : int

@@ -446,7 +446,8 @@ class _TuningRun:
             if (done // interval) % _CHECKPOINT_CYCLES == 0:
                 self._quantised = done, planned, quality_db
                 self._report_encode(quantised)
-        encoded = quantised.reach_target(self.trainer, quality_db, interval)
+        has_time = partial(self.time_budget.has_time, _RESERVED_SETUPS * setup_seconds)
+        encoded = quantised.reach_target(self.trainer, quality_db, interval, has_time)
         if self._notify is not None:
             self._notify(Milestone("stored", *quantised.measure(encoded)))
         return encoded

@@ -1,4 +1,4 @@
-"""Effort of the order by marginal gain: its share of the effective splats, stages and views."""
+"""Effort of the order by marginal gain: number of splats ordered, stages and views."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from cogsplat.codec.finite_fields import require_finite
 
 @dataclass(frozen=True)
 class GainEffort:
-    """Share of the effective splats ordered by gain, and size and views of each stage.
+    """Number of splats that are ordered by gain, and size and views of each stage.
 
     Parameters
     ----------

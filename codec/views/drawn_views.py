@@ -1,4 +1,4 @@
-"""Random views near given cameras: what a visitor sees who does not stand where the cameras did."""
+"""Random views near given cameras, for training in poses that the cameras do not have."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ F64 = NDArray[np.float64]
 
 # Neighbours of each camera between which views are drawn.
 _NEIGHBOURS: Final = 5
-# Views near the path: standard deviation of the distance from the line between two cameras, as a
-# share of their distance or of the visible depth, whichever is less; and of the rotation, degrees.
+# On the path: standard deviation of the shift per axis, as a share of the distance of two cameras
+# or of the visible depth, whichever is less; and of yaw and pitch, degrees.
 _PATH_SHIFT: Final = 0.08
 _PATH_YAW_DEG, _PATH_PITCH_DEG = 4.0, 2.0
-# Views off the path: the same distance; maximum rotation, degrees; and the range of movements along
-# the viewing axis, as shares of the visible depth: towards what is seen, and back.
+# Off the path: the same standard deviation; maximum yaw and pitch, degrees; and the range of
+# movements along the viewing axis, as shares of the visible depth: towards what is seen, and back.
 _SHIFT: Final = 0.15
 _YAW_DEG, _PITCH_DEG = 25.0, 8.0
 _TOWARDS, _BACK = 0.1, 0.4
@@ -63,9 +63,9 @@ class ViewDrawer:
         rng : numpy.random.Generator
             Source of random numbers.
         off_path : bool
-            False for a view near the line between the two, looking as they do. True for one that
-            is also moved and turned away: up to 25° to the sides and 8° up or down, up to 10 % of
-            the visible depth forwards or 40 % back.
+            False for a view near the line between the two, with nearly their rotation. True for
+            one that is also turned away, up to 25° to the sides and 8° up or down, and moved
+            forwards by up to 10 % of the visible depth or back by up to 40 %.
 
         Returns
         -------
@@ -114,7 +114,7 @@ def _neighbours(cameras: Sequence[Camera]) -> list[NDArray[np.int64]]:
 
 
 def _mean_rotation(one: F64, other: F64, share: float) -> F64:
-    """Return the rotation nearest to the weighted mean of two rotations."""
+    """Return the rotation nearest to the mean of two; `share` is the weight of the second."""
     left, _, right = np.linalg.svd((1 - share) * one + share * other)
     mean: F64 = left @ np.diag([1.0, 1.0, float(np.linalg.det(left @ right))]) @ right
     return mean

@@ -1,4 +1,4 @@
-"""Codebook of shN of the profile `vq`, whose indices are chosen by error and bits together."""
+"""Codebook of shN of the profile `vq`; indices have the least error plus price of the bits."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def fit(
     training: TrainingConfig,
     start: F32 | None = None,
 ) -> ColourCodebook | None:
-    """Train a codebook of shN and choose the chunks that use it; None if none gains by it.
+    """Train a codebook of shN and choose its chunks; None if it saves less than its rows.
 
     Parameters
     ----------

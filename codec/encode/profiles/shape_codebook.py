@@ -1,7 +1,7 @@
-"""Codebook of shapes of the profile `vq`, whose indices are chosen by error and bits together.
+"""Codebook of shapes of the profile `vq`; indices have the least error plus price of the bits.
 
-A row is a rotation and two scales relative to the longest axis. What no row serves well enough for
-its bits is an escape row, which takes as many bits as a shape without a codebook.
+A row is a rotation and two scales relative to the longest axis. A shape that costs less without the
+codebook becomes an escape row: an index for it, and its values as without a codebook.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 U32 = NDArray[np.uint32]
 
-# An index then takes one plane, with the index of escape rows. Two planes would both say which
+# With the index of escape rows, indices take one byte, a plane. Two planes would both say which
 # splats escape, for 0.4 bits a splat: 481 rows take as many bits in a house of rooms as 210.
 _MOST_ROWS: Final = 255
 
@@ -58,13 +58,15 @@ _DISTANCE_WEIGHT: Final = 2.0
 # more; a captured object the same to 1 % more, and 0 to 3 % more. No row gains in a figure at 1.
 _INDEX_PRICE: Final = 2.0
 
-# Share of the cost of all shapes that a codebook may add. Who chooses the profile wants codebooks.
+# A codebook is kept even if it raises the cost of all shapes, rows included, by up to this share:
+# a caller that chooses the profile expects one.
 _ACCEPTED: Final = 0.01
 
-# Rounds in which the share of escape rows and their choice follow from each other.
+# Iterations of the choice of escape rows: the bits of an escape depend on the share of escapes.
 _ROUNDS: Final = 3
 
-# A rotation between axes of nearly equal scales changes nothing; squared difference at least.
+# Minimum of 4 sinh² of the difference of two log scales: a rotation between equal axes changes
+# nothing, and its weight would be infinite.
 _LEAST_FLATNESS: Final = 0.05
 
 # Squared radians per squared value of swing or twist (`costs`).
@@ -83,13 +85,13 @@ class IndexedShapes:
     Parameters
     ----------
     indices : (n,) uint32
-        Rows of the codebook; its size stands for an escape row.
+        Indices of rows of the codebook; `size` marks an escape row.
     size : int
         Rows of the codebook.
     own : ShapeSource
         Shapes of the escape rows.
     factors : (n, 1) float32
-        Length of the longest axis, log.
+        Log scale factors: log lengths of the longest axis that keep each splat's area.
     grid : Grid
         Grid of `factors`.
     scales : (n, 3) float32
@@ -97,7 +99,7 @@ class IndexedShapes:
     lagrangian : float
         λ of the head.
     needs : tuple of int
-        Number of the codebook.
+        Codebooks that the head needs: one number.
     """
 
     indices: U32
@@ -138,7 +140,7 @@ class ShapeCodebook:
     payload : bytes
         Payload of the segment.
     rows : ShapeCodebook
-        Decoded rows.
+        Rows as a reader decodes them.
     placed : WeightedRows
         Vectors of the rows, and the bits of their indices.
     chunks : frozenset of int
@@ -237,7 +239,7 @@ def fit(
     training: TrainingConfig,
     start: codebooks.ShapeCodebook | None = None,
 ) -> ShapeCodebook | None:
-    """Train a codebook of shapes and choose the chunks that use it; None if none gains by it.
+    """Train a codebook of shapes and choose its chunks; None if it costs more than accepted.
 
     Parameters
     ----------

@@ -7,11 +7,13 @@ from cogsplat.codec.fit.training_views import make_training_views
 from cogsplat.codec.render.rasteriser import render
 
 
-def test_errors_match_renders_without_each_splat():
+@pytest.mark.parametrize("background", [(0.0, 0.0, 0.0), (0.9, 0.1, 0.5)])
+def test_errors_match_renders_without_each_splat(background):
     # Faint splats: no pixel becomes opaque, which would hide splats behind it.
     splats = oracle.scene(0, n=40, opacity=0.5)
     splats.opacities[:] -= 2.0
-    views = make_training_views(splats, [oracle.camera()], threads=1).sample(3, 0)
+    made = make_training_views(splats, [oracle.camera()], background=background, threads=1)
+    views = made.sample(3, 0)
     assert len(views) == 3
     found = deletion_errors(splats, views, threads=2)
     expected = np.zeros(len(splats))

@@ -114,3 +114,12 @@ def test_a_limit_that_cannot_be_met_is_told_once_with_the_time_that_is_needed():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         budget.fit_to_deadline(600.0, 400.0, 12.0)
+
+
+def test_time_remains_until_the_reserve_is_reached():
+    clock = Clock()
+    budget = TimeBudget(100.0, clock)
+    clock.now += 70.0
+    assert budget.has_time(20.0)
+    assert not budget.has_time(40.0)
+    assert TimeBudget(None, clock).has_time(1e9)
