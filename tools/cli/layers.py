@@ -6,7 +6,6 @@ import warnings
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -18,6 +17,7 @@ from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.colmap_points import find_points, read_points
 from cogsplat.formats.cogs.metadata import FileMetadata
+from cogsplat.formats.storage.scratch_folder import scratch_folder
 from cogsplat.tools.evaluation.photos import read_ground_truth
 from cogsplat.tools.terminal.limits_option import current_limits, limits_option
 from cogsplat.tools.terminal.options import (
@@ -290,8 +290,8 @@ def _measure(
     if options.points is not None:
         return measured()
     config = cogsplat.EncodeConfig(quality_db=options.quality, threads=options.threads)
-    with TemporaryDirectory() as folder:
-        ordinary = Path(folder) / "ordinary.cogs"
+    with scratch_folder() as folder:
+        ordinary = folder / "ordinary.cogs"
         cogsplat.encode(splats, ordinary, cameras=cameras, config=config, progress=stages)
         found = measured(ordinary)
     beaten = [f"1/{level.sizes.scale:g}" for level in found if level.is_beaten]
