@@ -101,7 +101,7 @@ class QuantisedTraining:
         threads, profile = config.train.threads, config.profile
         cameras, covering = request.views.cameras, request.views.covering
         views = sample_evenly(cameras, _MAX_SCORED_VIEWS)
-        if base is not source:
+        if base is not source and len(views) < _LEAST_SCORED_VIEWS:
             # What training kept between few cameras counts as much as what they show. The source
             # itself is scored as without tuning.
             drawer, rng = ViewDrawer(source, views), np.random.default_rng(config.train.seed)

@@ -108,7 +108,7 @@ class TimeBudget:
         return max(1, round(planned * factor))
 
     def affordable_count(self, planned: int, seconds: float, reserved_seconds: float) -> int:
-        """Return how often some work is repeated to end by the deadline; `planned` without one.
+        """Return the number of repetitions that end by the deadline; `planned` without a deadline.
 
         At least 1, and between `_MIN_FACTOR` and `_MAX_FACTOR` times `planned`: the lower bound may
         miss the deadline.

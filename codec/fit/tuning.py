@@ -390,7 +390,7 @@ class _TuningRun:
         quantised = _QUANTISED_STEP_COST * config.quantised_steps
         last_share = min(final_share, share)
         scalable = TimeBudget.work(recovery_steps + quantised, last_share)
-        # The last corrections train too, and no plan shortens them.
+        # The last corrections train too, for as long as time remains.
         corrections = _RESERVED_CYCLES * config.encode_interval * _QUANTISED_STEP_COST
         reserved += self.time_budget.seconds_of(TimeBudget.work(corrections, last_share))
         self.time_budget.fit_to_deadline(rounds, scalable, reserved)

@@ -230,7 +230,7 @@ def _codebook_number(data: U8, records: I64, stream: int) -> int:
 def _locate(
     payload: bytes, ends: I64, streams: I64, limit: int, rows: int
 ) -> tuple[U8, I64, I64] | None:
-    """Return data, records and spans of `ChunkPlanes`; None if the chunk has other streams.
+    """Return data, records and spans of `ChunkPlanes`; None for streams that it cannot hold.
 
     Parameters
     ----------

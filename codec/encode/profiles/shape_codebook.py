@@ -69,7 +69,7 @@ _ROUNDS: Final = 3
 # nothing, and its weight would be infinite.
 _LEAST_FLATNESS: Final = 0.05
 
-# Squared radians per squared value of swing or twist (`costs`).
+# Squared radians per squared value of swing or twist (`rate.costs`).
 _ROTATION_VALUE: Final = 2.5
 
 # Vector of a ball, the row that training never drops: vectors are relative to it.

@@ -101,7 +101,7 @@ def shn_basis(codes: Sequence[Sequence[int]], book: int, step: float, shrink: fl
 def _chunk_vector(
     name: str, streams: Sequence[Stream], clauses: tuple[str, ...], note: str
 ) -> Valid:
-    """Return a vector of one chunk with given streams; other attributes are constant."""
+    """Return a vector of one chunk; attributes without a given stream are constant."""
     rows = streams[0].rows
     head = pack_streams(handmade.uniform_head(rows, *streams))
     return Valid(name, build(one_chunk(head, rows)), clauses, note)
