@@ -103,7 +103,33 @@ def _bake_block(
     sun = SUN_COLOUR * (np.maximum(towards_sun, 0.0) * sunlit)[:, None]
     diffuse = tone_map(albedo * np.where(glow > 0.5, 1.0, ambient + sun))
 
-    gloss = surfels.gloss[rows]
+    coefficients = highlights(
+        normals, diffuse, surfels.gloss[rows], surfels.spread[rows], sunlit, open_sky
+    )
+    coefficients[:, 0] += (diffuse - 0.5) / sh.C0
+    return coefficients + _training_noise(surfels.opacities_unit[rows], rng)
+
+
+def highlights(
+    normals: F64, diffuse: F64, gloss: F64, spread: F64, sunlit: F64, open_sky: F64
+) -> F64:
+    """Return SH coefficients of the highlights of surfels.
+
+    Parameters
+    ----------
+    normals, diffuse, gloss : (n, 3) float64
+        Unit normals, colour without highlights, and brightness of the highlight, display space.
+    spread : (n,) float64
+        Width of the sun's highlight; see `Surfels`.
+    sunlit, open_sky : (n,) float64
+        Shares of the sun and of the sky that reach each surfel.
+
+    Returns
+    -------
+    (n, 16, 3) float64
+        See `bake`.
+    """
+    towards_sun = dot(normals, SUN_DIRECTION)
     strength = (
         gloss * (sunlit * smoothstep(0.0, 0.3, towards_sun))[:, None],
         gloss
@@ -116,9 +142,9 @@ def _bake_block(
     total = strength[0] + strength[1] + strength[2]
     fit = np.minimum(1.0, np.maximum(1.0 - diffuse, 0.0) / np.maximum(total, 1e-9))
 
-    coefficients = np.zeros((len(points), 16, 3))
+    coefficients = np.zeros((len(normals), 16, 3))
     lobes = (
-        (_mirrored(SUN_DIRECTION, normals), _lobe_weights(surfels.spread[rows])),
+        (_mirrored(SUN_DIRECTION, normals), _lobe_weights(spread)),
         (_mirrored(_WINDOW_DIRECTION, normals), _lobe_weights(np.full(1, _WINDOW_SPREAD))),
         (normals, np.array([[b / (2 * band + 1) for band, b in enumerate(_RIM)]])),
     )
@@ -130,8 +156,7 @@ def _bake_block(
         for band, (first, last) in enumerate(_BANDS):
             basis[:, first:last] *= 4.0 * np.pi * of_row[:, band : band + 1]
         coefficients[lit] += basis[:, :, None] * (amount[lit] * fit[lit])[:, None, :]
-    coefficients[:, 0] += (diffuse - 0.5) / sh.C0
-    return coefficients + _training_noise(surfels.opacities_unit[rows], rng)
+    return coefficients
 
 
 def _training_noise(opacities_unit: F64, rng: np.random.Generator) -> F64:

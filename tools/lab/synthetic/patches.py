@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 
-# Generators of the R2 sequence: powers of the inverse plastic number, the root of x³ = x + 1
-# (M. Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018).
-_R2 = np.array([0.7548776662466927, 0.5698402909980532])
+R2 = np.array([0.7548776662466927, 0.5698402909980532])
+"""Generators of the R2 sequence: powers of the inverse plastic number, the root of x³ = x + 1
+(M. Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018)."""
 
 # Segments of a smoothed outline: far finer than the splats that sit on it.
 _OUTLINE_STEPS = 24
@@ -88,7 +88,7 @@ def any_tangents(normals: F64) -> F64:
 
 def lattice(n: int, rng: np.random.Generator) -> F64:
     """Return n points of the R2 sequence in the unit square from a random start, (n, 2)."""
-    points: F64 = (rng.random(2) + np.arange(n, dtype=np.float64)[:, None] * _R2) % 1.0
+    points: F64 = (rng.random(2) + np.arange(n, dtype=np.float64)[:, None] * R2) % 1.0
     return points
 
 
