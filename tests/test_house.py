@@ -6,6 +6,7 @@ Each test reads every file and lists all that is wrong.
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -20,7 +21,6 @@ MODULES = sorted(
 FACADE = ROOT / "cogsplat/__init__.py"
 TESTS = sorted((ROOT / "tests").rglob("*.py"))
 TEXT = {path: path.read_text(encoding="utf-8") for path in [*MODULES, FACADE, *TESTS]}
-TREE = {path: ast.parse(text) for path, text in TEXT.items()}
 
 MAX_LINES = 700
 SHAPELESS = {"utils", "util", "common", "helpers", "helper", "misc"}
@@ -31,6 +31,12 @@ HEADING = re.compile(r"^#{1,6} +(\d+(?:\.\d+)*)\.?(?=[ \t])", re.MULTILINE)
 
 # PyTorch is optional: only the bridge to it and the CUDA renderer may import it.
 TORCH = re.compile(r"codec/(fit/autograd|render/cuda_(device|pairs|views))\.py")
+
+
+@cache
+def tree_of(path: Path) -> ast.Module:
+    """Return the syntax tree of a file, parsed once and not in every process that lists tests."""
+    return ast.parse(TEXT[path])
 
 
 def name_of(path: Path) -> str:
@@ -73,10 +79,13 @@ def imports_of(importer: str, tree: ast.AST, *, is_package: bool) -> Iterator[tu
                     yield source, alias.name
 
 
-IMPORTS = {
-    module: set(imports_of(module, TREE[path], is_package=path.name == "__init__.py"))
-    for module, path in FILES.items()
-}
+@cache
+def imports() -> dict[str, set[tuple[str, str]]]:
+    """Return what each module imports from the package."""
+    return {
+        module: set(imports_of(module, tree_of(path), is_package=path.name == "__init__.py"))
+        for module, path in FILES.items()
+    }
 
 
 def test_imports_are_found() -> None:
@@ -91,7 +100,7 @@ def test_imports_are_found() -> None:
     }
     assert room_of("cogsplat.codec.encode.profiles.vq") == "cogsplat.codec.encode"
     assert room_of("cogsplat.codec.splats") == "cogsplat.codec"
-    assert sum(len(found) for found in IMPORTS.values()) > 1000
+    assert sum(len(found) for found in imports().values()) > 1000
 
 
 def cycles(graph: dict[str, set[str]]) -> list[list[str]]:
@@ -127,7 +136,7 @@ def test_modules_import_each_other_in_no_circle() -> None:
     # The facade is left out: commands import it, and it imports what they run when it is called.
     graph = {
         module: {source for source, _ in found} - {module, "cogsplat"}
-        for module, found in IMPORTS.items()
+        for module, found in imports().items()
         if module != "cogsplat"
     }
     assert cycles(graph) == []
@@ -137,7 +146,7 @@ def test_the_product_takes_nothing_from_the_lab() -> None:
     lab = "cogsplat.tools.lab"
     wrong = [
         f"{module} imports {source}"
-        for module, found in IMPORTS.items()
+        for module, found in imports().items()
         if not module.startswith(lab)
         for source, _ in found
         if source.startswith(lab)
@@ -148,7 +157,7 @@ def test_the_product_takes_nothing_from_the_lab() -> None:
 def test_no_private_name_crosses_a_room() -> None:
     wrong = [
         f"{module} imports {source}.{name}"
-        for module, found in IMPORTS.items()
+        for module, found in imports().items()
         for source, name in found
         if name.startswith("_") and not name.startswith("__")
         if room_of(module) != room_of(source)
@@ -159,7 +168,7 @@ def test_no_private_name_crosses_a_room() -> None:
 def test_only_tools_import_the_facade() -> None:
     wrong = [
         module
-        for module, found in IMPORTS.items()
+        for module, found in imports().items()
         if module.startswith(("cogsplat.codec", "cogsplat.formats"))
         if any(source == "cogsplat" for source, _ in found)
     ]
@@ -178,7 +187,9 @@ def test_training_and_cuda_alone_import_torch() -> None:
 
 def test_packages_hold_a_docstring_only() -> None:
     wrong = [
-        name_of(path) for path in MODULES if path.name == "__init__.py" and len(TREE[path].body) > 1
+        name_of(path)
+        for path in MODULES
+        if path.name == "__init__.py" and len(tree_of(path).body) > 1
     ]
     assert wrong == []
 
@@ -223,8 +234,8 @@ def undocumented(node: ast.AST, outer: str) -> Iterator[str]:
 
 
 def test_everything_public_says_what_it_does() -> None:
-    wrong = {name_of(path): list(undocumented(TREE[path], "")) for path in MODULES}
-    wrong |= {name_of(path): ["module"] for path in MODULES if not ast.get_docstring(TREE[path])}
+    wrong = {name_of(path): list(undocumented(tree_of(path), "")) for path in MODULES}
+    wrong |= {name_of(path): ["module"] for path in MODULES if not ast.get_docstring(tree_of(path))}
     assert {name: found for name, found in wrong.items() if found} == {}
 
 

@@ -86,6 +86,21 @@ def run_apart() -> Run:
 
 
 @pytest.fixture
+def few_planned_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plan few and small views without cameras, for tests of what has nothing to do with views.
+
+    Commands such as `merge` encode with the default preset, whose planned views take 10 seconds.
+    """
+    from cogsplat.codec.encode.presets import Preset
+    from cogsplat.codec.views.planner import ViewPlanConfig
+
+    def plan_config(_: Preset, threads: int = 0) -> ViewPlanConfig:
+        return ViewPlanConfig(views=6, width=80, height=60, threads=threads)
+
+    monkeypatch.setattr(Preset, "plan_config", plan_config)
+
+
+@pytest.fixture
 def few_vectors(tmp_path: Path) -> Path:
     """A folder with some of the vectors: of refinements, CRC, hash, folders, and a picture."""
     vectors = ROOT / "tests" / "vectors"

@@ -9,6 +9,8 @@ from running import Run, SmallScene
 
 import cogsplat
 
+pytestmark = pytest.mark.usefixtures("few_planned_views")
+
 
 @pytest.fixture
 def described(run: Run, small: SmallScene, tmp_path: Path) -> Path:

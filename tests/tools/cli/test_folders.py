@@ -83,6 +83,7 @@ def test_misuse_is_told(run: Run, small: SmallScene, folder: Path, tmp_path: Pat
     assert run("convert", tmp_path / "nothing", tmp_path / "out.cogs").code == 4
 
 
+@pytest.mark.usefixtures("few_planned_views")
 def test_files_are_copied_unless_something_changes_them(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:

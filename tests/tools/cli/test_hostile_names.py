@@ -30,6 +30,7 @@ def named(small: SmallScene, tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.usefixtures("few_planned_views")
 def test_pages_have_a_title(run: Run, named: Path) -> None:
     for suffix in ("cogs", "ply"):
         told = run("export-html", named / f"{NAME}.{suffix}", named / "page.html", "--force")

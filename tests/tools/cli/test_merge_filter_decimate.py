@@ -62,6 +62,7 @@ def test_a_merged_scene_is_decoded_by_object(run: Run, small: SmallScene, tmp_pa
     assert found.means[:, 0].mean() == pytest.approx(x, abs=0.05)
 
 
+@pytest.mark.usefixtures("few_planned_views")
 def test_merging_into_cogs_cuts_chunks_by_object(run: Run, tmp_path: Path) -> None:
     a, both, one = tmp_path / "a.ply", tmp_path / "both.cogs", tmp_path / "one.ply"
     cogsplat.write(synth(400), a)

@@ -11,7 +11,7 @@ from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.tools.lab.benchmark import tuning_ablation
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
-SHORT = TuneConfig(round_steps=10, recovery_steps=80, quantised_steps=20)
+SHORT = TuneConfig(round_steps=2, recovery_steps=10, quantised_steps=4)
 
 
 def test_every_variant_differs_in_what_it_is_named_after() -> None:
