@@ -93,7 +93,7 @@ def encode_chunks(
     return EncodedScene(
         scene=scene.source.take(slice(0, 0)),
         splats=len(scene.rows),
-        pruned=len(scene.source) - len(scene.rows),
+        pruned=len(prepared.source) - len(scene.rows),
         box=whole,
         codebooks=planned.codebooks,
         chunks=chunks,

@@ -23,7 +23,7 @@ from cogsplat.codec.scoring.contribution import Scores
 from cogsplat.codec.scoring.reference_views import ReferenceViews
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams.grid import MAX_VALUE
-from cogsplat.codec.workspace import IN_MEMORY, Workspace
+from cogsplat.codec.workspace import IN_MEMORY, Rearrangement, Workspace
 
 from .config import EncodeConfig
 from .encoded import EncodedCodebook
@@ -42,11 +42,13 @@ class ChunkedScene:
     Parameters
     ----------
     source : Splats
-        Scene that is encoded.
+        Scene that is encoded; of mapped arrays, a copy of the stored splats in chunk order.
     rows : (n,) int64
         Row numbers of the stored splats in the source, in chunk order.
     scores : Scores
         Scores of the source.
+    lagrangian : float
+        λ of the whole scene at the nominal quality (`allocation.lagrangian`).
     slices : sequence of slice
         Range of `rows` of each chunk, contiguous.
     objects : (c,) uint32
@@ -64,6 +66,7 @@ class ChunkedScene:
     source: Splats
     rows: NDArray[np.int64]
     scores: Scores
+    lagrangian: float
     slices: Sequence[slice]
     objects: NDArray[np.uint32]
     cells: NDArray[np.uint32]
@@ -129,8 +132,8 @@ class PreparedScene:
         kept = keep_mask(self.source, self.scores, self.config.pruning, lagrangian)
         rows = self.rows[kept[self.rows]]
         if self._last is None or not np.array_equal(self._last[0], rows):
-            self._last = rows, _cut_chunks(self, rows)
-        return self._last[1]
+            self._last = rows, _cut_chunks(self, rows, lagrangian)
+        return replace(self._last[1], lagrangian=lagrangian)
 
 
 def prepare(
@@ -197,7 +200,9 @@ def prepare(
     return PreparedScene(splats, rows[kept[rows]], scores, config, workspace)
 
 
-def _cut_chunks(prepared: PreparedScene, rows: NDArray[np.int64]) -> ChunkedScene:
+def _cut_chunks(
+    prepared: PreparedScene, rows: NDArray[np.int64], lagrangian: float
+) -> ChunkedScene:
     """Cut ordered rows into chunks."""
     splats, scores, config = prepared.source, prepared.scores, prepared.config
     if config.order == "gain" and not config.ordering.by_object:
@@ -222,15 +227,21 @@ def _cut_chunks(prepared: PreparedScene, rows: NDArray[np.int64]) -> ChunkedScen
     else:
         slices = chunk_plan.plan_chunks(len(rows), config.chunk_splats)
         arranged = objects.ChunkedOrder(rows, slices, np.zeros(len(slices), np.uint32))
+    rows, workspace = arranged.rows, prepared.workspace
+    if workspace.in_files:
+        gather = Rearrangement(workspace, rows).gather
+        splats, scores = workspace.take(splats, rows, gather), scores.take(rows, gather)
+        rows = np.arange(len(rows))
     return ChunkedScene(
         source=splats,
-        rows=arranged.rows,
+        rows=rows,
         scores=scores,
+        lagrangian=lagrangian,
         slices=arranged.slices,
         objects=arranged.objects,
         cells=np.zeros(len(arranged.slices), np.uint32) if cells is None else cells,
         config=config,
-        workspace=prepared.workspace,
+        workspace=workspace,
         codebooks=prepared.codebooks,
     )
 

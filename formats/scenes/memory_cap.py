@@ -54,7 +54,7 @@ def working_memory(
     cap : int or None
         Limit on the process's resident memory, bytes; None for no limit.
     folder : Path
-        Folder of the scratch files: the output's folder. They take up to 0.9 kB per splat of SH
+        Folder of the scratch files: the output's folder. They take up to 1.3 kB per splat of SH
         degree 3.
     copied : bool
         Whether the scene is edited after reading, which adds a copy in memory.

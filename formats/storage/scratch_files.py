@@ -58,13 +58,17 @@ class ScratchFiles:
         # Weak: a map is freed with the last array that uses it.
         self._maps: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
         self._lock = threading.Lock()
+        # Opened once: page counts are read some hundred times a second.
+        self._statm = os.open(_STATM, os.O_RDONLY) if _STATM.exists() else None
+        if self._statm is not None:
+            weakref.finalize(self, os.close, self._statm)
         # Pages of programs and libraries are file-backed as well, and stay after an eviction.
-        self._baseline_bytes = _resident_file_bytes()
+        self._baseline_bytes = self._resident_file_bytes()
         self._stopped = threading.Event()
         self._watcher = threading.Thread(target=self._watch, daemon=True)
 
     def __enter__(self) -> ScratchFiles:
-        if _STATM.exists():
+        if self._statm is not None:
             self._watcher.start()
         return self
 
@@ -104,20 +108,19 @@ class ScratchFiles:
     def evict(self) -> None:
         """Evict the files' pages from memory if more than `resident_bytes` are resident."""
         with self._lock:
-            if _resident_file_bytes() - self._baseline_bytes <= self._resident_bytes:
+            if self._resident_file_bytes() - self._baseline_bytes <= self._resident_bytes:
                 return
             for mapped in self._maps:
                 mapped.madvise(mmap.MADV_DONTNEED)
-            self._baseline_bytes = _resident_file_bytes()
+            self._baseline_bytes = self._resident_file_bytes()
 
     def _watch(self) -> None:
         """Check the resident pages at intervals until the block ends."""
         while not self._stopped.wait(_INTERVAL):
             self.evict()
 
-
-def _resident_file_bytes() -> int:
-    """Return the resident file-backed memory of this process, bytes; 0 outside Linux."""
-    if not _STATM.exists():
-        return 0
-    return int(_STATM.read_text(encoding="ascii").split()[2]) * mmap.PAGESIZE
+    def _resident_file_bytes(self) -> int:
+        """Return the resident file-backed memory of this process, bytes; 0 outside Linux."""
+        if self._statm is None:
+            return 0
+        return int(os.pread(self._statm, 128, 0).split()[2]) * mmap.PAGESIZE

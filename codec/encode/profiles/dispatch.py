@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from cogsplat.codec.encode.encoded import EncodedCodebook
 from cogsplat.codec.encode.prepared import ChunkedScene
 from cogsplat.codec.progress import Progress
-from cogsplat.codec.rate import allocation, segment_order
 from cogsplat.codec.rate import costs as rate_costs
+from cogsplat.codec.rate import segment_order
 from cogsplat.codec.rate.costs import Costs
 from cogsplat.codec.segments.codebooks import ColourCodebook, ShapeCodebook
 from cogsplat.codec.segments.payloads import Payloads
@@ -82,7 +82,7 @@ def _transform(scene: ChunkedScene, quality_db: float, progress: Progress) -> Pl
         scene.scores if config.ablation.sensitivities else replace(scene.scores, sensitivities=None)
     )
     energy = rate_costs.positive_energy(scores, scene.rows)
-    lagrangian = allocation.lagrangian(scene.scores, quality_db)
+    lagrangian = scene.lagrangian
 
     def part(run: slice) -> Splats:
         """Return the splats of a range of rows, with outliers clipped."""
