@@ -365,6 +365,10 @@ class Splats:
             return self
         return replace(self, info=replace(self.info, capture=capture))
 
+    def without_capture(self) -> Splats:
+        """Return the scene without capture viewpoints: drawn as thick in every picture."""
+        return replace(self, info=replace(self.info, capture=()))
+
     def invalid_rows(self) -> NDArray[np.bool_]:
         """Return a mask of the rows that cannot be drawn: NaN, infinite values, zero quaternions.
 

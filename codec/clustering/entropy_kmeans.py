@@ -27,7 +27,7 @@ _FEWEST_USES: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class WeightedRows:
+class RatedRows:
     """Rows of a codebook, with the bits of their indices.
 
     Parameters
@@ -41,7 +41,7 @@ class WeightedRows:
     rows: F32
     bits: F64
 
-    def place(self, vectors: F32, weights: F64, bit_price: float) -> tuple[I64, F64, F64]:
+    def assign(self, vectors: F32, weights: F64, bit_price: float) -> tuple[I64, F64, F64]:
         """Return the row of least cost of each vector, its cost, and that of the second best row.
 
         The cost is the weighted squared distance plus the price of the index's bits.
@@ -72,7 +72,7 @@ class WeightedRows:
         Parameters
         ----------
         vectors, weights, bit_price
-            As in `place`.
+            As in `assign`.
         count : int
             Rows to return for each vector.
         """
@@ -109,7 +109,7 @@ def train(
     config: TrainingConfig,
     start: F32 | None = None,
     alone: F64 | None = None,
-) -> WeightedRows:
+) -> RatedRows:
     """Train a codebook whose indices are entropy-coded.
 
     Parameters
@@ -139,7 +139,7 @@ def train(
     limit = np.full(len(vectors), np.inf) if alone is None else alone
     book = _first(vectors, weights, rows, bit_price, config.seed, start, limit)
     for iteration in range(config.iterations):
-        labels, costs, second = book.place(vectors, weights, bit_price)
+        labels, costs, second = book.assign(vectors, weights, bit_price)
         # What a vector saves by its row: nothing where it costs less alone.
         second, costs = np.minimum(second, limit), np.minimum(costs, limit)
         saved = np.bincount(labels, second - costs, minlength=len(book.rows))
@@ -151,8 +151,8 @@ def train(
             dropped = order[~worth[order]][:most]
             kept = np.ones(len(worth), np.bool_)
             kept[dropped] = False
-            book = WeightedRows(book.rows[kept], book.bits[kept])
-            labels, costs, _ = book.place(vectors, weights, bit_price)
+            book = RatedRows(book.rows[kept], book.bits[kept])
+            labels, costs, _ = book.assign(vectors, weights, bit_price)
         served = costs < limit
         book = _updated(book, vectors[served], weights[served], labels[served])
     return book
@@ -166,7 +166,7 @@ def _first(
     seed: int,
     start: F32 | None,
     limit: F64,
-) -> WeightedRows:
+) -> RatedRows:
     """Return the rows that training starts from, with indices of equal bits."""
     zero = np.zeros((1, vectors.shape[1]), np.float32)
     if start is None:
@@ -181,10 +181,10 @@ def _first(
     else:
         drawn = start[1:rows]
     first = np.concatenate([zero, drawn])
-    return WeightedRows(first, np.full(len(first), np.log2(len(first))))
+    return RatedRows(first, np.full(len(first), np.log2(len(first))))
 
 
-def _updated(book: WeightedRows, vectors: F32, weights: F64, labels: I64) -> WeightedRows:
+def _updated(book: RatedRows, vectors: F32, weights: F64, labels: I64) -> RatedRows:
     """Return rows at the weighted means of their vectors, most used first behind the zero row."""
     count = len(book.rows)
     uses = np.bincount(labels, minlength=count)
@@ -196,4 +196,4 @@ def _updated(book: WeightedRows, vectors: F32, weights: F64, labels: I64) -> Wei
     rows[0] = 0
     order = np.concatenate([[0], 1 + np.argsort(-uses[1:], kind="stable")])
     bits = np.log2(max(len(labels), 1) / np.maximum(uses, _FEWEST_USES))
-    return WeightedRows(rows.astype(np.float32)[order], bits[order])
+    return RatedRows(rows.astype(np.float32)[order], bits[order])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from cogsplat.codec.capture import capture_of_cameras
@@ -30,5 +28,6 @@ def with_capture_of(splats: Splats, request: EncodeRequest, look: FirstLook) -> 
     if request.trained_at is None:
         return splats.with_capture(capture_of_cameras(request.cameras or ()))
     core_box = np.zeros(6) if look.core_box is None else look.core_box
-    plain = replace(splats, info=replace(splats.info, capture=()))
-    return plain.with_capture(parse_trained_at(request.trained_at).capture(core_box))
+    return splats.without_capture().with_capture(
+        parse_trained_at(request.trained_at).capture(core_box)
+    )

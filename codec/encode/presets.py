@@ -182,7 +182,7 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
             reference_views=24,
             reference_share=0.25,
             reference_jitter=False,
-            gain=GainEffort(until=0.17, growth=0.3, views=8),
+            gain=GainEffort(ordered_ratio=0.17, growth=0.3, views=8),
             fit_iterations=8,
             fit_views=3,
             fit_coded_share=0.2,

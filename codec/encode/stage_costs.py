@@ -209,7 +209,7 @@ def _gain(splats: int, preset: Preset) -> StageCost:
 
 def _gain_renders(effort: GainEffort) -> float:
     """Estimate the number of views that the order by marginal gain renders."""
-    return effort.views * math.log(effort.until / _FIRST_PREFIX) / math.log1p(effort.growth)
+    return effort.views * math.log(effort.ordered_ratio / _FIRST_PREFIX) / math.log1p(effort.growth)
 
 
 def _fit(splats: int, preset: Preset) -> StageCost:

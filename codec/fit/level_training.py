@@ -286,7 +286,7 @@ def _gain_order(
     scores = score(source, views, ScoreConfig(threads=config.threads), progress=progress)
     # Behind the splats of this level the order has no effect.
     relative = max(count, 1) / effective_splats(scores.contribution)
-    effort = GainEffort(until=min(GainEffort().until, relative))
+    effort = GainEffort(ordered_ratio=min(GainEffort().ordered_ratio, relative))
     gain = GainConfig(jitter=False, threads=config.threads, effort=effort)
     order = gain_order(source, scores, views, gain, progress=progress)
     return order, best_inflation(relative)

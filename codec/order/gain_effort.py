@@ -13,7 +13,7 @@ class GainEffort:
 
     Parameters
     ----------
-    until : float
+    ordered_ratio : float
         Number of splats ordered by gain, as a ratio to the scene's effective splats
         (`prefix_inflation.effective_splats`), above 0; the rest is ordered by contribution. A
         smaller ratio gives a smaller file, because chunks of an order by contribution hold more
@@ -31,11 +31,13 @@ class GainEffort:
     proportionally more time.
     """
 
-    until: float = 0.75
+    ordered_ratio: float = 0.75
     growth: float = 0.16
     views: int = 20
 
     def __post_init__(self) -> None:
         require_finite(self)
-        if not self.until > 0 or not self.growth > 0 or self.views < 1:
-            raise ValueError(f"{self}, expected until above 0, growth above 0 and at least 1 view")
+        if not self.ordered_ratio > 0 or not self.growth > 0 or self.views < 1:
+            raise ValueError(
+                f"{self}, expected ordered_ratio above 0, growth above 0 and at least 1 view"
+            )

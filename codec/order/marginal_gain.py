@@ -282,7 +282,7 @@ def gain_rows(
     placed = 0
     effective_splats = prefix_inflation.effective_splats(scores.contribution)
     effort = config.effort
-    until = min(max(int(effort.until * effective_splats), 1), count)
+    until = min(max(int(effort.ordered_ratio * effective_splats), 1), count)
     first = min(max(1, round(_FIRST * count)), _MAX_FIRST)
     rng = np.random.default_rng(0)
     progress("gain", 0, until)

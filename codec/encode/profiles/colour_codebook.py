@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.clustering import entropy_kmeans
-from cogsplat.codec.clustering.entropy_kmeans import WeightedRows
+from cogsplat.codec.clustering.entropy_kmeans import RatedRows
 from cogsplat.codec.clustering.kmeans import TrainingConfig
 from cogsplat.codec.encode.colour_transform import ColourBasis, band_streams
 from cogsplat.codec.rate import allocation
@@ -50,7 +50,7 @@ class ColourCodebook:
         Payload of each SH band.
     rows : (C, K-1, 3) float32
         Decoded rows.
-    placed : WeightedRows
+    search_rows : RatedRows
         Coordinates of the rows on `basis`, and the bits of their indices.
     basis : ColourBasis
         Basis of shN, whose metric measures errors.
@@ -60,7 +60,7 @@ class ColourCodebook:
 
     payloads: tuple[bytes, ...]
     rows: F32
-    placed: WeightedRows
+    search_rows: RatedRows
     basis: ColourBasis
     chunks: frozenset[int] = frozenset()
 
@@ -76,7 +76,7 @@ class ColourCodebook:
         """
         coordinates = self.basis.coordinates(coefficients).astype(np.float32)
         price = _price(lagrangian)
-        labels, _, _ = self.placed.place(coordinates, allocation.shn_cost(energy), price)
+        labels, _, _ = self.search_rows.assign(coordinates, allocation.shn_cost(energy), price)
         indices = labels.astype(np.uint32)
         stream = codebook_index.write(Attribute.SHN, indices, codebook, len(self.rows))
         missed = coefficients.astype(np.float64) - self.rows[labels]
@@ -142,7 +142,7 @@ def fit(
             rows,
         )
         saved = on_basis - [cost(found, run) for run in chunks]
-        rows = found.placed.rows
+        rows = found.search_rows.rows
     used = frozenset(run.start for run, gain in zip(chunks, saved, strict=True) if gain > 0)
     taken = 8 * price * sum(len(payload) for payload in found.payloads)
     if len(used) == len(chunks):
@@ -186,7 +186,7 @@ def _train(
         training,
         start,
     )
-    labels, _, _ = trained.place(sample, costs, price)
+    labels, _, _ = trained.assign(sample, costs, price)
     mass = np.bincount(labels, costs / share, minlength=len(trained.rows))
     mean = np.maximum(mass, costs.min(initial=np.inf)).mean() if len(costs) else 1.0
     step = np.sqrt(lagrangian / (mean * np.diagonal(basis.metric)))
@@ -194,5 +194,5 @@ def _train(
     payloads = tuple(records.pack([band]) for band in band_streams(coefficients, step))
     views = {band: memoryview(payload) for band, payload in enumerate(payloads, start=1)}
     rows = decode_colour_codebook(views, len(coefficients), len(payloads), "codebook").shN
-    placed = WeightedRows(basis.coordinates(rows).astype(np.float32), trained.bits)
-    return ColourCodebook(payloads, rows, placed, basis)
+    search_rows = RatedRows(basis.coordinates(rows).astype(np.float32), trained.bits)
+    return ColourCodebook(payloads, rows, search_rows, basis)

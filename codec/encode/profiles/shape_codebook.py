@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.clustering import entropy_kmeans
-from cogsplat.codec.clustering.entropy_kmeans import WeightedRows
+from cogsplat.codec.clustering.entropy_kmeans import RatedRows
 from cogsplat.codec.clustering.kmeans import TrainingConfig
 from cogsplat.codec.geometry import covariance, rotations
 from cogsplat.codec.rate import allocation
@@ -141,7 +141,7 @@ class ShapeCodebook:
         Payload of the segment.
     rows : ShapeCodebook
         Rows as a reader decodes them.
-    placed : WeightedRows
+    search_rows : RatedRows
         Vectors of the rows, and the bits of their indices.
     chunks : frozenset of int
         First rows of the chunks that use the codebook.
@@ -149,7 +149,7 @@ class ShapeCodebook:
 
     payload: bytes
     rows: codebooks.ShapeCodebook
-    placed: WeightedRows
+    search_rows: RatedRows
     chunks: frozenset[int] = frozenset()
 
     def quantise(self, source: ShapeSource, lagrangian: float, number: int) -> IndexedShapes:
@@ -179,8 +179,8 @@ class ShapeCodebook:
         The size of the codebook stands for an escape row.
         """
         price = _price(lagrangian)
-        near = self.placed.candidates(vectors.shapes, vectors.weights, price, _CANDIDATES)
-        costs = _errors(source, self.rows, near) + price * self.placed.bits[near]
+        near = self.search_rows.candidates(vectors.shapes, vectors.weights, price, _CANDIDATES)
+        costs = _errors(source, self.rows, near) + price * self.search_rows.bits[near]
         best = costs.argmin(axis=1)
         places = np.arange(len(source))
         served = costs[places, best]
@@ -192,7 +192,7 @@ class ShapeCodebook:
             share = float(np.clip(escaped.mean(), least, 1 - least))
         indices = np.where(escaped, len(self.rows), chosen).astype(np.uint32)
         stream = codebook_index.write(Attribute.SHAPE, indices, 0, len(self.rows))
-        errors = served - price * self.placed.bits[chosen]
+        errors = served - price * self.search_rows.bits[chosen]
         whole = float(np.where(escaped, vectors.alone, errors).sum())
         return indices, whole + price * (_RECORD_BITS + entropy_bits(stream))
 
@@ -299,7 +299,7 @@ def _train(
         None if start is None else _vectors(start.quats, start.scales),
         alone,
     )
-    labels, costs, _ = trained.place(sample, weights, price)
+    labels, costs, _ = trained.assign(sample, weights, price)
     own = costs < alone
     size = len(trained.rows)
     mass = [
@@ -316,8 +316,8 @@ def _train(
     rows = ShapeSource(*swing_twist.decompose(quats, 2 * scales), row_costs)
     payload = records.pack(_relative_streams(rows, lagrangian)[0])
     decoded = codebooks.decode_shape_codebook(memoryview(payload), size, "shape codebook")
-    placed = WeightedRows(_vectors(decoded.quats, decoded.scales), trained.bits)
-    return ShapeCodebook(payload, decoded, placed)
+    search_rows = RatedRows(_vectors(decoded.quats, decoded.scales), trained.bits)
+    return ShapeCodebook(payload, decoded, search_rows)
 
 
 def _price(lagrangian: float) -> float:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.clustering import entropy_kmeans
-from cogsplat.codec.clustering.entropy_kmeans import WeightedRows
+from cogsplat.codec.clustering.entropy_kmeans import RatedRows
 from cogsplat.codec.clustering.kmeans import TrainingConfig
 
 CENTRES = np.array([[0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]], np.float32)
@@ -25,8 +25,8 @@ def test_every_vector_gets_the_row_of_least_cost():
     rng = np.random.default_rng(2)
     vectors = rng.normal(size=(1300, 5)).astype(np.float32)
     weights = rng.lognormal(0, 1, 1300)
-    book = WeightedRows(rng.normal(size=(40, 5)).astype(np.float32), rng.uniform(1, 9, 40))
-    labels, best, second = book.place(vectors, weights, 0.3)
+    book = RatedRows(rng.normal(size=(40, 5)).astype(np.float32), rng.uniform(1, 9, 40))
+    labels, best, second = book.assign(vectors, weights, 0.3)
     distances = np.square(vectors[:, None].astype(np.float64) - book.rows).sum(axis=2)
     costs = weights[:, None] * distances + 0.3 * book.bits
     np.testing.assert_allclose(costs[np.arange(1300), labels], costs.min(axis=1), rtol=1e-4)
@@ -38,7 +38,7 @@ def test_candidates_are_the_rows_of_least_cost():
     rng = np.random.default_rng(4)
     vectors = rng.normal(size=(700, 5)).astype(np.float32)
     weights = rng.lognormal(0, 1, 700)
-    book = WeightedRows(rng.normal(size=(40, 5)).astype(np.float32), rng.uniform(1, 9, 40))
+    book = RatedRows(rng.normal(size=(40, 5)).astype(np.float32), rng.uniform(1, 9, 40))
     distances = np.square(vectors[:, None].astype(np.float64) - book.rows).sum(axis=2)
     costs = weights[:, None] * distances + 0.3 * book.bits
     found = np.sort(book.candidates(vectors, weights, 0.3, 6), axis=1)

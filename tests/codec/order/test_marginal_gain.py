@@ -71,7 +71,7 @@ def test_short_prefixes_show_more_than_those_by_contribution(scene, inflated):
 def test_behind_the_share_that_is_ordered_by_gain_splats_come_by_contribution(scene):
     splats, cameras, scores = scene
     share = 0.1 * len(splats) / prefix_inflation.effective_splats(scores.contribution)
-    effort = GainEffort(until=share * (1 + 1e-9), growth=0.5, views=2)
+    effort = GainEffort(ordered_ratio=share * (1 + 1e-9), growth=0.5, views=2)
     rows = gain_order(splats, scores, cameras, GainConfig(jitter=False, effort=effort))
     by_contribution = np.argsort(-scores.contribution, kind="stable")
     first = len(splats) // 10
@@ -109,7 +109,7 @@ def test_a_scene_without_splats_has_an_empty_order(scene):
 
 def test_the_order_by_name_sorts_runs_of_chunks(several_chunks):
     splats, cameras, scores = several_chunks
-    effort = GainEffort(until=1000.0)
+    effort = GainEffort(ordered_ratio=1000.0)
     plain = gain_order(splats, scores, cameras, GainConfig(effort=effort))
     expected = chunk_plan.sort_runs(plain, scores.contribution)
     assert (expected != plain).any()
@@ -144,7 +144,7 @@ def test_progress_can_cancel(scene):
 
     with pytest.raises(Cancelled):
         gain_rows(splats, scores, references, progress=stop)
-    until = GainEffort().until * prefix_inflation.effective_splats(scores.contribution)
+    until = GainEffort().ordered_ratio * prefix_inflation.effective_splats(scores.contribution)
     assert calls[0] == ("gain", 0, int(until))
 
 

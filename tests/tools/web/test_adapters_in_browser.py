@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import subprocess
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -179,7 +178,7 @@ def test_the_adapter_shows_what_the_renderer_makes_of_a_ply(
         # The renderers cut and order splats otherwise than SPEC 8.7, and know no pixel of training:
         # pictures are near, not equal.
         splats = cogsplat.decode(small.cogs)
-        usual = replace(splats, info=replace(splats.info, capture=()))
+        usual = splats.without_capture()
         expected = np.clip(render(usual, view), 0, 1)
         assert psnr(found, expected) >= LEAST_DB[renderer]
         pictures.append(found)
@@ -218,7 +217,7 @@ def test_a_renderer_that_follows_the_specification_draws_our_pictures(
     view = synth_cameras(48, 40, 30)[8]
     assert_our_pictures(page, small, view)
     whole = cogsplat.decode(small.cogs)
-    usual = replace(whole, info=replace(whole.info, capture=()))
+    usual = whole.without_capture()
     expected = np.clip(render(usual, view), 0, 1)
     assert psnr(shown(page), expected) < BY_SPEC_DB
     if renderer in RENDERERS:

@@ -107,7 +107,7 @@ def test_small_near_and_far_pictures_are_as_thick_as_in_training(
     # As the file says, training was in pictures of 160x120: these are near, nearer, and far.
     files = {**linked_page("terrace"), "scene.cogs": terrace.path.read_bytes()}
     whole = cogsplat.decode(terrace.path)
-    usual = replace(whole, info=replace(whole.info, capture=()))
+    usual = whole.without_capture()
     with running(FaultyServer(files)) as server:
         for width, height, back in ((240, 180, 1.0), (640, 480, 1.0), (240, 180, 3.0)):
             camera = synth_cameras(48, width, height)[8]

@@ -17,7 +17,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -189,7 +189,7 @@ def measure(
         with tempfile.TemporaryDirectory() as folder:
             other = Path(folder) / "same.spz"
             # An SPZ has no place for viewpoints, and reading takes no time for them.
-            plain = replace(splats, info=replace(splats.info, capture=()))
+            plain = splats.without_capture()
             cogsplat.write(plain, other, spz_precision="usual")
             seconds = load_spz(spz, other, pairs)
             found.append((other.stat().st_size, "SPZ library, WebAssembly", seconds))
