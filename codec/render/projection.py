@@ -33,6 +33,11 @@ _PIXEL_VARIANCE = 1.0 / 12.0
 # rounding of a position must not blur the picture of a training camera.
 _SAME_PIXEL = 1e-6
 
+# Bounds of a footprint by the sphere around its ellipsoid. A camera's rotation may be off by 1e-3,
+# which lengthens the rows of the Jacobian; a splat of opacity 1 has the longest cut.
+_BALL = 1.02
+_BALL_EDGE = 1.001 * math.sqrt(-2.0 * math.log(ALPHA_MIN))
+
 # Columns of `Footprints.ellipse`, and of `Footprints.added`.
 X, Y, NARROW, SHEAR, FLAT, OPACITY, HALF_WIDTH, HALF_HEIGHT = range(8)
 THICKNESS, FILTER = range(2)
@@ -170,6 +175,30 @@ def _project(
         x = (r[0, 0] * mx + r[0, 1] * my + r[0, 2] * mz + translation[0]) / z
         y = (r[1, 0] * mx + r[1, 1] * my + r[1, 2] * mz + translation[1]) / z
         px, py = fx * x + cx, fy * y + cy
+        if sized:
+            # Areas of the pixel of training over this picture's, at the splat.
+            dx, dy, dz = mx - pixel[0], my - pixel[1], mz - pixel[2]
+            area = pixel[3] * (dx * dx + dy * dy + dz * dz) + pixel[4]
+            share = area * fx * fy / (z * z * (1.0 + x * x + y * y))
+            if abs(share - 1.0) < _SAME_PIXEL:
+                share = 1.0
+            thickness = variances[THICKNESS] * share
+            blur = _PIXEL_VARIANCE * (1.0 - share) if share < 1.0 else 0.0
+        jx = -min(max(x, low_x), high_x)
+        jy = -min(max(y, low_y), high_y)
+        if not (0.5 < px < width - 0.5 and 0.5 < py < height - 0.5):
+            # Most splats of a large scene are beside the picture: a sphere around the ellipsoid
+            # tells without its rotation and opacity.
+            widest = max(scales[i, 0], scales[i, 1], scales[i, 2])
+            ball = _BALL * math.exp(2.0 * widest) / (z * z)
+            ball_x = _BALL_EDGE * math.sqrt(ball * fx * fx * (1.0 + jx * jx) + thickness + blur)
+            ball_y = _BALL_EDGE * math.sqrt(ball * fy * fy * (1.0 + jy * jy) + thickness + blur)
+            ball_x += slack(px, ball_x)
+            ball_y += slack(py, ball_y)
+            if px + ball_x <= 0.5 or px - ball_x >= width - 0.5:
+                continue
+            if py + ball_y <= 0.5 or py - ball_y >= height - 0.5:
+                continue
         opacity = 1.0 / (1.0 + math.exp(-float(opacities[i])))
         if not opacity >= ALPHA_MIN:
             continue
@@ -187,8 +216,6 @@ def _project(
         wx, wy, wz = norm * qw * qx, norm * qw * qy, norm * qw * qz
 
         # Rows of the projection's Jacobian times the world-to-camera rotation, in world axes.
-        jx = -min(max(x, low_x), high_x)
-        jy = -min(max(y, low_y), high_y)
         ax = (fx / z) * (r[0, 0] + jx * r[2, 0])
         ay = (fx / z) * (r[0, 1] + jx * r[2, 1])
         az = (fx / z) * (r[0, 2] + jx * r[2, 2])
@@ -210,15 +237,6 @@ def _project(
         # Cauchy-Binet: a sum of squares, because var_x var_y - cov² cancels for thin splats.
         n0, n1, n2 = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
         det_bare = n0 * n0 + n1 * n1 + n2 * n2
-        if sized:
-            # Areas of the pixel of training over this picture's, at the splat.
-            dx, dy, dz = mx - pixel[0], my - pixel[1], mz - pixel[2]
-            area = pixel[3] * (dx * dx + dy * dy + dz * dz) + pixel[4]
-            share = area * fx * fy / (z * z * (1.0 + x * x + y * y))
-            if abs(share - 1.0) < _SAME_PIXEL:
-                share = 1.0
-            thickness = variances[THICKNESS] * share
-            blur = _PIXEL_VARIANCE * (1.0 - share) if share < 1.0 else 0.0
         det = det_bare + thickness * (var_x + var_y) + thickness * thickness
         var_x += thickness
         var_y += thickness

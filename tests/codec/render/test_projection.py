@@ -109,3 +109,29 @@ def test_visible_rows_are_sorted():
     np.testing.assert_array_equal(rows[footprints.order], footprints.index)
     np.testing.assert_array_equal(footprints.index[footprints.row_order()], rows)
     assert (rows != footprints.index).any()
+
+
+@pytest.mark.parametrize("info", oracle.INFOS.values(), ids=oracle.INFOS)
+def test_every_splat_that_reaches_into_the_picture_from_beside_it_is_found(info):
+    # A picture with little of the scene in it, and splats from thin to as large as the scene.
+    splats, camera = oracle.scene(4, n=400, info=info), oracle.camera(focal=400.0)
+    scales = np.random.default_rng(6).uniform(-7.0, -0.5, splats.scales.shape)
+    splats = replace(splats, scales=scales.astype(np.float32))
+    found = set(project(splats, camera).index.tolist())
+    size = np.array([camera.width, camera.height])
+    beside = 0
+    for index in range(len(splats)):
+        bare, centre, _ = oracle.covariance(splats, camera, index)
+        thickness, blur = oracle.added(splats, camera, index)
+        trained = bare + thickness * np.eye(2)
+        wide = trained + blur * np.eye(2)
+        opacity = 1 / (1 + np.exp(-float(splats.opacities[index])))
+        if blur:
+            opacity *= np.sqrt(np.linalg.det(trained) / np.linalg.det(wide))
+        if opacity < 1 / 255:
+            continue
+        reach = np.sqrt(2 * np.log(opacity * 255) * np.diag(wide))
+        if ((centre + reach > 0.6) & (centre - reach < size - 0.6)).all():
+            assert index in found
+            beside += not ((centre > 0.0) & (centre < size)).all()
+    assert beside > 20
