@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -33,11 +34,20 @@ BASELINE: Final = "c3dgs-style npz"
 FOREIGN: Final = (*(format_.name for format_ in FORMATS if format_.write), BASELINE)
 """Names of the formats that COGS is compared with."""
 
+TUNED: Final = {"transform": "transform, tuned", "vq": "vq, tuned"}
+"""Names of the methods that tune the scene before it is stored, by profile."""
+
 # Default nominal qualities of each profile, dB. `vq` is for comparison.
 QUALITIES: Final = {
     "transform": (30.0, 34.0, 38.0, 42.0, 46.0, 50.0),
     "vq": (26.0, 34.0, 42.0),
 }
+
+# Default target PSNRs of tuned files, dB: each takes minutes.
+_TUNED_QUALITIES: Final = (34.0, 37.0, 40.0)
+
+# Cost of tuning a file in encodes of it, as measured on a captured room.
+_ENCODES_PER_TUNING: Final = 15.0
 
 _FIRST_PREFIX: Final = 32 << 10
 
@@ -64,6 +74,8 @@ class BenchInput:
         Test views.
     scored_on : sequence of Camera
         Training views, given or planned.
+    tuned_in : sequence of Camera or None
+        Cameras that tuned files train in; None plans views for it.
     photos : Photos or None
         Photos of the test views.
     background : tuple of float
@@ -76,6 +88,7 @@ class BenchInput:
     score_s: float
     cameras: Sequence[Camera]
     scored_on: Sequence[Camera]
+    tuned_in: Sequence[Camera] | None
     photos: Photos | None
     background: tuple[float, float, float]
     threads: int
@@ -223,8 +236,8 @@ class Bench:
 class _Method:
     """A method of writing a scene: profile or format, nominal quality, writer and reader.
 
-    `scored` tells whether scoring counts in the encoding time, `prefixes` whether prefixes of the
-    file are measured.
+    The nominal quality of a tuned file is its target PSNR. `scored` tells whether scoring counts in
+    the encoding time, `prefixes` whether prefixes of the file are measured.
     """
 
     name: str
@@ -244,6 +257,7 @@ def stage_cost(
     profiles: Sequence[str],
     qualities: Sequence[float] | None,
     formats: Sequence[str],
+    tuned: bool,
 ) -> StageCost:
     """Estimate the cost of `run` in the unit of `codec.encode.stage_costs`.
 
@@ -261,6 +275,8 @@ def stage_cost(
         Nominal qualities, dB; None for `QUALITIES`.
     formats : sequence of str
         Formats in `FOREIGN`.
+    tuned : bool
+        Whether the profiles in `TUNED` are tuned as well.
     """
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.request import EncodeRequest
@@ -272,10 +288,13 @@ def stage_cost(
         request = EncodeRequest(config=EncodeConfig(profile=profile), cameras=scored_on)
         encode = stage_costs(splats, request, scored=True)
         found = _nominal_qualities(profile, qualities)
-        for index in range(len(found)):
-            has_prefixes = _measures_prefixes(profile, index, len(found))
-            prefixes = _PREFIXES * compared[0].cost if has_prefixes else 0.0
-            files.append((*encode, *compared, StageCost("prefixes", prefixes)))
+        tune = StageCost("tune", _ENCODES_PER_TUNING * sum(part.cost for part in encode))
+        trained = _target_qualities(qualities) if tuned and profile in TUNED else ()
+        for write, count in ((encode, len(found)), ([tune], len(trained))):
+            for index in range(count):
+                has_prefixes = _measures_prefixes(profile, index, count)
+                prefixes = _PREFIXES * compared[0].cost if has_prefixes else 0.0
+                files.append((*write, *compared, StageCost("prefixes", prefixes)))
     files += [tuple(compared)] * len(formats)
     return StageCost("files", 0.0, parts=tuple(files))
 
@@ -287,6 +306,7 @@ def run(
     profiles: Sequence[str],
     qualities: Sequence[float] | None,
     formats: Sequence[str],
+    tuned: bool = False,
     progress: Progress = silent,
 ) -> Bench:
     """Write a scene by every method, read the file and compare it with the source.
@@ -302,15 +322,17 @@ def run(
         Nominal qualities of each profile in `QUALITIES`, dB; None for the values there.
     formats : sequence of str
         Formats in `FOREIGN`.
+    tuned : bool
+        Whether the profiles in `TUNED` are tuned as well, to the nominal qualities as target PSNRs.
     progress : Progress
-        Called with ``files``, and for each file with the stages of encoding, ``test``, ``roam``
-        and ``prefixes``.
+        Called with ``files``, and for each file with the stages of encoding or ``tune``, ``test``,
+        ``roam`` and ``prefixes``.
 
     Returns
     -------
     Bench
-        Rows of the profiles, then of the formats. The row of a format that cannot store the scene
-        has a reason code.
+        Rows of the profiles, of tuned files, then of the formats. The row of a format that cannot
+        store the scene has a reason code.
 
     Raises
     ------
@@ -319,6 +341,7 @@ def run(
     """
     methods = [
         *_cogs_methods(given, profiles, qualities, progress),
+        *(_tuned_methods(given, profiles, qualities, progress) if tuned else ()),
         *_foreign_methods(given, formats),
     ]
     rows: list[Row] = []
@@ -340,6 +363,11 @@ def run(
 def _nominal_qualities(profile: str, qualities: Sequence[float] | None) -> Sequence[float | None]:
     """Return the nominal qualities of a profile to measure, dB; one None if it has none."""
     return sorted(qualities or QUALITIES[profile]) if profile in QUALITIES else [None]
+
+
+def _target_qualities(qualities: Sequence[float] | None) -> Sequence[float]:
+    """Return the target PSNRs of tuned files, dB."""
+    return sorted(qualities or _TUNED_QUALITIES)
 
 
 def _measures_prefixes(profile: str, index: int, count: int) -> bool:
@@ -392,6 +420,57 @@ def _encoder(
             force=True,
             progress=progress,
         )
+
+    return write
+
+
+def _tuned_methods(
+    given: BenchInput,
+    profiles: Sequence[str],
+    qualities: Sequence[float] | None,
+    progress: Progress,
+) -> list[_Method]:
+    """Return a method for each profile that is tuned, and each target PSNR."""
+    targets = _target_qualities(qualities)
+    return [
+        _Method(
+            TUNED[profile],
+            psnr_db,
+            ".cogs",
+            _tuner(given, profile, psnr_db, progress),
+            lambda path: cogsplat.decode(path, threads=given.threads),
+            scored=False,
+            prefixes=_measures_prefixes(profile, index, len(targets)),
+        )
+        for profile in profiles
+        if profile in TUNED
+        for index, psnr_db in enumerate(targets)
+    ]
+
+
+def _tuner(
+    given: BenchInput, profile: str, psnr_db: float, progress: Progress
+) -> Callable[[Path], None]:
+    """Return a function that tunes the scene and writes it to its argument, a path."""
+    from cogsplat.codec.encode.config import Target
+    from cogsplat.codec.fit import tuning
+    from cogsplat.codec.fit.train_config import TrainConfig
+    from cogsplat.codec.fit.tune_config import TuneConfig, TuneRequest
+    from cogsplat.codec.fit.tuning_views import choose_tuning_views
+    from cogsplat.formats.cogs import scene_writer
+
+    def write(path: Path) -> None:
+        progress("tune", 0, 1)
+        request = TuneRequest(
+            choose_tuning_views(given.splats, given.tuned_in, threads=given.threads),
+            Target(psnr_db=psnr_db),
+            TuneConfig(profile=profile, train=TrainConfig(threads=given.threads)),
+            background=given.background,
+        )
+        size_of = partial(scene_writer.size_bytes, writer="benchmark")
+        made = tuning.tune(given.splats, request, size_of=size_of)
+        scene_writer.save(made.encoded, path, writer="benchmark", force=True)
+        progress("tune", 1, 1)
 
     return write
 

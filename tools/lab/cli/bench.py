@@ -166,7 +166,13 @@ def decibels(text: str) -> tuple[float, ...]:
     "--qualities",
     type=decibels,
     metavar="DB,…",
-    help="Nominal PSNRs of the profiles for viewing.  [default: a range for each]",
+    help="Nominal PSNRs of the profiles for viewing, and target PSNRs of tuned files.  "
+    "[default: a range for each]",
+)
+@click.option(
+    "--tuned",
+    is_flag=True,
+    help="Also tune transform and vq to each quality, which takes minutes a file.",
 )
 @click.option(
     "--images",
@@ -194,6 +200,7 @@ def bench(
     profiles: tuple[str, ...],
     formats: tuple[str, ...],
     qualities: tuple[float, ...] | None,
+    tuned: bool,
     images: Path | None,
     ablation: bool,
     background: Colour,
@@ -210,6 +217,8 @@ def bench(
     """
     if ablation and qualities is not None and len(qualities) != 1:
         raise click.UsageError("--ablation measures at one quality, expected one in --qualities")
+    if tuned and (ablation or not set(profiles) & set(benches.TUNED)):
+        raise click.UsageError("--tuned tunes profiles, expected transform or vq in --profiles")
     if not ablation and not profiles and not formats:
         raise click.UsageError("--profiles none and --formats none: nothing to measure")
     if out is not None:
@@ -232,6 +241,7 @@ def bench(
                 profiles=profiles,
                 qualities=qualities,
                 formats=formats,
+                tuned=tuned,
             )
 
         given, what = _gather(
@@ -252,6 +262,7 @@ def bench(
                     profiles=profiles,
                     qualities=qualities,
                     formats=formats,
+                    tuned=tuned,
                     progress=stages,
                 )
     title = display_title(scene, in_folder=True)
@@ -304,6 +315,7 @@ def _gather(
         if not len(splats):
             raise DataError("no-splats", f"{scene}: 0 splats, expected some to measure")
     planned = None
+    tuned_in = views
     if views is None:
         planned = plan_cameras(splats, threads=threads, progress=stages)
         views = hold_out(planned, eval_every)[0] or planned
@@ -318,7 +330,17 @@ def _gather(
     start = time.perf_counter()
     scored_on, scores = score_given(splats, views, preset, config, progress=stages)
     score_s = time.perf_counter() - start
-    given = BenchInput(splats, scores, score_s, test_views, scored_on, photos, background, threads)
+    given = BenchInput(
+        splats,
+        scores,
+        score_s,
+        test_views,
+        scored_on,
+        tuned_in,
+        photos,
+        background,
+        threads,
+    )
     return given, what
 
 
@@ -481,7 +503,7 @@ def _ablation_pages(
 
 def _style(method: str) -> int:
     """Return the index of the colour and marker of a method in charts."""
-    return (*_PROFILES, *benches.FOREIGN).index(method)
+    return (*_PROFILES, *benches.FOREIGN, *benches.TUNED.values()).index(method)
 
 
 def _series(measured: Bench) -> list[Series]:

@@ -3,7 +3,9 @@
 import csv
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,16 +18,22 @@ from PIL import Image
 from running import SPLATS, Run, SmallScene, words_of
 
 import cogsplat
-from cogsplat.codec.encode.config import EncodeConfig
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.encode.config import EncodeConfig, Target
 from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
 from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.errors import CogsplatError, DataError
+from cogsplat.codec.fit import tune_config, tuning
+from cogsplat.codec.fit.train_config import TrainConfig
+from cogsplat.codec.fit.tune_config import TuneConfig, TuneRequest
+from cogsplat.codec.fit.tuning_views import choose_tuning_views
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.scoring import view_quality
 from cogsplat.codec.scoring.contribution import ScoreConfig, Scores, score
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.inria import write_cameras_json
+from cogsplat.formats.cogs import scene_writer
 from cogsplat.tools.evaluation.photos import read_photos
 from cogsplat.tools.lab.benchmark import c3dgs_npz, rate_distortion
 from cogsplat.tools.lab.benchmark.ablation import changes, equal_quality
@@ -46,6 +54,14 @@ def scene() -> Splats:
 def scores(scene: Splats) -> Scores:
     config = ScoreConfig(jitter=False, sensitivity_every=1)
     return score(scene, synth_cameras(3, 48, 36), config)
+
+
+def bench_input(
+    splats: Splats, scores: Scores, cameras: Sequence[Camera]
+) -> rate_distortion.BenchInput:
+    return rate_distortion.BenchInput(
+        splats, scores, 0.0, cameras, cameras, cameras, None, (0, 0, 0), 1
+    )
 
 
 @pytest.fixture(scope="module")
@@ -187,6 +203,8 @@ def test_ablation_tells_every_technique(run: Run, tmp_path: Path) -> None:
         ["--qualities", "5"],
         ["--qualities", "high"],
         ["--ablation", "--qualities", "30,40"],
+        ["--ablation", "--tuned"],
+        ["--tuned", "--profiles", "near-lossless"],
     ],
 )
 def test_misuse_is_told(run: Run, small: SmallScene, arguments: list[str]) -> None:
@@ -209,13 +227,46 @@ def test_names_are_read_by_their_beginnings() -> None:
 def test_a_refusal_is_a_row(scene: Splats, scores: Scores, tmp_path: Path) -> None:
     far = replace(scene, means=scene.means + np.float32(1e5))
     camera = synth_cameras(1, 48, 36)
-    given = rate_distortion.BenchInput(scene, scores, 0.0, camera, camera, None, (0, 0, 0), 1)
+    given = bench_input(scene, scores, camera)
     moved = replace(given, splats=far)
     found = rate_distortion.run(
         moved, tmp_path, profiles=(), qualities=None, formats=[rate_distortion.BASELINE]
     )
     assert [row.refused for row in found.rows] == ["value-range"]
     assert found.prefixes == ()
+
+
+def test_tuned_files_are_those_of_tune(
+    scene: Splats, scores: Scores, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    short = partial(TuneConfig, round_steps=1, recovery_steps=2, quantised_steps=4)
+    monkeypatch.setattr(tune_config, "TuneConfig", short)
+    cameras = synth_cameras(3, 48, 36)
+    found = rate_distortion.run(
+        bench_input(scene, scores, cameras),
+        tmp_path,
+        profiles=["transform", "near-lossless"],
+        qualities=[24.0],
+        formats=(),
+        tuned=True,
+    )
+    assert [row.label for row in found.rows] == [
+        "transform 24",
+        "near-lossless",
+        "transform, tuned 24",
+    ]
+    request = TuneRequest(
+        choose_tuning_views(scene, cameras),
+        Target(psnr_db=24.0),
+        short(train=TrainConfig(threads=1)),
+    )
+    size_of = partial(scene_writer.size_bytes, writer="benchmark")
+    made = tuning.tune(scene, request, size_of=size_of).encoded
+    row = found.rows[-1]
+    assert row.file_bytes == size_of(made)
+    measured = view_quality.compare(scene, made.decoded, cameras, close=False)
+    assert row.held_out_db == pytest.approx(view_quality.mean_psnr_db(measured.test), abs=1e-4)
+    assert {prefix.label for prefix in found.prefixes} >= {"transform, tuned 24"}
 
 
 @given(st.integers(1, 1 << 40))
