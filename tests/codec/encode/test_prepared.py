@@ -22,7 +22,8 @@ def test_a_scene_is_laid_out_once_while_the_same_splats_stay():
     )
     kept = prepare(scene, scores, unseen(prune=None))
     coarse, fine = kept.lay_out(30.0), kept.lay_out(50.0)
-    assert fine.slices is coarse.slices and fine.rows is coarse.rows
+    assert fine.slices is coarse.slices
+    assert fine.rows is coarse.rows
     assert 0 < fine.lagrangian < coarse.lagrangian
     pruned = prepare(scene, scores, unseen(prune=PruneConfig()))
     few, more = pruned.lay_out(12.0), pruned.lay_out(40.0)
