@@ -55,8 +55,6 @@ class Preset:
         Iterations per compensation layer.
     fit_views : int
         Views rendered in each iteration.
-    fit_coded_share : float
-        Length of the longest prefix with a code per splat (`FitConfig.coded_share`).
     """
 
     planned_views: int
@@ -72,7 +70,6 @@ class Preset:
     gain: GainEffort = field(default_factory=GainEffort)
     fit_iterations: int = 16
     fit_views: int = 4
-    fit_coded_share: float = 0.65
 
     @property
     def reference_pixels(self) -> int:
@@ -117,7 +114,6 @@ class Preset:
         return FitConfig(
             iterations=self.fit_iterations,
             views=self.fit_views,
-            coded_share=self.fit_coded_share,
             threads=threads,
         )
 
@@ -169,8 +165,7 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
         # The ordering and compensation of `balanced` would triple the time of `fast`. Measured on a
         # captured room: ordering a tenth of the splats in pictures of a quarter of the pixels takes
         # a tenth of the time, gives 23.9 dB instead of 24.1 dB in the first 64 KiB, and loses 1 to
-        # 2 dB from 128 KiB on. Codes for a fifth of the effective splats instead of two thirds
-        # make the file 0.7 % smaller.
+        # 2 dB from 128 KiB on.
         "fast": Preset(
             planned_views=64,
             planned_jitter=False,
@@ -185,7 +180,6 @@ PRESETS: Final[Mapping[str, Preset]] = MappingProxyType(
             gain=GainEffort(ordered_ratio=0.17, growth=0.3, views=8),
             fit_iterations=8,
             fit_views=3,
-            fit_coded_share=0.2,
         ),
         "balanced": Preset(
             planned_views=96,

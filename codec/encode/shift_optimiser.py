@@ -62,7 +62,9 @@ class FitConfig:
         Views rendered in each iteration.
     coded_share : float
         Length of the longest prefix with codes, in `prefix_inflation.effective_splats`; 0 or more.
-        Longer prefixes are nearly complete.
+        In longer prefixes, codes take more bytes than they are worth. At 0.65 in place of 0.2, two
+        trained objects show 0.15 and 0.3 dB less in as many bytes. Of one the first half then shows
+        1 dB more, of the other the first two thirds show 1.5 dB less.
     threads : int
         Number of threads, 0 for all cores. The result does not depend on it.
     """
@@ -70,7 +72,7 @@ class FitConfig:
     code_bits: int = 3
     iterations: int = 16
     views: int = 4
-    coded_share: float = 0.65
+    coded_share: float = 0.2
     threads: int = 0
 
     def __post_init__(self) -> None:

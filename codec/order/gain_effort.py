@@ -18,7 +18,8 @@ class GainEffort:
         (`prefix_inflation.effective_splats`), above 0; the rest is ordered by contribution. A
         smaller ratio gives a smaller file, because chunks of an order by contribution hold more
         similar splats. At 0.75 a captured room's prefixes show as much as at 1, and a trained
-        object of 14,000 splats shows 0.4 dB more in as many bytes than at 1.2.
+        object of 14,000 splats shows 0.4 dB more in as many bytes than at 1.2. At 0.5 the room
+        shows 0.1 dB more in as many bytes, and its first 256 KiB 1 dB less.
     growth : float
         Splats that a stage adds, as a ratio to the splats of the prefix so far; above 0. Small
         stages add fewer redundant splats; the run time is proportional to the number of stages.

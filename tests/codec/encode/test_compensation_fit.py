@@ -50,7 +50,9 @@ def _same(one, other):
 def test_prefixes_show_more_and_codes_pay(scene):
     splats, cameras, references, effective_splats = scene
     plain = fit(splats, _COUNTS, references, effective_splats, FitConfig(code_bits=0))
-    coded = fit(splats, _COUNTS, references, effective_splats, FitConfig(code_bits=4))
+    coded = fit(
+        splats, _COUNTS, references, effective_splats, FitConfig(code_bits=4, coded_share=0.65)
+    )
     assert [layer.chunks for layer in coded.layers] == [layer.chunks for layer in plain.layers]
 
     def quality(drawn):
@@ -66,7 +68,13 @@ def test_prefixes_show_more_and_codes_pay(scene):
 def test_the_fit_does_not_depend_on_threads(scene):
     splats, _, references, effective_splats = scene
     found = [
-        fit(splats, _COUNTS, references, effective_splats, FitConfig(iterations=4, threads=threads))
+        fit(
+            splats,
+            _COUNTS,
+            references,
+            effective_splats,
+            FitConfig(iterations=4, coded_share=0.65, threads=threads),
+        )
         for threads in (1, 3)
     ]
     _same(*found)
@@ -74,7 +82,7 @@ def test_the_fit_does_not_depend_on_threads(scene):
 
 def test_a_blank_takes_the_same_room(scene):
     splats, _, references, effective_splats = scene
-    config = FitConfig(iterations=3)
+    config = FitConfig(iterations=3, coded_share=0.65)
     found = fit(splats, _COUNTS, references, effective_splats, config)
     empty = placeholder_compensation(_COUNTS, effective_splats, config)
     for a, b in zip(found.layers, empty.layers, strict=True):
@@ -86,7 +94,13 @@ def test_a_blank_takes_the_same_room(scene):
 
 def test_codes_name_rows_of_the_book(scene):
     splats, _, references, effective_splats = scene
-    found = fit(splats, _COUNTS, references, effective_splats, FitConfig(code_bits=2, iterations=5))
+    found = fit(
+        splats,
+        _COUNTS,
+        references,
+        effective_splats,
+        FitConfig(code_bits=2, iterations=5, coded_share=0.65),
+    )
     before = 0
     for layer in found.layers:
         if len(layer.book):
@@ -155,7 +169,9 @@ def test_config_is_checked(wrong):
 
 def test_errors_of_prefixes_are_those_of_their_pictures(scene):
     splats, _, references, effective_splats = scene
-    found = fit(splats, _COUNTS, references, effective_splats, FitConfig(iterations=3))
+    found = fit(
+        splats, _COUNTS, references, effective_splats, FitConfig(iterations=3, coded_share=0.65)
+    )
     prefix_mse = errors(found, splats, references, executor=LocalThreads(2))
     assert len(prefix_mse) == len(_COUNTS) + 1
     assert prefix_mse[0] == pytest.approx(np.mean([np.mean(p**2) for p in references.pictures]))
