@@ -19,6 +19,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
+from cogsplat.codec.splats import Splats, concatenate
 from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.tools.delivery.slow_server import running
 from cogsplat.tools.delivery.viewer_pages import linked_page
@@ -169,3 +170,61 @@ def fault_of(page: Page, drawing: Mapping[str, Any]) -> str:
     return tolerance.picture_fault(
         picture(page), expected.reshape(camera.height, camera.width, 3), is_viewer=True
     )
+
+
+FAR = np.array([10_000.0, 0.0, -10_000.0])
+"""A place 14 km from the origin, in a scene that reaches as far to its other side."""
+FOCAL = 500.0
+
+
+def markers(place: NDArray[np.float64]) -> Splats:
+    """Make 48 round splats of 4 pixels, at 2 to 8 units in front of a camera at a place."""
+    column, row = np.meshgrid(np.arange(8) - 3.5, np.arange(6) - 2.5)
+    depth = 5 + 3 * np.sin(7.3 * np.arange(48))
+    ahead = np.stack([75 / FOCAL * column.ravel(), 75 / FOCAL * row.ravel(), np.ones(48)], axis=1)
+    return Splats.from_arrays(
+        means=(place + depth[:, None] * ahead).astype(np.float32),
+        scales=np.repeat(np.log(4 * depth / FOCAL)[:, None], 3, axis=1).astype(np.float32),
+        quats=np.tile(np.float32([1, 0, 0, 0]), (48, 1)),
+        opacities=np.full(48, 5, np.float32),
+        sh0=np.full((48, 3), 1.5, np.float32),
+    )
+
+
+def test_ten_kilometres_from_the_origin_splats_are_within_a_tenth_of_a_pixel(
+    browser: Browser, tmp_path: Path
+) -> None:
+    path = tmp_path / "scene.cogs"
+    config = EncodeConfig(profile="near-lossless", prune=None)
+    cogsplat.encode(concatenate([markers(FAR), markers(-FAR)]), path, config=config)
+    position, turn = FAR + np.array([0.137, -0.211, 0.052]), 0.05
+    across, ahead = np.cos(turn), np.sin(turn)
+    rotation = np.array([[across, 0, ahead], [0, 1, 0], [-ahead, 0, across]])
+    camera = Camera(
+        width=640,
+        height=480,
+        fx=FOCAL,
+        fy=FOCAL,
+        cx=320,
+        cy=240,
+        rotation=rotation,
+        translation=-rotation @ position,
+    )
+    means = cogsplat.decode(path).means.astype(np.float64)
+    local = (means[np.linalg.norm(means - FAR, axis=1) < 100] - position) @ rotation.T
+    expected = FOCAL * local[:, :2] / local[:, 2:] + [320, 240]
+    with running(FaultyServer({**linked_page("far"), "scene.cogs": path.read_bytes()})) as server:
+        page = browser.new_page(viewport={"width": 640, "height": 480})
+        page.goto(server.url)
+        look_from(page, camera)
+        wait_until(page, "s.state === 'complete' && s.upToDate")
+        shown = picture(page).mean(axis=2)
+        page.close()
+    inside = np.all((expected > 20) & (expected < [620, 460]), axis=1)
+    assert np.count_nonzero(inside) >= 40
+    for place in expected[inside]:
+        left, top = np.round(place).astype(int) - 18
+        light = shown[top : top + 36, left : left + 36]
+        rows, columns = np.mgrid[top : top + 36, left : left + 36] + 0.5
+        found = [np.average(columns, weights=light), np.average(rows, weights=light)]
+        assert np.hypot(*(found - place)) < 0.1

@@ -38,7 +38,6 @@ export {
   DEFAULT_RANGES,
   type PackedSplats,
   type PackRanges,
-  packedMeans,
   SH_WORDS,
   shiftPacked,
   unpackSplats,

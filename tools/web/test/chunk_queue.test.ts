@@ -140,16 +140,22 @@ test("what callers do with the rows that they are given does not reach what is k
 test("kept heads stay within their limit, and those that came last go first", () => {
   const heads = new KeptHeads();
   const packed = (splats: number): DecodedChunk => ({
-    packed: { count: splats, words: new Uint32Array(4 * splats), sh: [], ranges: DEFAULT_RANGES },
+    packed: {
+      count: splats,
+      words: new Uint32Array(4 * splats),
+      means: new Float32Array(3 * splats),
+      sh: [],
+      ranges: DEFAULT_RANGES,
+    },
   });
-  heads.keepAtMost(16 * 100);
+  heads.keepAtMost(28 * 100);
   heads.keep(0, packed(60));
   heads.keep(1, packed(60));
-  assert.equal(heads.bytes, 16 * 60);
+  assert.equal(heads.bytes, 28 * 60);
   heads.keep(2, packed(40));
-  assert.equal(heads.bytes, 16 * 100);
-  heads.keepAtMost(16 * 70);
-  assert.equal(heads.bytes, 16 * 60);
+  assert.equal(heads.bytes, 28 * 100);
+  heads.keepAtMost(28 * 70);
+  assert.equal(heads.bytes, 28 * 60);
   assert.equal(heads.remove(2), undefined);
   assert.equal(heads.remove(0)!.packed!.words.length, 4 * 60);
   assert.equal(heads.bytes, 0);

@@ -40,12 +40,13 @@ class CountingContext {
   }
 }
 
-const chunk = (count: number): PackedSplats => ({ count, words: new Uint32Array(4 * count).fill(7), sh: [] }) as never;
+const chunk = (count: number): PackedSplats =>
+  ({ count, words: new Uint32Array(4 * count).fill(7), means: new Float32Array(3 * count), sh: [] }) as never;
 const SCENE = { splats: 8 * TEXTURE_WIDTH, shDegree: 0, origin: [0, 0, 0], linear: false, kernelPx: 0.3 };
-const FORWARD = [0, 0, 1];
+const PLANE = { forward: [0, 0, 1], depth: 0 };
 
 async function whenSorted(layer: SplatLayer): Promise<void> {
-  while (!layer.prepare(FORWARD)) await new Promise((resolve) => setTimeout(resolve, 1));
+  while (!layer.prepare(PLANE)) await new Promise((resolve) => setTimeout(resolve, 1));
 }
 
 test("released rows leave the GPU's memory once they are not drawn, at the end of a chunk", async () => {
@@ -61,13 +62,13 @@ test("released rows leave the GPU's memory once they are not drawn, at the end o
   for (let i = 0; i < 8; i++) layer.write(chunk(TEXTURE_WIDTH), i * TEXTURE_WIDTH);
   await whenSorted(layer);
   const before = gpu.bytes;
-  assert.equal(before, (16 + 4 + 4) * 8 * TEXTURE_WIDTH);
+  assert.equal(before, (16 + 8 + 4 + 4) * 8 * TEXTURE_WIDTH);
   layer.release(2 * TEXTURE_WIDTH + 5);
   assert.equal(gpu.bytes, before);
   await whenSorted(layer);
   assert.equal(gpu.bytes, before / 4);
-  // What stays is copied on the GPU, in each of three textures.
-  assert.deepEqual(gpu.copies, [2, 2, 2]);
+  // What stays is copied on the GPU, in each of four textures.
+  assert.deepEqual(gpu.copies, [2, 2, 2, 2]);
   assert.equal(layer.capacity, 2 * TEXTURE_WIDTH);
   assert.equal(layer.drawnRows, 2 * TEXTURE_WIDTH);
   // A chunk that arrives later finds no room, and changes nothing.

@@ -23,7 +23,7 @@ test("splats are ordered from the farthest to the nearest, each once", () => {
   const means = Float32Array.from({ length: 3 * rows }, (_, i) => Math.sin(i * 12.9898) * 10);
   const forward = [0.6, 0, -0.8];
   const order = new Uint32Array(rows);
-  sortByDepth(means, rows, forward, order);
+  sortByDepth(means, rows, { forward, depth: 0 }, order);
   assert.deepEqual(
     Array.from(order).sort((a, b) => a - b),
     Array.from({ length: rows }, (_, i) => i),
@@ -36,7 +36,7 @@ test("no rounding puts the farthest splat in front", () => {
   const order = new Uint32Array(2);
   for (let i = 1; i < 200; i++) {
     // The farthest depth, 0.1·x, is no float32, and half of these round up.
-    sortByDepth(Float32Array.of(i / 2, 0, 0, i, 0, 0), 2, [0.1, 0, 0], order);
+    sortByDepth(Float32Array.of(i / 2, 0, 0, i, 0, 0), 2, { forward: [0.1, 0, 0], depth: 0 }, order);
     assert.deepEqual(Array.from(order), [1, 0]);
   }
 });
@@ -47,7 +47,7 @@ test("the farthest splat comes first, however its depth is rounded", () => {
   for (let turn = 0; turn < 200; turn++) {
     const means = Float32Array.from({ length: 3 * rows }, (_, i) => Math.sin((i + 1) * (turn + 1)) * 10);
     const forward = [Math.cos(turn), 0, Math.sin(turn)];
-    sortByDepth(means, rows, forward, order);
+    sortByDepth(means, rows, { forward, depth: 0 }, order);
     const depths = Array.from(
       { length: rows },
       (_, row) => means[3 * row]! * forward[0]! + means[3 * row + 2]! * forward[2]!,
@@ -57,20 +57,36 @@ test("the farthest splat comes first, however its depth is rounded", () => {
   }
 });
 
+test("near a camera 10 km from the origin, depths that differ by a millimetre are told apart", () => {
+  const rows = 2000;
+  const position = [9876.5, -12.25, -8765.75];
+  const forward = [0.6, 0, -0.8];
+  // float32 has steps of a millimetre at 10 km.
+  const means = Float32Array.from({ length: 3 * rows }, (_, i) => position[i % 3]! + Math.sin((i + 1) * 12.9898) * 10);
+  const depthOf = (row: number) =>
+    [0, 1, 2].reduce((sum, axis) => sum + forward[axis]! * (means[3 * row + axis]! - position[axis]!), 0);
+  const depth = [0, 1, 2].reduce((sum, axis) => sum + forward[axis]! * position[axis]!, 0);
+  const order = new Uint32Array(rows);
+  sortByDepth(means, rows, { forward, depth }, order);
+  for (let i = 1; i < rows; i++) assert.ok(depthOf(order[i]!) <= depthOf(order[i - 1]!) + 1e-6);
+});
+
 test("splats at one depth stay in their order", () => {
   const order = new Uint32Array(4);
-  sortByDepth(new Float32Array(12).fill(3), 4, [0, 0, 1], order);
+  sortByDepth(new Float32Array(12).fill(3), 4, { forward: [0, 0, 1], depth: 0 }, order);
   assert.deepEqual(Array.from(order), [0, 1, 2, 3]);
 });
 
 test("rows sorted in slices are in the order that one sort gives", async () => {
   const rows = 200_000;
-  const words = Uint32Array.from({ length: 4 * rows }, (_, i) => Math.imul(i + 1, 2_654_435_761) & 0x3fff3fff);
   const sorter = new RowSorter(rows);
-  sorter.add(0, words);
-  const forward = [0.36, 0.48, 0.8];
-  const { order } = sorter.sort(rows, forward, undefined);
-  const sliced = await sorter.sortInSlices(rows, forward, undefined);
+  sorter.add(
+    0,
+    Float32Array.from({ length: 3 * rows }, (_, i) => Math.sin(i * 12.9898)),
+  );
+  const plane = { forward: [0.36, 0.48, 0.8], depth: 0.5 };
+  const { order } = sorter.sort(rows, plane, undefined);
+  const sliced = await sorter.sortInSlices(rows, plane, undefined);
   assert.deepEqual(sliced.order, order);
   assert.equal(sliced.rows, rows);
 });

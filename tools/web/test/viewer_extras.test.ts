@@ -1,22 +1,25 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { toHalf } from "../src/scene/half_floats.js";
 import { between, positionOf, translationOf } from "../src/viewer/flight.js";
 import { formatLength } from "../src/viewer/measure.js";
 import { pick } from "../src/viewer/pick.js";
+import { writeShaderRows } from "../src/viewer/shader_rows.js";
 import { projectionOf } from "../src/viewer/stage.js";
 
-/** Pack splats as `packed_splats.ts` says: round ones of one scale, at means, with opacities in 1/255. */
+/** Return rows of splats: round ones of one scale, at means, with opacities in 1/255. */
 function packed(splats: readonly { readonly mean: readonly number[]; readonly opacity: number }[], scale: number) {
   const code = Math.round(1 + ((Math.log(scale) + 12) * 254) / 21);
-  return Uint32Array.from(
-    splats.flatMap(({ mean, opacity }) => [
-      (opacity << 24) >>> 0,
-      (toHalf(mean[0]!) | (toHalf(mean[1]!) << 16)) >>> 0,
-      (toHalf(mean[2]!) | (128 << 16) | (128 << 24)) >>> 0,
-      code | (code << 8) | (code << 16),
-    ]),
-  );
+  const count = splats.length;
+  const rows = { splats: new Uint32Array(4 * count), shapes: new Uint32Array(2 * count) };
+  const words = splats.flatMap(({ opacity }) => [
+    (opacity << 24) >>> 0,
+    0,
+    ((128 << 16) | (128 << 24)) >>> 0,
+    code | (code << 8) | (code << 16),
+  ]);
+  const means = Float32Array.from(splats.flatMap(({ mean }) => mean));
+  writeShaderRows({ count, words: Uint32Array.from(words), means }, rows, 0);
+  return rows;
 }
 
 /** A wall of opaque splats at a depth. */
@@ -30,17 +33,17 @@ function wall(depth: number, opacity = 250) {
 const AHEAD = { origin: [0, 0, 0], direction: [0, 0, 1], pixel: 0.001 } as const;
 
 test("a ray ends at the first wall, and passes a mist and what is behind it", () => {
-  const words = packed([...wall(8), ...wall(5), ...wall(2, 6), ...wall(-3)], 0.06);
-  const found = pick(words, words.length / 4, { ...AHEAD, origin: [0, 0, 0], direction: [0, 0, 1] });
+  const rows = packed([...wall(8), ...wall(5), ...wall(2, 6), ...wall(-3)], 0.06);
+  const found = pick(rows, 4 * 441, { ...AHEAD, origin: [0, 0, 0], direction: [0, 0, 1] });
   assert.ok(Math.abs(found! - 5) < 0.05, String(found));
 });
 
 test("a ray beside the scene hits nothing, nor do rows that are not drawn", () => {
-  const words = packed(wall(5), 0.06);
+  const rows = packed(wall(5), 0.06);
   const aside = Math.hypot(3, 5);
   const beside = { ...AHEAD, origin: [0, 0, 0] as [number, number, number] };
-  assert.equal(pick(words, 441, { ...beside, direction: [3 / aside, 0, 5 / aside] }), undefined);
-  assert.equal(pick(words, 10, { ...beside, direction: [0, 0, 1] }), undefined);
+  assert.equal(pick(rows, 441, { ...beside, direction: [3 / aside, 0, 5 / aside] }), undefined);
+  assert.equal(pick(rows, 10, { ...beside, direction: [0, 0, 1] }), undefined);
 });
 
 test("a pose between two looks at a target between theirs, from between their distances", () => {

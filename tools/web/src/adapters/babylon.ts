@@ -117,7 +117,7 @@ const OF_PICTURE = [
  * the others compensate for them (SPEC 8.5) unless `compensate` is false. A worker sorts the rows by depth; where a
  * policy refuses it, slices on this thread do.
  *
- * Splats take 20 bytes each in graphics memory, and 40 for the bands of degree 3. Colours are written as they are, for
+ * Splats take 28 bytes each in graphics memory, and 40 for the bands of degree 3. Colours are written as they are, for
  * the screen. The engine's own `GaussianSplattingMesh` would leave out splats whose centre is 1.2 times the picture away
  * from the middle, stretch those near the edge, and cut large ones.
  *

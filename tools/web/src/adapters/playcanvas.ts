@@ -4,7 +4,7 @@
  * @packageDocumentation
  */
 import type { StreamedScene } from "../loader/streamed_scene.js";
-import { DEFAULT_RANGES, LOG_SCALE_MAX, LOG_SCALE_MIN, packedMeans, SH_WORDS } from "../scene/packed_splats.js";
+import { DEFAULT_RANGES, LOG_SCALE_MAX, LOG_SCALE_MIN, SH_WORDS } from "../scene/packed_splats.js";
 import { trainingPixelInView } from "../scene/training_pixel.js";
 import { axesRotation } from "./axes.js";
 import { PackedRows } from "./packed_rows.js";
@@ -409,7 +409,7 @@ export function streamToPlayCanvas<D, C extends PlayCanvasContainer>(
     format: "packed",
     write(update, shifts): void {
       rows.write(update, shifts);
-      resource.centers.set(packedMeans(update.packed!), 3 * update.firstRow);
+      resource.centers.set(update.packed!.means, 3 * update.firstRow);
     },
     upload,
   };

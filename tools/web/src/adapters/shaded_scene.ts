@@ -1,7 +1,11 @@
+import type { Shifts } from "../container/compensation.js";
+import type { ChunkUpdate } from "../loader/stream_options.js";
 import type { StreamedScene } from "../loader/streamed_scene.js";
-import { DEFAULT_RANGES, SH_WORDS } from "../scene/packed_splats.js";
+import { DEFAULT_RANGES, SH_WORDS, shiftPacked } from "../scene/packed_splats.js";
 import { trainingPixel } from "../scene/training_pixel.js";
-import { PackedRows, TEXTURE_WIDTH } from "./packed_rows.js";
+import type { ViewPlane } from "../viewer/depth_order.js";
+import { cameraUniforms, type ShaderRows, writeShaderRows } from "../viewer/shader_rows.js";
+import { TEXTURE_WIDTH } from "../viewer/shaders.js";
 import { type AdapterOptions, streamRows, wantedDegree } from "./row_stream.js";
 import { SortedRows } from "./sorted_rows.js";
 
@@ -21,7 +25,7 @@ export interface ShaderTexture {
 }
 
 /** Samplers of the shaders; those without a texture are declared and not read. */
-export const SAMPLERS = ["splats", "order", "sh1", "sh2", "sh3", "shifts", "levels"] as const;
+export const SAMPLERS = ["splats", "shapes", "order", "sh1", "sh2", "sh3", "shifts", "levels"] as const;
 
 /** Uniforms of the shaders by name. */
 export type Uniforms = Readonly<Record<string, number | boolean | ArrayLike<number>>>;
@@ -43,7 +47,8 @@ export class ShadedScene {
   readonly constants: Uniforms;
   /** Number of rows in the order. */
   count = 0;
-  private readonly rows: PackedRows;
+  private readonly rows: ShaderRows;
+  private readonly bands: readonly Uint32Array<ArrayBuffer>[];
   private readonly sorting: SortedRows;
 
   /** @param changed - Called with the names of the textures that have changed. */
@@ -54,20 +59,26 @@ export class ShadedScene {
   ) {
     const { info } = scene;
     const degree = wantedDegree(scene, options);
-    this.rows = new PackedRows(info.splats, degree);
-    this.lines = this.rows.lines;
-    const order = new Uint32Array(this.lines * TEXTURE_WIDTH);
+    this.lines = Math.max(1, Math.ceil(info.splats / TEXTURE_WIDTH));
+    const capacity = this.lines * TEXTURE_WIDTH;
+    const [splats, shapes] = [new Uint32Array(4 * capacity), new Uint32Array(2 * capacity)];
+    this.rows = { splats, shapes };
+    this.bands = SH_WORDS.slice(0, degree).map((words) => new Uint32Array(words * capacity));
+    const order = new Uint32Array(capacity);
     this.textures = [
-      { name: "splats", data: this.rows.words, words: 4 },
+      { name: "splats", data: splats, words: 4 },
+      { name: "shapes", data: shapes, words: 2 },
       { name: "order", data: order, words: 1 },
-      ...this.rows.bands.map((data, i) => ({ name: `sh${i + 1}`, data, words: SH_WORDS[i]! })),
+      ...this.bands.map((data, i) => ({ name: `sh${i + 1}`, data, words: SH_WORDS[i]! })),
     ];
     const { rgbMin, rgbMax, shRange } = DEFAULT_RANGES;
     this.constants = {
       ...{ degree, kernel: info.kernelPx, antialiased: info.antialiased, rgbRange: [rgbMin, rgbMax], shRange },
       ...{ compensated: false, levelled: false, between: 0 },
     };
-    this.sorting = new SortedRows(this.rows, (sorted, count) => {
+    const floats = new Float32Array(splats.buffer);
+    const means = () => Float32Array.from({ length: 3 * capacity }, (_, i) => floats[4 * Math.floor(i / 3) + (i % 3)]!);
+    this.sorting = new SortedRows(means, capacity, (sorted, count) => {
       order.set(sorted.subarray(0, count));
       this.count = count;
       this.show(["order"]);
@@ -82,8 +93,8 @@ export class ShadedScene {
       {
         format: "packed",
         write: (update, shifts) => {
-          this.rows.write(update, shifts);
-          this.sorting.add(update.firstRow, update.packed!.words);
+          this.write(update, shifts);
+          this.sorting.add(update.firstRow, update.packed!.means);
         },
         upload: (count) => {
           this.show(names);
@@ -102,8 +113,8 @@ export class ShadedScene {
    * @param size - Width and height of the picture, px.
    */
   draw(matrices: PictureMatrices, world: ArrayLike<number>, size: readonly [number, number]): Uniforms {
-    const { forward, uniforms } = uniformsOf(matrices, world, size);
-    this.sorting.look(forward);
+    const { plane, uniforms } = uniformsOf(matrices, world, size);
+    this.sorting.look(plane);
     const pixel = trainingPixel(this.scene.info.capture, uniforms.cameraPosition as readonly number[]);
     return { ...uniforms, trainingPixel: pixel.slice(0, 4), trainingRest: pixel[4], count: this.count };
   }
@@ -112,18 +123,28 @@ export class ShadedScene {
     this.sorting.close();
   }
 
+  /** Write a chunk's rows, with their shifts of compensation (SPEC 8.5). */
+  private write({ firstRow, packed }: ChunkUpdate, shifts: Shifts | undefined): void {
+    const words = shifts === undefined ? packed!.words : new Uint32Array(packed!.words.length);
+    if (shifts !== undefined) shiftPacked(packed!.words, shifts, words, 0);
+    writeShaderRows({ ...packed!, words }, this.rows, firstRow);
+    packed!.sh.slice(0, this.bands.length).forEach((band, i) => {
+      this.bands[i]!.set(band, SH_WORDS[i]! * firstRow);
+    });
+  }
+
   private show(names: readonly string[]): void {
     this.changed(names);
     this.options.onChange?.();
   }
 }
 
-/** Return the uniforms of a picture, and its direction of view in the space of the means. */
+/** Return the uniforms of a picture, and the plane of its camera in the space of the means. */
 export function uniformsOf(
   { view: v, projection: p }: PictureMatrices,
   world: ArrayLike<number>,
   [width, height]: readonly [number, number],
-): { readonly forward: readonly number[]; readonly uniforms: Uniforms } {
+): { readonly plane: ViewPlane; readonly uniforms: Uniforms } {
   // The view looks along −z in right-handed worlds and along z in left-handed ones.
   const front = Math.sign(p[11]!);
   const row = (i: number, sign: number): number[] =>
@@ -131,12 +152,14 @@ export function uniformsOf(
   // x right, y down, z forward.
   const [x, y, z] = [row(0, 1), row(1, -1), row(2, front)] as [number[], number[], number[]];
   const size = Math.hypot(z[0]!, z[1]!, z[2]!);
+  const forward = z.slice(0, 3).map((value) => value / size);
+  const position = solve(x, y, z);
+  const rows = [x, y, z].flatMap((values) => values.slice(0, 3));
   return {
-    forward: z.slice(0, 3).map((value) => value / size),
+    plane: { forward, depth: forward.reduce((sum, value, axis) => sum + value * position[axis]!, 0) },
     uniforms: {
       rotation: [0, 1, 2].flatMap((j) => [x[j]!, y[j]!, z[j]!]),
-      translation: [x[3]!, y[3]!, z[3]!],
-      cameraPosition: solve(x, y, z),
+      ...cameraUniforms(rows, [x[3]!, y[3]!, z[3]!], position),
       focal: [(p[0]! * width) / 2, (p[5]! * height) / 2],
       viewport: [width, height],
       middle: [front * p[8]!, front * p[9]!],

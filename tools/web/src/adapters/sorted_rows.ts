@@ -1,6 +1,6 @@
+import type { ViewPlane } from "../viewer/depth_order.js";
 import { DepthSorter } from "../viewer/depth_sorter.js";
 import { failureText, startsText, TEXT_ADDRESS } from "../workers/worker_start.js";
-import { type PackedRows, TEXTURE_WIDTH } from "./packed_rows.js";
 
 /** Program of the sorting worker, which the bundle defines (`scripts/bundle.mjs`). */
 declare const SORT_TEXT: string | undefined;
@@ -11,28 +11,33 @@ const SAME_DIRECTION = 1 - 4e-7;
 /** Rows sorted by depth in a worker, or on this thread where it cannot be started. */
 export class SortedRows {
   private sorter: DepthSorter;
-  private readonly sent = new WeakSet<Uint32Array>();
+  private readonly sent = new WeakSet<Float32Array>();
   private rowsToShow = 0;
-  private forward: readonly number[] | undefined;
+  private plane: ViewPlane | undefined;
   private sortedFor: readonly number[] | undefined;
   private isSorting = false;
   private isStale = false;
   private isClosed = false;
   private spare: Uint32Array | undefined;
 
-  /** @param sorted - Called with the rows from the farthest to the nearest, and their number. */
+  /**
+   * @param means - Returns the means of all rows, three each, for a sorter that takes over.
+   * @param capacity - Number of rows.
+   * @param sorted - Called with the rows from the farthest to the nearest, and their number.
+   */
   constructor(
-    private readonly rows: PackedRows,
+    private readonly means: () => Float32Array,
+    private readonly capacity: number,
     private readonly sorted: (order: Uint32Array, count: number) => void,
   ) {
     this.sorter = this.start();
   }
 
-  /** Add the means of packed rows; compensation leaves them as they are. */
-  add(firstRow: number, words: Uint32Array): void {
-    if (this.sent.has(words)) return;
-    this.sent.add(words);
-    this.sorter.add(firstRow, words.slice());
+  /** Add the means of rows; compensation leaves them as they are. */
+  add(firstRow: number, means: Float32Array): void {
+    if (this.sent.has(means)) return;
+    this.sent.add(means);
+    this.sorter.add(firstRow, means.slice());
     this.isStale = true;
   }
 
@@ -42,11 +47,11 @@ export class SortedRows {
     this.sort();
   }
 
-  /** Sort for a direction of view, if it has turned. */
-  look(forward: readonly number[]): void {
+  /** Sort for a view, if its direction has turned. */
+  look(plane: ViewPlane): void {
     const before = this.sortedFor;
-    this.forward = forward;
-    if (before === undefined || before.reduce((sum, value, i) => sum + value * forward[i]!, 0) < SAME_DIRECTION) {
+    this.plane = plane;
+    if (before === undefined || before.reduce((sum, value, i) => sum + value * plane.forward[i]!, 0) < SAME_DIRECTION) {
       this.isStale = true;
     }
     this.sort();
@@ -58,14 +63,14 @@ export class SortedRows {
   }
 
   private start(): DepthSorter {
-    const capacity = this.rows.lines * TEXTURE_WIDTH;
+    const { capacity } = this;
     if (typeof Worker === "undefined" || typeof SORT_TEXT !== "string")
       return new DepthSorter(capacity, undefined, () => {});
     const workers = { address: TEXT_ADDRESS, viewer: startsText(SORT_TEXT) };
     const failed = (message: string): void => {
       console.warn(`cogsplat sorts splats without a worker: ${message}`);
       this.sorter = new DepthSorter(capacity, undefined, () => {});
-      this.sorter.add(0, this.rows.words.slice());
+      this.sorter.add(0, this.means());
       this.isSorting = false;
       this.isStale = true;
       this.sort();
@@ -79,15 +84,15 @@ export class SortedRows {
   }
 
   private sort(): void {
-    const { forward, rowsToShow, sorter } = this;
-    if (this.isSorting || !this.isStale || this.isClosed || forward === undefined || rowsToShow === 0) return;
+    const { plane, rowsToShow, sorter } = this;
+    if (this.isSorting || !this.isStale || this.isClosed || plane === undefined || rowsToShow === 0) return;
     this.isSorting = true;
     this.isStale = false;
-    void sorter.sort(rowsToShow, forward, this.spare).then(({ order, rows }) => {
+    void sorter.sort(rowsToShow, plane, this.spare).then(({ order, rows }) => {
       if (this.isClosed || sorter !== this.sorter) return;
       this.isSorting = false;
       this.spare = order;
-      this.sortedFor = forward;
+      this.sortedFor = plane.forward;
       this.sorted(order, rows);
       this.sort();
     });

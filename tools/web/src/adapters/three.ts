@@ -116,7 +116,7 @@ const FIRST_PICTURE = {
  * their rows. Missing rows are transparent, and the others compensate for them (SPEC 8.5) unless `compensate` is false.
  * A worker sorts the rows by depth; where a policy refuses it, slices on this thread do.
  *
- * Splats take 20 bytes each in graphics memory, and 40 for the bands of degree 3. Colours are written as they are, for
+ * Splats take 28 bytes each in graphics memory, and 40 for the bands of degree 3. Colours are written as they are, for
  * the screen.
  *
  * @param three - The module `three`, or an object with the classes and constants of `ThreeModule`.

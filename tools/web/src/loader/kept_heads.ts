@@ -59,14 +59,14 @@ function copyHead({ splats, packed }: DecodedChunk): DecodedChunk {
         shN: new Float32Array(0),
       },
     }),
-    ...(packed && { packed: { ...packed, words: packed.words.slice(), sh: [] } }),
+    ...(packed && { packed: { ...packed, words: packed.words.slice(), means: packed.means.slice(), sh: [] } }),
   };
 }
 
 function headBytes({ splats, packed }: DecodedChunk): number {
   const arrays = [
     ...(splats ? [splats.means, splats.scales, splats.quats, splats.opacities, splats.sh0] : []),
-    ...(packed ? [packed.words] : []),
+    ...(packed ? [packed.words, packed.means] : []),
   ];
   return arrays.reduce((sum, array) => sum + array.byteLength, 0);
 }

@@ -33,7 +33,7 @@ export interface StreamOptions {
   /** SH degree to decode; by default that of the scene. */
   readonly degree?: number;
   /**
-   * `splats`: arrays exact to the bit. `packed`: 16 bytes per splat and packed bands. `spark`, `playcanvas`: their
+   * `splats`: arrays exact to the bit. `packed`: 16 bytes per splat, exact means and packed bands. `spark`, `playcanvas`: their
    * textures.
    */
   readonly format?: ChunkFormat;
@@ -83,6 +83,6 @@ export interface ChunkUpdate {
 
 /** Return the bytes of a decoded splat in memory. */
 export function bytesPerSplat(format: ChunkFormat, degree: number): number {
-  if (format === "packed") return 16 + [0, 8, 24, 40][degree]!;
+  if (format === "packed") return 28 + [0, 8, 24, 40][degree]!;
   return 56 + 12 * ((degree + 1) ** 2 - 1);
 }

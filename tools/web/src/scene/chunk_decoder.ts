@@ -175,6 +175,7 @@ export class ChunkDecoder {
       return {
         count: rows,
         words: k.u32.slice(splats >>> 2, (splats >>> 2) + 4 * rows),
+        means: this.rows(head.means, rows),
         sh:
           tail === undefined
             ? SH_WORDS.slice(0, degree).map((words) => new Uint32Array(words * rows))

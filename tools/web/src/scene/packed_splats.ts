@@ -7,9 +7,9 @@ import type { Splats } from "./splats.js";
 export const SH_WORDS = [2, 4, 4] as const;
 
 /**
- * Splats packed for upload, four u32 each, within the tolerances of SPEC 8.6 except for rotations.
+ * Splats packed for upload, four u32 each, within the tolerances of SPEC 8.6 except for rotations, and exact means.
  *
- * The layout is that of Spark's `PackedSplats`. Rotations are up to 0.034 radians off.
+ * The layout of the words is that of Spark's `PackedSplats`. Rotations are up to 0.034 radians off.
  *
  * | word | bits | contents |
  * |---|---|---|
@@ -29,6 +29,8 @@ export interface PackedSplats {
   readonly count: number;
   /** Four words per splat. */
   readonly words: Uint32Array;
+  /** Means, exact to the bit, scene units: three per splat. */
+  readonly means: Float32Array;
   /** Packed bands from 1 to the requested degree; zeros where the tail is missing. */
   readonly sh: readonly Uint32Array[];
   readonly ranges: PackRanges;
@@ -75,16 +77,15 @@ export function fade(packed: PackedSplats, factor: number): PackedSplats {
   return { ...packed, words: packed.words.map((word, i) => (i % 4 === 0 ? fade(word) : word)) };
 }
 
-/** Return the values that a shader reads from packed splats. */
-export function unpackSplats(packed: PackedSplats): Splats {
-  const { count, words, sh } = packed;
-  const { rgbMin, rgbMax, shRange } = packed.ranges;
+/** Return the values that a shader reads from the words and bands of packed splats. */
+export function unpackSplats({ count, words, sh, ranges }: Omit<PackedSplats, "means">): Splats {
+  const { rgbMin, rgbMax, shRange } = ranges;
   const shDegree = sh.length;
   const floats = 3 * ((shDegree + 1) ** 2 - 1);
   const splats = {
     count,
     shDegree,
-    means: packedMeans(packed),
+    means: new Float32Array(3 * count),
     scales: new Float32Array(3 * count),
     quats: new Float32Array(4 * count),
     opacities: new Float32Array(count),
@@ -92,7 +93,8 @@ export function unpackSplats(packed: PackedSplats): Splats {
     shN: new Float32Array(floats * count),
   };
   for (let i = 0; i < count; i++) {
-    const [w0, , w2, w3] = words.subarray(4 * i, 4 * i + 4) as unknown as [number, number, number, number];
+    const [w0, w1, w2, w3] = words.subarray(4 * i, 4 * i + 4) as unknown as [number, number, number, number];
+    splats.means.set([fromHalf(w1 & 0xffff), fromHalf(w1 >>> 16), fromHalf(w2 & 0xffff)], 3 * i);
     for (let c = 0; c < 3; c++) {
       splats.sh0[3 * i + c] = ((((w0 >>> (8 * c)) & 255) / 255) * (rgbMax - rgbMin) + rgbMin - 0.5) / SH_C0;
       splats.scales[3 * i + c] = -12 + ((((w3 >>> (8 * c)) & 255) - 1) * 21) / 254;
@@ -152,16 +154,4 @@ export function shiftPacked(words: Uint32Array, shifts: Shifts, target: Uint32Ar
     target[first + 4 * i + 2] = words[4 * i + 2]!;
     target[first + 4 * i + 3] = (w3 & 0xff000000) | scale(16) | scale(8) | scale(0);
   }
-}
-
-/** Return the means of packed splats as float32, three per splat, for sorting. */
-export function packedMeans(packed: Pick<PackedSplats, "count" | "words">): Float32Array {
-  const means = new Float32Array(3 * packed.count);
-  for (let i = 0; i < packed.count; i++) {
-    const word = packed.words[4 * i + 1]!;
-    means[3 * i] = fromHalf(word & 0xffff);
-    means[3 * i + 1] = fromHalf(word >>> 16);
-    means[3 * i + 2] = fromHalf(packed.words[4 * i + 2]! & 0xffff);
-  }
-  return means;
 }

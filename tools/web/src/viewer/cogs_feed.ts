@@ -344,9 +344,9 @@ export class CogsFeed implements SceneFeed {
   }
 }
 
-/** Return a copy of packed splats, because a layer transfers the words of its rows to the sorter. */
+/** Return a copy of packed splats, because a layer transfers the means of its rows to the sorter. */
 function copyPacked(packed: PackedSplats): PackedSplats {
-  return { ...packed, words: packed.words.slice() };
+  return { ...packed, means: packed.means.slice() };
 }
 
 /** Return a predicted quality; 0 in the file means none (SPEC 5.4). */

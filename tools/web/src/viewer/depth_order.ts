@@ -3,30 +3,39 @@ const BUCKETS = 65_536;
 /** Rows per step of a sort. */
 const STEP_ROWS = 65_536;
 
+/** Plane through the camera, across the direction of view. */
+export interface ViewPlane {
+  /** Direction of view, of unit length. */
+  readonly forward: readonly number[];
+  /** Product of the camera's position and the direction. */
+  readonly depth: number;
+}
+
 /**
  * Sort rows from the farthest to the nearest by a stable radix sort of their float32 depths.
  *
  * @param means - Three numbers per row.
  * @param rows - Number of rows to sort.
- * @param forward - Direction of view.
+ * @param plane - Zero of the depths: float32 is finest near the camera.
  * @param order - Receives the rows.
  */
-export function sortByDepth(means: Float32Array, rows: number, forward: readonly number[], order: Uint32Array): void {
-  for (const _ of sortSteps(means, rows, forward, order));
+export function sortByDepth(means: Float32Array, rows: number, plane: ViewPlane, order: Uint32Array): void {
+  for (const _ of sortSteps(means, rows, plane, order));
 }
 
 /** Sort as `sortByDepth`, and yield after each millisecond or so. */
 export function* sortSteps(
   means: Float32Array,
   rows: number,
-  forward: readonly number[],
+  { forward, depth }: ViewPlane,
   order: Uint32Array,
 ): Generator<void> {
   const [fx, fy, fz] = forward as [number, number, number];
   const depths = new Float32Array(rows);
   for (let first = 0; first < rows; first += STEP_ROWS, yield) {
     const end = Math.min(first + STEP_ROWS, rows);
-    for (let i = first; i < end; i++) depths[i] = means[3 * i]! * fx + means[3 * i + 1]! * fy + means[3 * i + 2]! * fz;
+    for (let i = first; i < end; i++)
+      depths[i] = means[3 * i]! * fx + means[3 * i + 1]! * fy + means[3 * i + 2]! * fz - depth;
   }
   const keys = new Uint32Array(depths.buffer);
   const low = new Uint32Array(BUCKETS + 1);

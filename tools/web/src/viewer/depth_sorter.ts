@@ -1,6 +1,5 @@
-import { packedMeans } from "../scene/packed_splats.js";
 import { failureText } from "../workers/worker_start.js";
-import { sortByDepth, sortSteps } from "./depth_order.js";
+import { sortByDepth, sortSteps, type ViewPlane } from "./depth_order.js";
 import type { DepthOrder, SortRequest, SortResponse } from "./sort_messages.js";
 import type { ViewerWorkers } from "./viewer_workers.js";
 
@@ -33,23 +32,23 @@ export class DepthSorter {
     this.send({ type: "allocate", rows }, []);
   }
 
-  /** Add packed words of rows; their buffer is transferred. */
-  add(firstRow: number, words: Uint32Array): void {
-    if (this.local) this.local.add(firstRow, words);
-    else this.send({ type: "rows", firstRow, words }, [words.buffer as ArrayBuffer]);
+  /** Add means of rows; their buffer is transferred. */
+  add(firstRow: number, means: Float32Array): void {
+    if (this.local) this.local.add(firstRow, means);
+    else this.send({ type: "rows", firstRow, means }, [means.buffer as ArrayBuffer]);
   }
 
   /**
    * Sort the first rows. One sort runs at a time.
    *
-   * @param forward - Direction of view.
+   * @param plane - Plane of the camera.
    * @param spare - An unused order, whose memory is reused.
    */
-  async sort(rows: number, forward: readonly number[], spare: Uint32Array | undefined): Promise<DepthOrder> {
-    if (this.local) return this.local.sortInSlices(rows, forward, spare);
+  async sort(rows: number, plane: ViewPlane, spare: Uint32Array | undefined): Promise<DepthOrder> {
+    if (this.local) return this.local.sortInSlices(rows, plane, spare);
     return new Promise((resolve) => {
       this.answer = resolve;
-      this.send({ type: "sort", rows, forward, spare }, spare ? [spare.buffer as ArrayBuffer] : []);
+      this.send({ type: "sort", rows, plane, spare }, spare ? [spare.buffer as ArrayBuffer] : []);
     });
   }
 
@@ -70,23 +69,23 @@ export class RowSorter {
     this.means = new Float32Array(3 * rows);
   }
 
-  add(firstRow: number, words: Uint32Array): void {
-    this.means.set(packedMeans({ words, count: words.length / 4 }), 3 * firstRow);
+  add(firstRow: number, means: Float32Array): void {
+    this.means.set(means, 3 * firstRow);
   }
 
-  sort(rows: number, forward: readonly number[], spare: Uint32Array | undefined): DepthOrder {
+  sort(rows: number, plane: ViewPlane, spare: Uint32Array | undefined): DepthOrder {
     const start = performance.now();
     const order = spare ?? new Uint32Array(this.rows);
-    sortByDepth(this.means, rows, forward, order);
+    sortByDepth(this.means, rows, plane, order);
     return { order, rows, milliseconds: performance.now() - start };
   }
 
   /** Sort in slices, so that the page stays responsive. */
-  async sortInSlices(rows: number, forward: readonly number[], spare: Uint32Array | undefined): Promise<DepthOrder> {
+  async sortInSlices(rows: number, plane: ViewPlane, spare: Uint32Array | undefined): Promise<DepthOrder> {
     const start = performance.now();
     const order = spare ?? new Uint32Array(this.rows);
     let slice = start;
-    for (const _ of sortSteps(this.means, rows, forward, order)) {
+    for (const _ of sortSteps(this.means, rows, plane, order)) {
       if (performance.now() - slice < SLICE_MILLISECONDS) continue;
       await new Promise((resolve) => setTimeout(resolve, 0));
       slice = performance.now();

@@ -1,4 +1,4 @@
-import { type PackedSplats, packedMeans } from "../scene/packed_splats.js";
+import type { PackedSplats } from "../scene/packed_splats.js";
 import type { Vector } from "./orbit.js";
 
 /**
@@ -87,14 +87,17 @@ interface Sample {
 }
 
 /** Sample splats evenly. Opaque and small splats have the largest weights, because a sky consists of large ones. */
-function sampleOf({ count, words }: PackedSplats, zero: Vector): Sample {
+function sampleOf({ count, words, means }: PackedSplats, zero: Vector): Sample {
   const step = Math.max(1, Math.ceil(count / MOST_SPLATS));
   const size = Math.ceil(count / step);
   const sample = new Uint32Array(4 * size);
   for (let i = 0; i < size; i++) sample.set(words.subarray(4 * i * step, 4 * i * step + 4), 4 * i);
   const opacities = Float32Array.from({ length: size }, (_, i) => sample[4 * i]! >>> 24);
   return {
-    means: packedMeans({ count: size, words: sample }).map((value, i) => value - zero[i % 3]!),
+    means: Float32Array.from(
+      { length: 3 * size },
+      (_, i) => means[3 * step * Math.floor(i / 3) + (i % 3)]! - zero[i % 3]!,
+    ),
     weights: opacities.map((opacity, i) => {
       const word = sample[4 * i + 3]!;
       const steps = (word & 255) + ((word >>> 8) & 255) + ((word >>> 16) & 255);

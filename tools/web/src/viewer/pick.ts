@@ -1,6 +1,6 @@
-import { fromHalf } from "../scene/half_floats.js";
 import { DEFAULT_RANGES, unpackSplats } from "../scene/packed_splats.js";
 import type { Vector } from "./orbit.js";
+import type { ShaderRows } from "./shader_rows.js";
 
 /** Rows evaluated at most, which take some 15 ms. Of larger scenes an even sample stands for all rows. */
 const MOST_ROWS = 1_000_000;
@@ -20,17 +20,14 @@ export interface Ray {
   readonly pixel: number;
 }
 
-/** Values of all half floats, made once. */
-let halves: Float32Array | undefined;
-
 /**
  * Return the distance at which a ray has lost half of the light that the scene takes from it.
  *
- * @param words - Packed splats, four words a row (`packed_splats.ts`).
  * @returns undefined where the ray passes the scene.
  */
-export function pick(words: Uint32Array, rows: number, { origin, direction, pixel }: Ray): number | undefined {
-  halves ??= Float32Array.from({ length: 65_536 }, (_, half) => fromHalf(half));
+export function pick({ splats, shapes }: ShaderRows, rows: number, ray: Ray): number | undefined {
+  const { origin, direction, pixel } = ray;
+  const means = new Float32Array(splats.buffer);
   const reaches = Float32Array.from({ length: 256 }, (_, code) => REACH * Math.exp(-12 + ((code - 1) * 21) / 254));
   const [ox, oy, oz] = origin;
   const [dx, dy, dz] = direction;
@@ -38,19 +35,22 @@ export function pick(words: Uint32Array, rows: number, { origin, direction, pixe
   const near: number[] = [];
   for (let row = 0; row < rows; row += step) {
     const at = 4 * row;
-    if (words[at]! >>> 24 < LEAST_OPACITY) continue;
-    const x = halves[words[at + 1]! & 0xffff]! - ox;
-    const y = halves[words[at + 1]! >>> 16]! - oy;
-    const z = halves[words[at + 2]! & 0xffff]! - oz;
+    if (splats[at + 3]! >>> 24 < LEAST_OPACITY) continue;
+    const x = means[at]! - ox;
+    const y = means[at + 1]! - oy;
+    const z = means[at + 2]! - oz;
     const along = x * dx + y * dy + z * dz;
     if (along <= 0) continue;
-    const scales = words[at + 3]!;
+    const scales = shapes[2 * row + 1]!;
     const largest = Math.max(scales & 255, (scales >>> 8) & 255, (scales >>> 16) & 255);
     const reach = reaches[largest]! + along * pixel;
     if (x * x + y * y + z * z - along * along < reach * reach) near.push(row);
   }
   return depthOfHalf(
-    near.map((row) => crossing(words.subarray(4 * row, 4 * row + 4), { origin, direction, pixel }, step)),
+    near.map((row) => {
+      const words = Uint32Array.of(splats[4 * row + 3]!, 0, shapes[2 * row]!, shapes[2 * row + 1]!);
+      return crossing(words, means.subarray(4 * row, 4 * row + 3), ray, step);
+    }),
   );
 }
 
@@ -62,10 +62,14 @@ interface Crossing {
   readonly opacity: number;
 }
 
-/** Return the densest point of a splat on a ray, and its opacity there. */
-function crossing(words: Uint32Array, { origin, direction, pixel }: Ray, weight: number): Crossing {
-  const { means, scales, quats } = unpackSplats({ count: 1, words, sh: [], ranges: DEFAULT_RANGES });
-  const offset = origin.map((value, i) => value - means[i]!) as Vector;
+/**
+ * Return the densest point of a splat on a ray, and its opacity there.
+ *
+ * @param words - Packed splat, whose mean is not read.
+ */
+function crossing(words: Uint32Array, mean: Float32Array, { origin, direction, pixel }: Ray, weight: number): Crossing {
+  const { scales, quats } = unpackSplats({ count: 1, words, sh: [], ranges: DEFAULT_RANGES });
+  const offset = origin.map((value, i) => value - mean[i]!) as Vector;
   const far = Math.hypot(...offset);
   const [w, x, y, z] = quats as unknown as [number, number, number, number];
   // Columns of the rotation: the axes of the splat.

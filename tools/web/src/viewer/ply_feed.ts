@@ -62,7 +62,7 @@ export class PlyFeed implements SceneFeed {
             axes: scene.axes,
             box: [-1, -1, -1, 1, 1, 1],
             firstView: undefined,
-            origin: scene.fileOrigin,
+            origin: scene.origin,
             levels: [],
           };
           this.layer = host.begin({ ...scene, hasLevels: false }, info);

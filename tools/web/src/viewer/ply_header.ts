@@ -26,9 +26,7 @@ const COMMENT = /^comment cogsplat (\w+) (.*)$/;
 
 /** Layout of a splat's values in a PLY of 3DGS training. */
 export interface PlyLayout {
-  readonly scene: Omit<PlyScene, "origin" | "fileOrigin">;
-  /** Origin that the file states, to which its means are relative. */
-  readonly origin: readonly number[];
+  readonly scene: PlyScene;
   /** Length of the header and of a row, bytes. */
   readonly headerBytes: number;
   readonly stride: number;
@@ -104,6 +102,7 @@ export function readPlyHeader(bytes: Uint8Array): PlyLayout | undefined {
     scene: {
       splats: Number(count[1]),
       shDegree,
+      origin,
       axes: said.get("axes") ?? "RDF",
       linear: said.get("colour_space") === "linear",
       kernelPx: Number(said.get("kernel_px") ?? 0.3),
@@ -113,7 +112,6 @@ export function readPlyHeader(bytes: Uint8Array): PlyLayout | undefined {
         return comment?.[1] === "capture" ? readViewpoint(comment[2]!) : [];
       }),
     },
-    origin,
     headerBytes,
     stride,
     columns: [...names, ...shN].map(at),

@@ -21,15 +21,13 @@ export interface RateRequest {
 export interface PlyScene {
   readonly splats: number;
   readonly shDegree: number;
-  /** World position of the packed means' zero, scene units. */
+  /** World position of the means' zero, scene units. */
   readonly origin: readonly number[];
-  /** World position of the file's zero, scene units. */
-  readonly fileOrigin: readonly number[];
   readonly axes: string;
   readonly linear: boolean;
   readonly kernelPx: number;
   readonly antialiased: boolean;
-  /** Viewpoints of the training pictures, in the space of the packed means; may be empty. */
+  /** Viewpoints of the training pictures, in the space of the means; may be empty. */
   readonly capture: readonly Viewpoint[];
 }
 

@@ -1,6 +1,5 @@
 import { LONGEST_PAUSE, lateness, lengthOf, readParts, withinPause } from "../loader/byte_source.js";
 import { type PackedSplats, type PackRanges, SH_WORDS } from "../scene/packed_splats.js";
-import { movedCapture } from "../scene/training_pixel.js";
 import type { Meter } from "./meter.js";
 import { type PlyLayout, readPlyHeader } from "./ply_header.js";
 import type { PlyRequest, PlyResponse } from "./ply_messages.js";
@@ -59,7 +58,6 @@ async function bytesOf(
 /** Converts the bytes of one PLY to packed rows. */
 class PlyRows {
   private layout: PlyLayout | undefined;
-  private origin: number[] | undefined;
   private pending = new Uint8Array(0);
   private row = 0;
   private bytes = 0;
@@ -112,39 +110,15 @@ class PlyRows {
       const rows = Math.min(Math.floor(this.pending.length / layout.stride), ROWS, this.wantedRows - this.row);
       if (rows === 0 || (rows < ROWS && !last && this.row + rows < this.wantedRows)) return;
       const values = valuesOf(this.pending, layout, rows);
-      if (this.origin === undefined) {
-        this.origin = meanPosition(values, layout, rows);
-        const { origin: fileOrigin } = layout;
-        const { origin: zero } = this;
-        const scene = {
-          ...layout.scene,
-          fileOrigin,
-          origin: zero.map((value, axis) => value + fileOrigin[axis]!),
-          capture: movedCapture(
-            layout.scene.capture,
-            zero.map((value) => -value),
-          ),
-        };
-        this.post({ type: "scene", scene, totalBytes: this.totalBytes }, []);
-      }
-      const packed = pack(values, layout, rows, this.origin, this.request.ranges);
-      const buffers = [packed.words, ...packed.sh].map((array) => array.buffer as ArrayBuffer);
+      if (this.row === 0) this.post({ type: "scene", scene: layout.scene, totalBytes: this.totalBytes }, []);
+      const packed = pack(values, layout, rows, this.request.ranges);
+      const buffers = [packed.words, packed.means, ...packed.sh].map((array) => array.buffer as ArrayBuffer);
       this.post({ type: "rows", firstRow: this.row, packed, bytes: this.bytes }, buffers);
       this.pending = this.pending.subarray(rows * layout.stride);
       this.row += rows;
       await this.rest();
     }
   }
-}
-
-/** Return the average position of the first rows, near which half floats are most precise. */
-function meanPosition(block: Float32Array, layout: PlyLayout, rows: number): number[] {
-  const width = layout.columns.length;
-  return [0, 1, 2].map((axis) => {
-    let sum = 0;
-    for (let row = 0; row < rows; row++) sum += block[row * width + axis]!;
-    return Number.isFinite(sum) ? Math.fround(sum / rows) : 0;
-  });
 }
 
 /** Return the values of some rows, in the order of the layout's columns. */
@@ -168,19 +142,11 @@ function valuesOf(bytes: Uint8Array, layout: PlyLayout, rows: number): Float32Ar
   return values;
 }
 
-function pack(
-  values: Float32Array,
-  layout: PlyLayout,
-  rows: number,
-  origin: readonly number[],
-  ranges: PackRanges,
-): PackedSplats {
+function pack(values: Float32Array, layout: PlyLayout, rows: number, ranges: PackRanges): PackedSplats {
   const width = layout.columns.length;
   const columns = Array.from({ length: COLUMNS }, (_, column) => {
-    // Means are the first three columns, so `origin` applies to them alone.
-    const shift = origin[column] ?? 0;
     const target = new Float32Array(rows);
-    for (let row = 0, at = column; row < rows; row++, at += width) target[row] = values[at]! - shift;
+    for (let row = 0, at = column; row < rows; row++, at += width) target[row] = values[at]!;
     return target;
   });
   normalise(columns.slice(6, 10) as [Float32Array, Float32Array, Float32Array, Float32Array], rows);
@@ -191,7 +157,8 @@ function pack(
     packBand(values, rows, width, COLUMNS + first, count, bits, ranges.shRange, SH_WORDS[band]!, target);
     return target;
   });
-  return { count: rows, words, sh, ranges };
+  const means = Float32Array.from({ length: 3 * rows }, (_, i) => columns[i % 3]![Math.floor(i / 3)]!);
+  return { count: rows, words, means, sh, ranges };
 }
 
 /** Normalise quaternions w x y z to unit length and w ≥ 0, because training stores unnormalised ones. */

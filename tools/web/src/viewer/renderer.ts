@@ -1,5 +1,6 @@
 import type { Viewpoint } from "../container/root.js";
 import { movedCapture, trainingPixel } from "../scene/training_pixel.js";
+import { cameraUniforms } from "./shader_rows.js";
 import {
   COMPOSITE_SHADER,
   FRAGMENT_SHADER,
@@ -121,9 +122,13 @@ export class SplatRenderer {
     const whole = layers.map((layer, i) => {
       if (i === 0) gl.scissor(divide, 0, width - divide, height);
       else gl.scissor(0, 0, divide, height);
-      const whole = layer.prepare(eye?.forward ?? view.rotation.slice(6, 9));
+      const inSpace = viewInSpace(view, view.origin, layer.scene.origin);
+      const position = positionOf(inSpace);
+      const forward = eye?.forward ?? view.rotation.slice(6, 9);
+      const depth = forward.reduce((sum, value, axis) => sum + value * position[axis]!, 0);
+      const whole = layer.prepare({ forward, depth });
       const capture = captureOf(layer.scene, layers);
-      this.drawLayer(layer, capture, viewInSpace(view, view.origin, layer.scene.origin), options.degree, width, height);
+      this.drawLayer(layer, capture, inSpace, options.degree, width, height);
       return whole;
     });
     gl.disable(gl.SCISSOR_TEST);
@@ -164,15 +169,16 @@ export class SplatRenderer {
     height: number,
   ): void {
     const { gl, splats } = this;
-    const { rotation: r, translation: t, principal = [0, 0] } = view;
+    const { rotation: r, principal = [0, 0] } = view;
+    const position = positionOf(view);
+    const { cameraPosition, translation } = cameraUniforms(r, view.translation, position);
     gl.useProgram(splats.program);
     gl.uniform1i(splats.uniform("count"), layer.drawnRows);
     gl.uniform1i(splats.uniform("degree"), Math.min(degree, layer.scene.shDegree));
     gl.uniform1i(splats.uniform("compensated"), Number(layer.compensated));
     gl.uniformMatrix3fv(splats.uniform("rotation"), true, r as number[]);
-    gl.uniform3f(splats.uniform("translation"), t[0]!, t[1]!, t[2]!);
-    const position = [0, 1, 2].map((i) => -(r[i]! * t[0]! + r[3 + i]! * t[1]! + r[6 + i]! * t[2]!));
-    gl.uniform3f(splats.uniform("cameraPosition"), position[0]!, position[1]!, position[2]!);
+    gl.uniform3fv(splats.uniform("translation"), translation as number[]);
+    gl.uniform3fv(splats.uniform("cameraPosition"), cameraPosition as number[]);
     gl.uniform2f(splats.uniform("focal"), view.focal[0], view.focal[1]);
     gl.uniform2f(splats.uniform("principal"), principal[0], principal[1]);
     gl.uniform2f(splats.uniform("viewport"), width, height);
@@ -186,9 +192,9 @@ export class SplatRenderer {
     const { hasLevels, shDegree } = layer.scene;
     gl.uniform1i(splats.uniform("levelled"), Number(hasLevels));
     gl.uniform1f(splats.uniform("between"), layer.between);
-    gl.uniform1i(splats.uniform("levels"), hasLevels ? 3 + shDegree : 0);
-    const units = 3 + shDegree;
-    ["splats", "order", "shifts", "sh1", "sh2", "sh3"].forEach((name, unit) => {
+    gl.uniform1i(splats.uniform("levels"), hasLevels ? 4 + shDegree : 0);
+    const units = 4 + shDegree;
+    ["splats", "shapes", "order", "shifts", "sh1", "sh2", "sh3"].forEach((name, unit) => {
       gl.uniform1i(splats.uniform(name), unit < units ? unit : 0);
     });
     const instances = Math.ceil(layer.drawnRows / SPLATS_PER_INSTANCE);
@@ -219,6 +225,11 @@ function captureOf(scene: LayerScene, layers: readonly SplatLayer[]): readonly V
     known.capture,
     known.origin.map((value, axis) => value - scene.origin[axis]!),
   );
+}
+
+/** Return the position of the camera, in the space of the means. */
+function positionOf({ rotation: r, translation: t }: View): number[] {
+  return [0, 1, 2].map((i) => -(r[i]! * t[0]! + r[3 + i]! * t[1]! + r[6 + i]! * t[2]!));
 }
 
 /** Return a view in the space of another scene's means. */

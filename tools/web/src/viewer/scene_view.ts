@@ -9,6 +9,7 @@ import { plyOf } from "./ply_feed.js";
 import { type EyeTarget, type PictureOptions, SplatRenderer, type View } from "./renderer.js";
 import { SceneCamera, type SceneCameraHost } from "./scene_camera.js";
 import type { DescriptionSource, FeedHost, FeedProgress, Prefix } from "./scene_feed.js";
+import type { ShaderRows } from "./shader_rows.js";
 import { type SceneSource, ShownScene } from "./shown_scene.js";
 import type { LayerScene, SplatLayer } from "./splat_layer.js";
 import { NO_STATISTICS, type ViewerPose, type ViewerStatistics } from "./viewer_handle.js";
@@ -197,11 +198,11 @@ export class SceneView {
     return this.renderer.gl;
   }
 
-  /** Packed rows of the scene, and what to add to a point in the space of the poses for that of the rows' means. */
-  get packed(): { readonly words: Uint32Array; readonly rows: number; readonly shift: Vector } | undefined {
+  /** Rows of the scene, and what to add to a point in the space of the poses for that of the rows' means. */
+  get packed(): { readonly shaderRows: ShaderRows; readonly rows: number; readonly shift: Vector } | undefined {
     const layer = this.main?.layer;
     if (layer === undefined) return undefined;
-    return { words: layer.words, rows: layer.rows, shift: this.shiftOf(layer) };
+    return { shaderRows: layer.shaderRows, rows: layer.rows, shift: this.shiftOf(layer) };
   }
 
   /** Options of pictures. */

@@ -7,13 +7,14 @@ export const TEXTURE_WIDTH = 2048;
 export const SCALE_STEPS = 2048;
 export const OPACITY_STEPS = 1024;
 
-/** Reads packed splats (`src/scene/packed_splats.ts`), projects each (SPEC 8.7) and covers it with a triangle. */
+/** Reads splats (`shader_rows.ts`), projects each (SPEC 8.7) and covers it with a triangle. */
 export const VERTEX_SHADER = `#version 300 es
 precision highp float;
 precision highp int;
 precision highp usampler2D;
 
 uniform usampler2D splats;
+uniform usampler2D shapes;
 uniform usampler2D sh1;
 uniform usampler2D sh2;
 uniform usampler2D sh3;
@@ -26,8 +27,8 @@ uniform float between;       // share of the finer level
 uniform int count;
 uniform int degree;
 uniform mat3 rotation;       // world to camera: x right, y down, z forward
-uniform vec3 translation;
-uniform vec3 cameraPosition; // in the space of the means
+uniform vec3 cameraPosition; // in the space of the means, rounded
+uniform vec3 translation;    // of that position in the space of the camera
 uniform vec2 focal;          // px
 uniform vec2 principal;      // px from the middle
 uniform vec2 viewport;       // px
@@ -106,7 +107,7 @@ void main() {
   if (slot >= count) return;
   int index = int(texelFetch(order, texel(slot), 0).x);
   uvec4 w = texelFetch(splats, texel(index), 0);
-  float opacity = float(w.x >> 24) / 255.0;
+  float opacity = float(w.w >> 24) / 255.0;
   if (levelled) {
     uint pair = texelFetch(levels, texel(index), 0).x;
     opacity = mix(float(pair & 255u), float(pair >> 8 & 255u), between) / 255.0;
@@ -118,12 +119,15 @@ void main() {
     float odds = opacity * exp(shift.y);
     opacity = odds / (odds + 1.0 - opacity);
   }
-  vec3 mean = vec3(unpackHalf2x16(w.y), unpackHalf2x16(w.z & 0xffffu).x);
-  vec3 p = rotation * mean + translation;
+  vec3 mean = uintBitsToFloat(w.xyz);
+  // Near the camera the difference is exact, where a product with the mean would be rounded.
+  vec3 away = mean - cameraPosition;
+  vec3 p = rotation * away + translation;
   if (p.z < NEAR || opacity < ALPHA_MIN) return;
 
-  vec3 scale = exp(vec3(uvec3(w.w, w.w >> 8, w.w >> 16) & 255u) * (21.0 / 254.0) - (12.0 + 21.0 / 254.0) + shift.x);
-  mat3 axes = rotation * matrixOf(rotationOf((w.z >> 16) & 255u, w.z >> 24, w.w >> 24));
+  uvec2 s = texelFetch(shapes, texel(index), 0).xy;
+  vec3 scale = exp(vec3(uvec3(s.y, s.y >> 8, s.y >> 16) & 255u) * (21.0 / 254.0) - (12.0 + 21.0 / 254.0) + shift.x);
+  mat3 axes = rotation * matrixOf(rotationOf((s.x >> 16) & 255u, s.x >> 24, s.y >> 24));
   axes[0] *= scale.x; axes[1] *= scale.y; axes[2] *= scale.z;
   vec2 half_size = 0.5 * viewport / abs(focal), aside = 2.0 * principal / viewport + vec2(middle.x, -middle.y);
   vec2 t = clamp(p.xy / p.z, (-1.3 - aside) * half_size, (1.3 - aside) * half_size);
@@ -137,7 +141,7 @@ void main() {
   // The trained thickness, then the filter that keeps the opacity in sum (SPEC 8.7), px^2.
   float thickness = antialiased ? 0.0 : kernel, blur = antialiased ? kernel : 0.0;
   if (trainingPixel.w > 0.0 && !antialiased) {
-    vec3 aside = mean - trainingPixel.xyz, away = mean - cameraPosition;
+    vec3 aside = mean - trainingPixel.xyz;
     float share = (trainingPixel.w * dot(aside, aside) + trainingRest) * abs(focal.x * focal.y) / dot(away, away);
     thickness = kernel * share;
     blur = max(0.0, 1.0 - share) / 12.0;
@@ -163,8 +167,8 @@ void main() {
   vec2 px = corner.x * sqrt(longer) * direction + corner.y * sqrt(determinant / longer) * vec2(direction.y, -direction.x);
   vec2 centre = focal * p.xy / p.z + principal;
   offset = corner;
-  vec3 dc = vec3(uvec3(w.x, w.x >> 8, w.x >> 16) & 255u) / 255.0 * (rgbRange.y - rgbRange.x) + rgbRange.x;
-  colour = vec4(max(dc + higherBands(index, normalize(mean - cameraPosition)), 0.0), opacity);
+  vec3 dc = vec3(uvec3(w.w, w.w >> 8, w.w >> 16) & 255u) / 255.0 * (rgbRange.y - rgbRange.x) + rgbRange.x;
+  colour = vec4(max(dc + higherBands(index, normalize(away)), 0.0), opacity);
   gl_Position = vec4((centre + px) * vec2(2.0, -2.0) / viewport + middle, depth.x + depth.y / p.z, 1.0);
 }
 `;

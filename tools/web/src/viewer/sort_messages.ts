@@ -1,3 +1,5 @@
+import type { ViewPlane } from "./depth_order.js";
+
 /** Rows in drawing order. */
 export interface DepthOrder {
   /** Rows from the farthest to the nearest; the array may be longer than `rows`. */
@@ -10,11 +12,11 @@ export interface DepthOrder {
 /** Message to a sorting worker. */
 export type SortRequest =
   | { readonly type: "allocate"; readonly rows: number }
-  | { readonly type: "rows"; readonly firstRow: number; readonly words: Uint32Array }
+  | { readonly type: "rows"; readonly firstRow: number; readonly means: Float32Array }
   | {
       readonly type: "sort";
       readonly rows: number;
-      readonly forward: readonly number[];
+      readonly plane: ViewPlane;
       readonly spare: Uint32Array | undefined;
     };
 

@@ -1,7 +1,9 @@
 import type { Shifts } from "../container/compensation.js";
 import type { Viewpoint } from "../container/root.js";
 import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
+import type { ViewPlane } from "./depth_order.js";
 import type { DepthSorter } from "./depth_sorter.js";
+import type { ShaderRows } from "./shader_rows.js";
 import { TEXTURE_WIDTH } from "./shaders.js";
 import { SplatTextures } from "./splat_textures.js";
 
@@ -46,8 +48,8 @@ export class SplatLayer {
   private sorting = false;
   private stale = true;
   private spare: Uint32Array | undefined;
-  /** Direction of the last view. */
-  private forward: readonly number[] | undefined;
+  /** Plane of the last view. */
+  private plane: ViewPlane | undefined;
   private closed = false;
 
   /**
@@ -83,9 +85,9 @@ export class SplatLayer {
     return Math.min(this.arrived, this.most, this.kept);
   }
 
-  /** Packed words of all rows. */
-  get words(): Uint32Array {
-    return this.textures.words;
+  /** Words of all rows. */
+  get shaderRows(): ShaderRows {
+    return this.textures.shaderRows;
   }
 
   /** Rows of the last picture. */
@@ -104,11 +106,11 @@ export class SplatLayer {
     this.textures.write(packed, firstRow);
     this.ends.add(firstRow + packed.count);
     this.arrived = Math.max(this.arrived, firstRow + packed.count);
-    this.sorter.add(firstRow, packed.words);
+    this.sorter.add(firstRow, packed.means);
     this.stale = true;
     // New rows are drawn once sorted, and the sort need not wait for a picture.
-    if (this.forward === undefined) this.changed();
-    else void this.sort(this.forward);
+    if (this.plane === undefined) this.changed();
+    else void this.sort(this.plane);
   }
 
   /** Hide rows. */
@@ -167,15 +169,15 @@ export class SplatLayer {
   /**
    * Bind the textures, and start a sort if the view requires one.
    *
-   * @param forward - Direction of view.
+   * @param plane - Plane of the camera, in the space of the means.
    * @returns Whether all rows received are bound in the order of the view.
    */
-  prepare(forward: readonly number[]): boolean {
-    this.forward = [...forward];
+  prepare(plane: ViewPlane): boolean {
+    this.plane = plane;
     const before = this.sorted?.forward;
     const turned =
-      before === undefined || before.reduce((sum, value, i) => sum + value * forward[i]!, 0) < SAME_DIRECTION;
-    if ((this.stale || turned) && this.rows > 0) void this.sort(this.forward);
+      before === undefined || before.reduce((sum, value, i) => sum + value * plane.forward[i]!, 0) < SAME_DIRECTION;
+    if ((this.stale || turned) && this.rows > 0) void this.sort(plane);
     this.textures.bind(this.gl);
     return !this.sorting && (this.rows === 0 || !(this.stale || turned));
   }
@@ -194,20 +196,20 @@ export class SplatLayer {
     this.textures.shrink(this.gl, this.kept);
   }
 
-  private async sort(forward: readonly number[]): Promise<void> {
+  private async sort(plane: ViewPlane): Promise<void> {
     if (this.sorting) return;
     this.sorting = true;
     this.stale = false;
-    const { order, rows, milliseconds } = await this.sorter.sort(this.rows, forward, this.spare);
+    const { order, rows, milliseconds } = await this.sorter.sort(this.rows, plane, this.spare);
     this.sorting = false;
     if (this.closed) return;
     this.textures.writeOrder(order, rows);
     this.spare = order;
-    this.sorted = { rows, forward };
+    this.sorted = { rows, forward: plane.forward };
     this.shrink();
     this.sortMilliseconds = milliseconds;
     this.changed();
     // Rows that arrived meanwhile need not wait for a picture either.
-    if (this.stale) void this.sort(this.forward!);
+    if (this.stale) void this.sort(this.plane!);
   }
 }

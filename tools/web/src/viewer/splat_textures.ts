@@ -1,5 +1,6 @@
 import type { Shifts } from "../container/compensation.js";
 import { type PackedSplats, SH_WORDS } from "../scene/packed_splats.js";
+import { type ShaderRows, writeShaderRows } from "./shader_rows.js";
 import { OPACITY_STEPS, SCALE_STEPS, TEXTURE_WIDTH } from "./shaders.js";
 
 /**
@@ -88,11 +89,12 @@ class RowTexture {
 }
 
 /**
- * Textures of a scene: splats, compensation, SH bands, drawing order and, for scenes with levels, opacities at two
+ * Textures of a scene: splats, shapes, compensation, SH bands, drawing order and, for scenes with levels, opacities at two
  * adjacent levels.
  */
 export class SplatTextures {
   private readonly splats: RowTexture;
+  private readonly shapes: RowTexture;
   private readonly shifts: RowTexture;
   private readonly order: RowTexture;
   private readonly bands: RowTexture[];
@@ -103,19 +105,20 @@ export class SplatTextures {
 
   constructor(rows: number, degree: number, hasLevels: boolean) {
     this.splats = new RowTexture(4, rows);
+    this.shapes = new RowTexture(2, rows);
     this.shifts = new RowTexture(1, rows);
     this.order = new RowTexture(1, rows);
     this.bands = SH_WORDS.slice(0, degree).map((words) => new RowTexture(words, rows));
     this.levels = hasLevels ? new RowTexture(1, rows) : undefined;
   }
 
-  /** Packed words of the rows, four each. */
-  get words(): Uint32Array {
-    return this.splats.words;
+  /** Words of the rows. */
+  get shaderRows(): ShaderRows {
+    return { splats: this.splats.words, shapes: this.shapes.words };
   }
 
   private get all(): readonly RowTexture[] {
-    return [this.splats, this.order, this.shifts, ...this.bands, ...(this.levels ? [this.levels] : [])];
+    return [this.splats, this.shapes, this.order, this.shifts, ...this.bands, ...(this.levels ? [this.levels] : [])];
   }
 
   /** Make the textures, also after the WebGL context was lost; written rows are uploaded again. */
@@ -139,8 +142,9 @@ export class SplatTextures {
   /** Write a chunk's rows. */
   write(packed: PackedSplats, firstRow: number): void {
     this.written = Math.max(this.written, firstRow + packed.count);
-    this.splats.words.set(packed.words, 4 * firstRow);
+    writeShaderRows(packed, this.shaderRows, firstRow);
     this.splats.touch(firstRow, packed.count);
+    this.shapes.touch(firstRow, packed.count);
     packed.sh.slice(0, this.bands.length).forEach((band, i) => {
       this.bands[i]!.words.set(band, SH_WORDS[i]! * firstRow);
       this.bands[i]!.touch(firstRow, packed.count);
@@ -181,7 +185,7 @@ export class SplatTextures {
     return this.all.every((texture) => texture.isUploaded);
   }
 
-  /** Bind all textures to units: splats, order, shifts, then the bands and the opacities of levels. */
+  /** Bind all textures to units: splats, shapes, order, shifts, then the bands and the opacities of levels. */
   bind(gl: WebGL2RenderingContext): void {
     this.all.forEach((texture, unit) => {
       texture.bind(gl, unit);

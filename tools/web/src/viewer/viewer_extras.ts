@@ -248,7 +248,7 @@ export class Extras {
     ) as Vector;
     const position = positionOf(pose);
     const origin = position.map((value, i) => value + packed.shift[i]!) as Vector;
-    const far = pick(packed.words, packed.rows, { origin, direction, pixel: 1 / fy });
+    const far = pick(packed.shaderRows, packed.rows, { origin, direction, pixel: 1 / fy });
     return far === undefined ? undefined : (position.map((value, i) => value + far * direction[i]!) as Vector);
   }
 }

@@ -17,9 +17,9 @@ const meter = new Meter();
 
 scope.onmessage = ({ data }) => {
   if (data.type === "allocate") sorter = new RowSorter(data.rows);
-  else if (data.type === "rows") sorter!.add(data.firstRow, data.words);
+  else if (data.type === "rows") sorter!.add(data.firstRow, data.means);
   else if (data.type === "sort") {
-    const sorted = sorter!.sort(data.rows, data.forward, data.spare);
+    const sorted = sorter!.sort(data.rows, data.plane, data.spare);
     scope.postMessage(sorted, [sorted.order.buffer as ArrayBuffer]);
   } else {
     meter.bitsPerSecond = data.bitsPerSecond;

@@ -131,8 +131,15 @@ export class VisitedScene {
   }
 }
 
-/** Return a copy of some rows of a chunk, because a layer transfers its rows to the sorter. */
+/** Return some rows of a chunk, with a copy of their means, which a layer transfers to the sorter. */
 function copyRows(packed: PackedSplats, from: number, count: number): PackedSplats {
-  const rows = (words: Uint32Array, each: number): Uint32Array => words.slice(each * from, each * (from + count));
-  return { ...packed, count, words: rows(packed.words, 4), sh: packed.sh.map((band, i) => rows(band, SH_WORDS[i]!)) };
+  const rows = <T extends Uint32Array | Float32Array>(values: T, each: number): T =>
+    values.subarray(each * from, each * (from + count)) as T;
+  return {
+    ...packed,
+    count,
+    words: rows(packed.words, 4),
+    means: rows(packed.means, 3).slice(),
+    sh: packed.sh.map((band, i) => rows(band, SH_WORDS[i]!)),
+  };
 }

@@ -3,7 +3,7 @@ import { ChunkDecoder, type ChunkPayloads, type DecoderIndex, type TailPayload }
 import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
 import type { Splats } from "../scene/splats.js";
 
-/** Format of decoded chunks: exact arrays, or 16 bytes and packed bands. */
+/** Format of decoded chunks: exact arrays, or 16 bytes per splat, exact means and packed bands. */
 export type ChunkFormat = "splats" | "packed";
 
 /** One chunk to decode, in a form that can be sent to a worker. */

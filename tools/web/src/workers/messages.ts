@@ -19,11 +19,15 @@ export type Response =
       readonly offset: number | undefined;
     };
 
+function isPresent<T>(value: T | undefined): value is T {
+  return value !== undefined;
+}
+
 /** Return the buffers of a decoded chunk, to be transferred instead of copied. */
 export function buffersOf({ splats, packed, bands }: DecodedChunk): ArrayBuffer[] {
   const arrays = [
     ...(splats ? [splats.means, splats.scales, splats.quats, splats.opacities, splats.sh0, splats.shN] : []),
-    ...(packed ? [packed.words, ...packed.sh, ...(packed.opacities ?? []).filter((array) => array !== undefined)] : []),
+    ...(packed ? [packed.words, packed.means, ...packed.sh, ...(packed.opacities ?? []).filter(isPresent)] : []),
     ...(bands ?? []),
   ];
   return arrays.map((array) => array.buffer as ArrayBuffer);
