@@ -5,7 +5,7 @@ import { join } from "node:path";
 import { test } from "node:test";
 import { loadKernels } from "../src/kernels/load.js";
 import { SceneFile } from "../src/scene/scene_file.js";
-import { sortByDepth } from "../src/viewer/depth_order.js";
+import { sortMemory, sortSteps, type ViewPlane } from "../src/viewer/depth_order.js";
 import { RowSorter } from "../src/viewer/depth_sorter.js";
 import { OrbitCamera } from "../src/viewer/orbit.js";
 import { plyOf } from "../src/viewer/ply_feed.js";
@@ -17,6 +17,10 @@ import { type WidgetModel, WidgetSource } from "../src/viewer/widget_source.js";
 import { vectorBytes } from "./vectors.js";
 
 const kernels = await loadKernels();
+
+function sortByDepth(means: Float32Array, rows: number, plane: ViewPlane, order: Uint32Array): void {
+  for (const _ of sortSteps(means, rows, plane, order, sortMemory(rows)));
+}
 
 test("splats are ordered from the farthest to the nearest, each once", () => {
   const rows = 5000;

@@ -1,5 +1,5 @@
 import { failureText } from "../workers/worker_start.js";
-import { sortByDepth, sortSteps, type ViewPlane } from "./depth_order.js";
+import { sortMemory, sortSteps, type ViewPlane } from "./depth_order.js";
 import type { DepthOrder, SortRequest, SortResponse } from "./sort_messages.js";
 import type { ViewerWorkers } from "./viewer_workers.js";
 
@@ -64,9 +64,11 @@ export class DepthSorter {
 /** Means of a scene, sorted by depth. */
 export class RowSorter {
   private readonly means: Float32Array;
+  private readonly memory;
 
   constructor(private readonly rows: number) {
     this.means = new Float32Array(3 * rows);
+    this.memory = sortMemory(rows);
   }
 
   add(firstRow: number, means: Float32Array): void {
@@ -76,7 +78,7 @@ export class RowSorter {
   sort(rows: number, plane: ViewPlane, spare: Uint32Array | undefined): DepthOrder {
     const start = performance.now();
     const order = spare ?? new Uint32Array(this.rows);
-    sortByDepth(this.means, rows, plane, order);
+    for (const _ of sortSteps(this.means, rows, plane, order, this.memory));
     return { order, rows, milliseconds: performance.now() - start };
   }
 
@@ -85,7 +87,7 @@ export class RowSorter {
     const start = performance.now();
     const order = spare ?? new Uint32Array(this.rows);
     let slice = start;
-    for (const _ of sortSteps(this.means, rows, plane, order)) {
+    for (const _ of sortSteps(this.means, rows, plane, order, this.memory)) {
       if (performance.now() - slice < SLICE_MILLISECONDS) continue;
       await new Promise((resolve) => setTimeout(resolve, 0));
       slice = performance.now();

@@ -70,7 +70,8 @@ export class SplatLayer {
     this.allocated = Math.min(scene.splats, capacity, lines * TEXTURE_WIDTH);
     this.textures = new SplatTextures(this.capacity, scene.shDegree, scene.hasLevels);
     this.textures.allocate(gl);
-    this.sorter = makeSorter(this.capacity);
+    // The textures take over orders, whose memory is uploaded in whole lines.
+    this.sorter = makeSorter(TEXTURE_WIDTH * Math.ceil(this.capacity / TEXTURE_WIDTH));
   }
 
   private readonly sorter: DepthSorter;
@@ -203,8 +204,7 @@ export class SplatLayer {
     const { order, rows, milliseconds } = await this.sorter.sort(this.rows, plane, this.spare);
     this.sorting = false;
     if (this.closed) return;
-    this.textures.writeOrder(order, rows);
-    this.spare = order;
+    this.spare = this.textures.writeOrder(order, rows);
     this.sorted = { rows, forward: plane.forward };
     this.shrink();
     this.sortMilliseconds = milliseconds;

@@ -8,6 +8,8 @@ import { OPACITY_STEPS, SCALE_STEPS, TEXTURE_WIDTH } from "./shaders.js";
  * the GPU has read from it.
  */
 const BYTES_AT_ONCE = 4 << 20;
+/** Adjacent lines uploaded by one call, at most: each call has a cost, and large ones wait for a free part of the buffer. */
+const LINES_AT_ONCE = 32;
 
 /** A texture of unsigned integers, one texel per splat, with a copy in memory from which changed lines are uploaded. */
 class RowTexture {
@@ -65,10 +67,10 @@ class RowTexture {
     let bytes = 0;
     for (const line of this.changed) {
       if (bytes >= mostBytes) break;
-      this.changed.delete(line);
-      const part = this.words.subarray(line * size, (line + 1) * size);
-      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, line, TEXTURE_WIDTH, 1, format, gl.UNSIGNED_INT, part);
-      bytes += part.byteLength;
+      let end = line;
+      for (; end - line < LINES_AT_ONCE && this.changed.delete(end); end++) bytes += 4 * size;
+      const part = this.words.subarray(line * size, end * size);
+      gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, line, TEXTURE_WIDTH, end - line, format, gl.UNSIGNED_INT, part);
     }
     return bytes;
   }
@@ -171,10 +173,17 @@ export class SplatTextures {
     this.shifts.touch(firstRow, count);
   }
 
-  /** Set the drawing order of the first rows. */
-  writeOrder(order: Uint32Array, rows: number): void {
-    this.order.words.set(order.subarray(0, rows));
+  /**
+   * Set the drawing order of the first rows.
+   *
+   * @param order - Rows in their order, as many as there is memory for, in whole lines; the textures keep the array.
+   * @returns An unused array in its place.
+   */
+  writeOrder(order: Uint32Array, rows: number): Uint32Array {
+    const spare = this.order.words;
+    this.order.words = order;
     this.order.touch(0, rows);
+    return spare;
   }
 
   /** Upload at most `BYTES_AT_ONCE` changed bytes and the order; return whether nothing is left to upload. */
