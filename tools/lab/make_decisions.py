@@ -17,7 +17,7 @@ from cogsplat.codec.partition.nested_cells import parents
 from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.tools.lab.scheduling import chunk_ratios
 from cogsplat.tools.lab.scheduling.poses import Pose, predicted_poses
-from cogsplat.tools.lab.scheduling.scheduler import ClientState, Scheduler, Unit
+from cogsplat.tools.lab.scheduling.scheduler import ClientState, Decision, Scheduler, Unit
 
 DECISIONS: Final = (
     Path(__file__).resolve().parents[2]
@@ -51,7 +51,7 @@ class State(TypedDict):
     """State of a client, its poses and the expected decision.
 
     A pose is a position, a rotation in row-major order and two tangents. A decision is the lists of
-    aborted units, evicted chunks and fetched units.
+    aborted units, evicted chunks and fetched units; `worths` are those of the evicted chunks.
     """
 
     scene: int
@@ -65,7 +65,9 @@ class State(TypedDict):
     budget_splats: int
     bytes_per_second: float
     latency: float
+    evicted: list[tuple[int, float]]
     decision: list[list[int]]
+    worths: list[float]
 
 
 def ratios_of(scene: Scene, rule: str) -> chunk_ratios.PoseRatios:
@@ -84,8 +86,8 @@ def ratios_of(scene: Scene, rule: str) -> chunk_ratios.PoseRatios:
     return chunk_ratios.ratios_from_view_table(table, boxes, contribution)
 
 
-def decide(scene: Scene, state: State) -> list[list[int]]:
-    """Return the scheduler's decision in a state: aborted, evicted, fetched."""
+def decide(scene: Scene, state: State) -> Decision:
+    """Return the scheduler's decision in a state."""
     units = [Unit(c, bool(head), end, size, tuple(a)) for c, head, end, size, a in scene["units"]]
     client = ClientState(
         frozenset(state["there"]),
@@ -94,11 +96,11 @@ def decide(scene: Scene, state: State) -> list[list[int]]:
         state["budget_splats"],
         state["bytes_per_second"],
         state["latency"],
+        dict(state["evicted"]),
     )
     poses = predicted_poses(_pose(state["now"]), _pose(state["before"]), state["elapsed"])
     ratios = chunk_ratios.weighted_ratios(ratios_of(scene, state["rule"]), poses)
-    decision = Scheduler(units, scene["splats"]).decide(ratios, client)
-    return [decision.abort, decision.evict, decision.fetch]
+    return Scheduler(units, scene["splats"]).decide(ratios, client)
 
 
 def generate() -> tuple[list[Scene], list[State]]:
@@ -109,7 +111,9 @@ def generate() -> tuple[list[Scene], list[State]]:
     for number, scene in enumerate(scenes):
         for turn in range(_STATES):
             state = _state(rng, number, scene, RULES[turn % len(RULES)] if turn % 2 else "views")
-            state["decision"] = decide(scene, state)
+            decision = decide(scene, state)
+            state["decision"] = [decision.abort, list(decision.evict), decision.fetch]
+            state["worths"] = list(decision.evict.values())
             states.append(state)
     return scenes, states
 
@@ -201,6 +205,11 @@ def _state(rng: np.random.Generator, number: int, scene: Scene, rule: str) -> St
     heads = {row[0] for unit, row in enumerate(units) if row[1] and unit in {*there, *under_way}}
     used = sum(scene["splats"][chunk] for chunk in heads)
     budget = 0 if rng.random() < 0.4 else int(used * rng.uniform(0.9, 1.3)) + 1
+    evicted = [
+        (row[0], float(rng.uniform(0.0, 2.0)) / row[2])
+        for row in units
+        if row[1] and row[0] not in heads and rng.random() < 0.5
+    ]
     return {
         "scene": number,
         "rule": rule,
@@ -213,7 +222,9 @@ def _state(rng: np.random.Generator, number: int, scene: Scene, rule: str) -> St
         "budget_splats": budget,
         "bytes_per_second": float(rng.integers(2000, 40000)),
         "latency": round(float(rng.uniform(0.0, 0.2)), 3),
+        "evicted": evicted,
         "decision": [],
+        "worths": [],
     }
 
 

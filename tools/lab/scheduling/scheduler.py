@@ -21,6 +21,9 @@ _MARGIN_SECONDS: Final = 0.25
 _HELD_FACTOR: Final = 2.0
 _ABORT_FACTOR: Final = 16.0
 
+EVICTED_SECONDS: Final = 1.0
+"""Time after its eviction for which a chunk is fetched again only if it has become worth more."""
+
 
 @dataclass(frozen=True)
 class Unit:
@@ -65,6 +68,8 @@ class ClientState:
         Estimated bandwidth.
     latency : float
         Estimated time from a request to its first byte, s.
+    evicted_worths : dict of int to float
+        Worth, at its eviction, of each chunk evicted in the last `EVICTED_SECONDS`.
     """
 
     present: frozenset[int]
@@ -73,6 +78,7 @@ class ClientState:
     budget_splats: int
     bytes_per_second: float
     latency: float
+    evicted_worths: dict[int, float]
 
 
 @dataclass(frozen=True)
@@ -83,14 +89,14 @@ class Decision:
     ----------
     abort : list of int
         Units in flight whose requests are aborted; bytes received so far are kept.
-    evict : list of int
-        Chunks whose units are dropped from memory.
+    evict : dict of int to float
+        Chunks whose units are dropped from memory, in order, and their worth.
     fetch : list of int
         Units to request, by falling priority.
     """
 
     abort: list[int]
-    evict: list[int]
+    evict: dict[int, float]
     fetch: list[int]
 
 
@@ -213,7 +219,7 @@ class Scheduler:
     >>> import numpy as np
     >>> from cogsplat.tools.lab.scheduling.scheduler import ClientState, Scheduler, Unit
     >>> units = [Unit(k, True, 100 * k + 100, 100, (0,) * (k > 0)) for k in range(3)]
-    >>> empty = ClientState(frozenset(), frozenset(), {}, 0, 400.0, 0.25)
+    >>> empty = ClientState(frozenset(), frozenset(), {}, 0, 400.0, 0.25, {})
     >>> Scheduler(units, [10, 10, 10]).decide(np.array([1.0, 0.1, 1.0]), empty).fetch
     [0, 2]
     """
@@ -274,10 +280,11 @@ class _Round:
         self._sizes = [unit.size_bytes for unit in units]
         self._dependencies = [unit.dependencies for unit in units]
         self._skipped: set[int] = set()
+        self._worth: dict[int, float] = {}
         self._target, self._evictable = self._choose_target()
         self._held_splats = sum(splats[chunk] for chunk in heads if self._is_held(chunk))
         self.aborted: list[int] = []
-        self.evicted: list[int] = []
+        self.evicted: dict[int, float] = {}
         self.chosen: list[int] = []
 
     def _choose_target(self) -> tuple[set[int], list[int]]:
@@ -290,13 +297,10 @@ class _Round:
         """
         if not self._state.budget_splats:
             return set(self._heads), []
-        worth = {
-            chunk: self._urgency[head] * self._units[head].end
-            for chunk, head in self._heads.items()
-        }
-        for chunk in worth:
-            if self._is_held(chunk):
-                worth[chunk] *= _HELD_FACTOR
+        worth = self._worth
+        for chunk, head in self._heads.items():
+            factor = _HELD_FACTOR if self._is_held(chunk) else 1.0
+            worth[chunk] = self._urgency[head] * self._units[head].end * factor
         parents = {chunk: self._parent(chunk) for chunk in self._heads}
         # Parents precede their children.
         for chunk in sorted(worth, reverse=True):
@@ -307,7 +311,9 @@ class _Round:
         target: set[int | None] = {None}
         room = self._state.budget_splats
         for chunk in order:
-            if parents[chunk] in target and self._splats[chunk] <= room:
+            least = 0.0 if self._is_held(chunk) else self._state.evicted_worths.get(chunk, 0.0)
+            fits = self._splats[chunk] <= room and worth[chunk] >= least
+            if parents[chunk] in target and fits:
                 target.add(chunk)
                 room -= self._splats[chunk]
         evictable = [chunk for chunk in order[::-1] if self._is_held(chunk) and chunk not in target]
@@ -388,7 +394,7 @@ class _Round:
             # A head in flight may have been aborted.
             if not self._is_held(chunk):
                 continue
-            self.evicted.append(chunk)
+            self.evicted[chunk] = self._worth[chunk]
             for unit in self._units_of_chunk[chunk]:
                 if unit in self._in_flight:
                     self._abort(unit)

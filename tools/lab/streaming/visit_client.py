@@ -5,7 +5,7 @@ The client follows docs/streaming.md, 7 to 11. Responses share the bandwidth of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.tools.lab.scheduling.chunk_ratios import PoseRatios, weighted_ratios
 from cogsplat.tools.lab.scheduling.poses import Pose, predicted_poses
-from cogsplat.tools.lab.scheduling.scheduler import ClientState, Scheduler, Unit, window_bytes
+from cogsplat.tools.lab.scheduling.scheduler import (
+    EVICTED_SECONDS,
+    ClientState,
+    Scheduler,
+    Unit,
+    window_bytes,
+)
 
 from .client import DECISION_INTERVAL, Arrivals, Link, Units
 from .traces import Trace
@@ -70,7 +76,8 @@ class _State:
 
     Units within the first bytes of the file are read from that buffer, again after an eviction.
     `first_request` fetches the buffer, `buffered` are its units received, and `awaited` those
-    chosen before they were received.
+    chosen before they were received. `evicted` has the time and the worth of the last eviction of
+    each chunk.
     """
 
     present: set[int] = field(default_factory=set)
@@ -79,6 +86,7 @@ class _State:
     first_request: _Request | None = None
     buffered: set[int] = field(default_factory=set)
     awaited: set[int] = field(default_factory=set)
+    evicted: dict[int, tuple[float, float]] = field(default_factory=dict)
 
     def in_flight(self) -> list[int]:
         """Return the units of all requests except the first."""
@@ -237,24 +245,29 @@ class _Run:
             before = self._pose(now - _OBSERVED_SECONDS)
             poses = predicted_poses(self._pose(now), before, _OBSERVED_SECONDS)
             self._ratios, self._decided_at = weighted_ratios(self._ratios_at, poses), now
-        decision = self._scheduler.decide(self._ratios, self._client_state())
+        decision = self._scheduler.decide(self._ratios, self._client_state(now))
         if self._abort(decision.abort) > len(decision.abort):
             self._evict(decision.evict, now)
-            decision = self._scheduler.decide(self._ratios, self._client_state())
+            decision = self._scheduler.decide(self._ratios, self._client_state(now))
             self._abort(decision.abort)
         self._evict(decision.evict, now)
         self._request(decision.fetch, now)
         if self._state.buffered.intersection(decision.fetch):
             self._decide(now)
 
-    def _client_state(self) -> ClientState:
+    def _client_state(self, now: float) -> ClientState:
         """Return the input of the scheduler."""
         state = self._state
         received = {unit: int(size) for unit, size in state.received.items()}
         in_flight = frozenset([*state.in_flight(), *state.awaited])
         present = frozenset(state.present)
+        worths = {
+            chunk: worth
+            for chunk, (seconds, worth) in state.evicted.items()
+            if now < seconds + EVICTED_SECONDS
+        }
         return ClientState(
-            present, in_flight, received, self._budget, self._rate, self._link.latency
+            present, in_flight, received, self._budget, self._rate, self._link.latency, worths
         )
 
     def _abort(self, units: Sequence[int]) -> int:
@@ -263,10 +276,11 @@ class _Run:
         self._state.requests = [r for r in self._state.requests if r not in aborted]
         return sum(len(request.units) for request in aborted)
 
-    def _evict(self, chunks: Sequence[int], now: float) -> None:
+    def _evict(self, worths: Mapping[int, float], now: float) -> None:
         """Drop the units of chunks, also from requests."""
         state = self._state
-        for unit in np.flatnonzero(np.isin(self._units.chunk, chunks)).tolist():
+        state.evicted.update({chunk: (now, worth) for chunk, worth in worths.items()})
+        for unit in np.flatnonzero(np.isin(self._units.chunk, list(worths))).tolist():
             state.received.pop(unit, None)
             state.awaited.discard(unit)
             for request in state.requests:
@@ -335,7 +349,10 @@ class _Run:
         decisions = (
             [max(self._decided_at + DECISION_INTERVAL, now + 1e-6)] if self._is_moving(now) else []
         )
-        return min([*starts, *ends, *decisions], default=None)
+        # An evicted chunk may be fetched again then, also for a pose that rests.
+        expiries = [seconds + EVICTED_SECONDS for seconds, _ in self._state.evicted.values()]
+        later = [seconds for seconds in expiries if seconds > now]
+        return min([*starts, *ends, *decisions, *later], default=None)
 
     def _advance(self, now: float, later: float) -> None:
         """Transfer bytes until a time, with equal shares of the link for all responses."""

@@ -36,7 +36,9 @@ interface State {
   readonly budget_splats: number;
   readonly bytes_per_second: number;
   readonly latency: number;
+  readonly evicted: readonly (readonly [number, number])[];
   readonly decision: readonly (readonly number[])[];
+  readonly worths: readonly number[];
 }
 
 const FILE = join(process.cwd(), "..", "..", "tests", "tools", "lab", "scheduling", "decisions.json");
@@ -87,10 +89,12 @@ test("the scheduler decides as the reference does in every state", () => {
       inFlight: new Set(state.under_way),
       received: new Map(state.received),
       budgetSplats: state.budget_splats,
+      evictedWorths: new Map(state.evicted),
       bytesPerSecond: state.bytes_per_second,
       latency: state.latency,
     });
-    assert.deepEqual([stop, evict, fetch], state.decision, `state ${number}`);
+    assert.deepEqual([stop, [...evict.keys()], fetch], state.decision, `state ${number}`);
+    assert.deepEqual([...evict.values()], state.worths, `state ${number}`);
   }
 });
 

@@ -55,6 +55,7 @@ function order(index: UnitIndex, pose: Pose): number[] {
   const { fetch } = new Scheduler(units, index.chunks.splats).decide(ratios, {
     ...nothing,
     budgetSplats: 0,
+    evictedWorths: new Map(),
     bytesPerSecond: Infinity,
     latency: 0,
   });
@@ -264,6 +265,29 @@ for (const padding of [0, 70_000]) {
     }
   });
 }
+
+test("bytes of stopped segments are kept up to a limit, the first stopped are dropped", () => {
+  const [megabyte, takes] = [1 << 20, [] as ((part: Uint8Array) => void)[]];
+  const reader = {
+    readParts: (_: unknown, signal: AbortSignal, take: (part: Uint8Array) => void) => {
+      takes.push(take);
+      return new Promise<void>((_, reject) => signal.addEventListener("abort", () => reject(signal.reason as Error)));
+    },
+  } as unknown as ConstructorParameters<typeof SegmentRequests>[0];
+  const requests = new SegmentRequests(reader, (unit) => ({ offset: 2 * megabyte * unit, length: 2 * megabyte }), {
+    received: () => assert.fail("no segment is complete"),
+    failed: () => assert.fail("nothing fails"),
+    ended: () => undefined,
+  });
+  for (let unit = 0; unit < 6; unit++) {
+    requests.start({ offset: 2 * megabyte * unit, length: 2 * megabyte, segments: [unit] });
+    takes[unit]!(new Uint8Array(megabyte));
+  }
+  // A request in flight keeps its bytes.
+  requests.stop([1, 2, 3, 4, 5]);
+  assert.deepEqual([...requests.partial.keys()], [0, 3, 4, 5]);
+  requests.close();
+});
 
 test("what was stopped goes on from the byte where it was, and what was asked for with it stops as well", async () => {
   const file = Uint8Array.from({ length: 1000 }, (_, i) => i & 255);

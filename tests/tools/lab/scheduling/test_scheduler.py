@@ -23,9 +23,17 @@ SPLATS = [10, 10, 10, 10]
 EQUAL = np.ones(4)
 
 
-def client(present=(), in_flight=(), received=None, budget=0, rate=400.0, latency=0.25):
+def client(
+    present=(), in_flight=(), received=None, budget=0, rate=400.0, latency=0.25, evicted=None
+):
     return ClientState(
-        frozenset(present), frozenset(in_flight), received or {}, budget, rate, latency
+        frozenset(present),
+        frozenset(in_flight),
+        received or {},
+        budget,
+        rate,
+        latency,
+        evicted or {},
     )
 
 
@@ -103,30 +111,40 @@ def test_units_of_far_lower_value_are_aborted():
 def test_a_budget_is_kept_by_evicting_the_least_valuable_chunks():
     ratios = [1.0, 0.001, 9.0, 0.001]
     decision = decide(ratios, present=[0, 1, 5], budget=30)
-    assert decision.evict == [3]
+    assert list(decision.evict) == [3]
     assert decision.fetch[0] == 3
     # Chunk 1 is the parent of 3 and is evicted after it.
     tight = decide(ratios, present=[0, 1, 5], budget=20)
-    assert tight.evict == [3, 1]
+    assert list(tight.evict) == [3, 1]
     # Chunks of similar value do not replace each other.
-    assert decide([1.0, 1.0, 1.5, 1.0], present=[0, 1], budget=20).evict == []
+    assert list(decide([1.0, 1.0, 1.5, 1.0], present=[0, 1], budget=20).evict) == []
     assert decide([1.0, 1.0, 1.5, 1.0], present=[0, 1], budget=20).fetch == [2, 4]
+
+
+def test_an_evicted_chunk_is_fetched_again_once_it_is_worth_more():
+    gone = decide([1.0, 1.0, 9.0, 0.001], present=[0, 1], budget=20).evict
+    assert gone == {1: 2 * 1.0 / 200}
+    # The pose turns back: without the eviction the chunk would be fetched at once.
+    back = [1.0, 1.9, 0.001, 0.001]
+    assert 1 in decide(back, present=[0, 3], budget=20).fetch
+    assert decide(back, present=[0, 3], budget=20, evicted=gone).fetch == [2, 6]
+    assert 1 in decide([1.0, 2.0, 0.001, 0.001], present=[0, 3], budget=20, evicted=gone).fetch
 
 
 def test_a_lowered_budget_is_kept_by_evicting_the_least_valuable_chunks():
     # Chunk 3 is the last of the file and no parent; chunk 2 follows.
     decision = decide(EQUAL, present=range(7), budget=25)
-    assert decision.evict == [3, 2]
+    assert list(decision.evict) == [3, 2]
     assert decision.fetch == []
     # A parent is evicted after its children.
-    assert decide([1.0, 0.1, 9.0, 1.0], present=range(7), budget=20).evict == [3, 1]
+    assert list(decide([1.0, 0.1, 9.0, 1.0], present=range(7), budget=20).evict) == [3, 1]
 
 
 def test_nothing_is_evicted_for_a_chunk_that_still_would_not_fit():
     units = [*UNITS[:2], Unit(2, True, 400, 100, (0,))]
     scheduler = Scheduler(units, [10, 10, 50])
     decision = scheduler.decide(np.array([1.0, 0.001, 9.0]), client(present=[0, 1], budget=40))
-    assert decision.evict == []
+    assert list(decision.evict) == []
     assert decision.fetch == []
 
 
@@ -185,7 +203,7 @@ def test_fetching_at_a_fixed_pose_ends_though_requests_wait(number):
 
 def test_evicted_units_in_flight_are_aborted():
     decision = decide([1.0, 0.001, 9.0, 0.001], present=[0], in_flight=[1], budget=20, latency=9.0)
-    assert (decision.evict, decision.abort) == ([1], [1])
+    assert (list(decision.evict), decision.abort) == ([1], [1])
 
 
 @pytest.mark.parametrize("number", range(0, 1200, 13))

@@ -7,6 +7,8 @@ import type { RetryingReader } from "./retrying_reader.js";
 
 /** Maximum number of requests in flight (SPEC 8.8). */
 export const MAX_REQUESTS = 6;
+/** Bytes of stopped segments kept at most: without a limit those of a city would fill the memory. */
+const MOST_PARTIAL_BYTES = 4 << 20;
 /** Maximum size of a request, bytes, except on fast connections; short, because a request is stopped as a whole. */
 const REQUEST_BYTES = 65_536;
 
@@ -101,7 +103,21 @@ export class SegmentRequests {
       request.abort.abort();
       stopped += request.left.length;
     }
+    this.limitPartial();
     return stopped;
+  }
+
+  /** Drop the received bytes of the segments stopped first, beyond `MOST_PARTIAL_BYTES`. */
+  private limitPartial(): void {
+    let bytes = 0;
+    for (const { length } of this.parts.values()) bytes += length;
+    const inFlight = new Set(this.inFlight);
+    for (const [segment, { length }] of this.parts) {
+      if (bytes <= MOST_PARTIAL_BYTES) return;
+      if (inFlight.has(segment)) continue;
+      this.parts.delete(segment);
+      bytes -= length;
+    }
   }
 
   /** Stop all requests. */

@@ -4,7 +4,7 @@ import { readViewTable, type ViewTable } from "../container/view_table.js";
 import { SourceError } from "../errors.js";
 import { byBoxes, byViewTable, type PoseRatios, sumAlongPath } from "../schedule/chunk_ratios.js";
 import type { Pose } from "../schedule/poses.js";
-import { type Holdings, Scheduler } from "../schedule/scheduler.js";
+import { EVICTED_SECONDS, type Holdings, Scheduler } from "../schedule/scheduler.js";
 import type { ChunkService } from "../workers/decode_task.js";
 import { PoseHistory } from "./pose_history.js";
 import { type ChunkRows, MOST_KEPT_BYTES, SceneFetch } from "./scene_fetch.js";
@@ -61,6 +61,8 @@ export class Visit extends SceneFetch<VisitChange> {
   private readonly early = new Map<number, ChunkRows>();
   /** Chunks that cannot be fetched or decoded; their children are yielded without a parent. */
   private readonly lost = new Set<number>();
+  /** Chunks evicted lately: their worth then, and the end of the time for which it counts, seconds. */
+  private readonly evicted = new Map<number, { readonly worth: number; readonly until: number }>();
   private table: ViewTable | undefined;
   private poseRatios: PoseRatios | undefined;
   private pathRatios: Float64Array | undefined;
@@ -149,7 +151,7 @@ export class Visit extends SceneFetch<VisitChange> {
     // A stopped request may contain units that the decision keeps. They are now missing: decide again.
     for (let isFinal = false; !isFinal; ) {
       isFinal = this.requests.stop(this.segmentsOf(decision.stop)) <= decision.stop.length;
-      for (const chunk of decision.evict) this.evict(chunk);
+      for (const [chunk, worth] of decision.evict) this.evict(chunk, worth);
       if (!isFinal) decision = this.scheduler.decide(ratios, this.holdings());
     }
     if (hasRoom) this.request(decision.fetch, ratios);
@@ -169,11 +171,14 @@ export class Visit extends SceneFetch<VisitChange> {
   private holdings(): Holdings {
     const { link, partial, inFlight } = this.requests;
     const unit = (segment: number): number => this.unitOf.get(segment)!;
+    const now = performance.now() / 1000;
+    for (const [chunk, { until }] of this.evicted) if (until <= now) this.evicted.delete(chunk);
     return {
       arrived: this.arrived,
       inFlight: new Set([...inFlight, ...this.uncancellable].map(unit)),
       received: new Map([...partial].map(([segment, bytes]) => [unit(segment), bytes])),
       budgetSplats: this.budget === Infinity ? 0 : this.budget,
+      evictedWorths: new Map([...this.evicted].map(([chunk, { worth }]) => [chunk, worth])),
       bytesPerSecond: link.bytesPerSecond,
       latency: link.latency,
     };
@@ -191,8 +196,9 @@ export class Visit extends SceneFetch<VisitChange> {
       this.evaluatedAt = now;
       this.poses.hasChanged = false;
     }
-    // No pose is set when the camera stops: the timer evaluates its last pose again.
-    if ((this.poses.hasChanged || this.poses.isMoving) && this.timer === undefined) {
+    // No pose is set when the camera stops: the timer evaluates its last pose again, until no eviction counts any more.
+    const changes = this.poses.hasChanged || this.poses.isMoving || this.evicted.size > 0;
+    if (changes && this.timer === undefined) {
       this.timer = setTimeout(() => {
         this.timer = undefined;
         this.poses.hasChanged = true;
@@ -275,7 +281,8 @@ export class Visit extends SceneFetch<VisitChange> {
   }
 
   /** Drop all bytes and rows of a chunk; if its rows were yielded, yield its eviction. */
-  private evict(chunk: number): void {
+  private evict(chunk: number, worth: number): void {
+    this.evicted.set(chunk, { worth, until: performance.now() / 1000 + EVICTED_SECONDS });
     for (const unit of this.unitsOf[chunk]!) {
       const { segment } = this.units[unit]!;
       this.arrived.delete(unit);

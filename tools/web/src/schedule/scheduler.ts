@@ -6,6 +6,8 @@ const AHEAD_SECONDS = 0.25;
 const HELD_FACTOR = 2;
 /** Least ratio between the urgency of the best missing unit and of a unit stopped for it. */
 const ABORT_FACTOR = 16;
+/** Time after its eviction for which a chunk is fetched again only if it has become worth more, seconds. */
+export const EVICTED_SECONDS = 1;
 
 /** A segment that a client may fetch; units are in file order. */
 export interface Unit {
@@ -29,6 +31,8 @@ export interface Holdings {
   readonly received: ReadonlyMap<number, number>;
   /** Splats of chunks whose heads have arrived or are in flight, at most; 0 for no limit. */
   readonly budgetSplats: number;
+  /** Chunks evicted in the last `EVICTED_SECONDS`, with their worth then. */
+  readonly evictedWorths: ReadonlyMap<number, number>;
   /** Estimated throughput. */
   readonly bytesPerSecond: number;
   /** Time from a request to its first byte, seconds. */
@@ -39,8 +43,8 @@ export interface Holdings {
 export interface Decision {
   /** Units in flight to stop; their received bytes are kept. */
   readonly stop: readonly number[];
-  /** Chunks to evict. */
-  readonly evict: readonly number[];
+  /** Chunks to evict, with their worth. */
+  readonly evict: ReadonlyMap<number, number>;
   /** Units to request, the most urgent first. */
   readonly fetch: readonly number[];
 }
@@ -104,7 +108,7 @@ interface Chain {
 /** A decision in progress. */
 class Round {
   readonly stopped: number[] = [];
-  readonly evicted: number[] = [];
+  readonly evicted = new Map<number, number>();
   readonly chosen: number[] = [];
   private readonly arrived: Set<number>;
   private readonly inFlight: Set<number>;
@@ -117,6 +121,7 @@ class Round {
   private readonly target: ReadonlySet<number> | undefined;
   /** Other chunks held, in the order of their eviction. */
   private readonly evictable: number[] = [];
+  private readonly worths = new Map<number, number>();
   /** Splats of the chunks held. */
   private heldSplats = 0;
 
@@ -137,7 +142,7 @@ class Round {
 
   /** Return the chunks to hold within the budget; list the held chunks to evict (docs/streaming.md, 9). */
   private chooseTarget(budget: number): Set<number> {
-    const worths = new Map<number, number>();
+    const { worths } = this;
     const parents = new Map<number, number | undefined>();
     for (const [chunk, head] of this.heads) {
       const held = this.isHeld(head);
@@ -159,6 +164,8 @@ class Round {
     for (const chunk of order) {
       const parent = parents.get(chunk);
       if ((parent !== undefined && !target.has(parent)) || this.splats[chunk]! > room) continue;
+      if (!this.isHeld(this.heads.get(chunk)!) && worths.get(chunk)! < (this.holdings.evictedWorths.get(chunk) ?? 0))
+        continue;
       target.add(chunk);
       room -= this.splats[chunk]!;
     }
@@ -269,7 +276,7 @@ class Round {
   }
 
   private evict(chunk: number): void {
-    this.evicted.push(chunk);
+    this.evicted.set(chunk, this.worths.get(chunk)!);
     this.units.forEach((part, unit) => {
       if (part.chunk !== chunk) return;
       if (this.inFlight.has(unit)) this.stop(unit);
