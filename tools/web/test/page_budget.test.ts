@@ -1,5 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import { budgetOf } from "../src/viewer/device_budget.js";
 import { PageBudget } from "../src/viewer/page_budget.js";
 
 test("viewers share a budget by size: small scenes leave the rest to large ones", () => {
@@ -49,4 +50,42 @@ test("the shares that viewers use never exceed the budget", () => {
     const sum = [...used.values()].reduce((total, value) => total + value(), 0);
     assert.ok(sum <= 1000, String(sum));
   }
+});
+
+const COMPUTER = { userAgent: "Chrome/140", memoryGib: 8, isTouch: false, screenPx: 1080, graphics: "" };
+const TOUCH = { userAgent: "Safari/605", memoryGib: undefined, isTouch: true, screenPx: 390, graphics: "Apple GPU" };
+
+test("the default budget follows headset, phone, tablet, laptop and desktop", () => {
+  const budgets = [
+    { ...TOUCH, userAgent: "Mozilla/5.0 (X11; Linux x86_64; Quest 3) OculusBrowser/33", screenPx: 1000 },
+    { ...TOUCH, memoryGib: 2 },
+    TOUCH,
+    { ...TOUCH, screenPx: 820 },
+    { ...COMPUTER, graphics: "ANGLE (Intel, Intel(R) Iris(R) Xe Graphics Direct3D11)" },
+    { ...COMPUTER, graphics: "ANGLE (AMD, AMD Radeon(TM) 780M Graphics, OpenGL 4.6)" },
+    { ...COMPUTER, memoryGib: undefined, graphics: "Apple GPU" },
+    { ...COMPUTER, memoryGib: 1, graphics: "Intel" },
+    { ...COMPUTER, graphics: "ANGLE (AMD, AMD Radeon RX 6800 XT Direct3D11)" },
+    { ...COMPUTER, graphics: "ANGLE (NVIDIA, NVIDIA GeForce RTX 4070)" },
+  ].map(budgetOf);
+  const millions = [0.5, 0.5, 1, 1.5, 2.5, 2.5, 2.5, 1.5, 12, 12];
+  assert.deepEqual(
+    budgets,
+    millions.map((value) => 1e6 * value),
+  );
+});
+
+test("the graphics change the default, and no budget that the page has chosen", () => {
+  const ofDevice = new PageBudget();
+  const before = ofDevice.total;
+  let share = 0;
+  ofDevice.ask({}, { splats: Number.POSITIVE_INFINITY, size: 1, isChosen: false }, (given) => {
+    share = given;
+  });
+  ofDevice.adapt("Intel");
+  assert.ok(before > ofDevice.total);
+  assert.deepEqual([ofDevice.total, share], [2_500_000, 2_500_000]);
+  const chosen = new PageBudget(9_000_000);
+  chosen.adapt("Intel");
+  assert.equal(chosen.total, 9_000_000);
 });

@@ -2,6 +2,7 @@ import type { Description } from "../container/description.js";
 import { folders } from "../loader/folders.js";
 import { StreamedScene } from "../loader/streamed_scene.js";
 import { About } from "./about.js";
+import { graphicsOf } from "./device_budget.js";
 import { Divide } from "./divide.js";
 import { MARKUP } from "./markup.js";
 import { formatBytes, formatShare, parseColour } from "./numbers.js";
@@ -277,6 +278,7 @@ export class CogsplatViewer extends PageElement implements ViewerHandle {
       return;
     }
     const { scene } = this;
+    CogsplatViewer.budget.adapt(graphicsOf(scene.gl));
     scene.camera.pose = this.pose;
     scene.fillHoles = this.fills;
     this.divide = new Divide(this.find("#divide"), (share) => scene.show({ divide: share }), signal);

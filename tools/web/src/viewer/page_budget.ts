@@ -1,13 +1,4 @@
-/** Splats in memory for each GiB that a computer has, about 130 bytes each with their textures. */
-const SPLATS_PER_GIB = 1_500_000;
-/** GiB of a device that does not state its memory; none states more. */
-const USUAL_GIB = 8;
-/** GiB of the phones that the budget of phones is for. */
-const GIB_OF_PHONES = 4;
-/** Budgets of devices with slower graphics, as in Spark 2 (sparkjs.dev): headsets, phones, touch screens. */
-const BUDGET_OF_HEADSETS = 500_000;
-const BUDGET_OF_PHONES = 1_000_000;
-const BUDGET_OF_TOUCH_SCREENS = 1_500_000;
+import { budgetOf, thisDevice } from "./device_budget.js";
 
 /** Request of a viewer. */
 export interface Wish {
@@ -29,8 +20,12 @@ interface Member {
 /** Divides one budget of splats among the viewers of a page. */
 export class PageBudget {
   private readonly members = new Map<object, Member>();
+  private all: number;
 
-  constructor(private all = budgetOfDevice()) {}
+  /** @param chosen - Splats in memory at most; by default those of the device. */
+  constructor(private chosen?: number) {
+    this.all = chosen ?? budgetOf(thisDevice(""));
+  }
 
   /** Splats in memory at most, of all viewers together. */
   get total(): number {
@@ -38,7 +33,15 @@ export class PageBudget {
   }
 
   set total(splats: number) {
-    this.all = splats;
+    this.all = this.chosen = splats;
+    this.divide();
+  }
+
+  /** Adapt the budget to the graphics of the device, unless the page has chosen it. */
+  adapt(graphics: string): void {
+    const all = this.chosen ?? budgetOf(thisDevice(graphics));
+    if (all === this.all) return;
+    this.all = all;
     this.divide();
   }
 
@@ -95,17 +98,4 @@ export class PageBudget {
       member.apply(share);
     }
   }
-}
-
-/** Return the budget for this device. */
-function budgetOfDevice(): number {
-  // A server that renders pages has no navigator.
-  const device = globalThis.navigator as { readonly deviceMemory?: number; readonly userAgent?: string } | undefined;
-  const gib = device?.deviceMemory ?? USUAL_GIB;
-  const agent = device?.userAgent ?? "";
-  if (/OculusBrowser|Quest|PicoBrowser/.test(agent)) return BUDGET_OF_HEADSETS;
-  const ofPhone = /Android/.test(agent) ? BUDGET_OF_PHONES : BUDGET_OF_TOUCH_SCREENS;
-  return globalThis.matchMedia?.("(pointer: coarse)").matches
-    ? ofPhone * Math.min(gib / GIB_OF_PHONES, 1)
-    : gib * SPLATS_PER_GIB;
 }
