@@ -148,6 +148,21 @@ def look_from(page: Page, camera: Camera) -> None:
     )
 
 
+def lose_graphics(page: Page) -> None:
+    """Take the WebGL context from the viewer's canvas for 0.3 s."""
+    page.evaluate(
+        """() => {
+          const roots = [document, ...[...document.querySelectorAll("*")].flatMap(
+            (element) => element.shadowRoot ?? [])];
+          const canvas = roots.map((root) => root.querySelector("canvas")).find(Boolean);
+          window.lost = canvas.getContext("webgl2").getExtension("WEBGL_lose_context");
+          window.lost.loseContext();
+        }"""
+    )
+    page.wait_for_timeout(300)
+    page.evaluate("() => window.lost.restoreContext()")
+
+
 def picture(page: Page) -> NDArray[np.float32]:
     """Return what the canvas shows, without what the page writes over it.
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from chromium import look_from, picture, statistics, wait_until
+from chromium import look_from, lose_graphics, picture, statistics, wait_until
 from faulty_server import FaultyServer
 from numpy.typing import NDArray
 from running import Run, SmallScene, program
@@ -152,19 +152,11 @@ def test_it_comes_back_when_webgl_is_lost(
 ) -> None:
     open_whole(page, server)
     frames = statistics(page)["frames"]
-    page.evaluate(
-        """() => {
-          const roots = [document, ...[...document.querySelectorAll("*")].flatMap(
-            (element) => element.shadowRoot ?? [])];
-          const canvas = roots.map((root) => root.querySelector("canvas")).find(Boolean);
-          window.lost = canvas.getContext("webgl2").getExtension("WEBGL_lose_context");
-          window.lost.loseContext();
-        }"""
-    )
-    page.wait_for_timeout(300)
-    page.evaluate("() => window.lost.restoreContext()")
+    sent = server.traffic.size_bytes("scene.cogs")
+    lose_graphics(page)
     wait_until(page, f"{COMPLETE} && s.frames > {frames}")
     assert psnr(picture(page), ours(small, camera())) >= 38
+    assert server.traffic.size_bytes("scene.cogs") == sent
 
 
 def test_pictures_come_back_as_often_as_the_graphics_process_ends(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from chromium import look_from, picture, shows, statistics, wait_until
+from chromium import look_from, lose_graphics, picture, shows, statistics, wait_until
 from faulty_server import FaultyServer
 
 import cogsplat
@@ -89,6 +89,23 @@ def seen(page: Page, splats: Splats, camera: Camera) -> float:
     page.wait_for_timeout(300)
     wait_until(page, COMPLETE)
     return psnr(picture(page), np.clip(render(splats, camera), 0, 1))
+
+
+def test_a_house_within_a_budget_comes_back_when_graphics_are_lost(
+    page: Page, house: Path, whole: Splats, walk: list[Camera]
+) -> None:
+    with running(serve(house, splat_budget=len(whole) * 2 // 3)) as server:
+        page.goto(server.url)
+        for camera in walk[:2]:
+            assert seen(page, whole, camera) >= 30.0
+        before, frames = picture(page), statistics(page)["frames"]
+        sent = server.traffic.size_bytes("scene.cogs")
+        lose_graphics(page)
+        wait_until(page, f"{COMPLETE} && s.frames > {frames}")
+        assert psnr(picture(page), before) >= 50.0
+        assert server.traffic.size_bytes("scene.cogs") == sent
+        # The visit goes on.
+        assert seen(page, whole, walk[2]) >= 30.0
 
 
 def test_a_house_larger_than_its_budget_can_be_walked_through(

@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 ROOMS, SPLATS = 6, 36_000
 FLY = Path(__file__).parent / "fly_house.mjs"
 POSES_PER_STEP = 4
-"""Poses, a tenth of a second apart, from one camera of the walk to the next: 1.2 m/s at most."""
+"""Poses, a tenth of a second apart, from one camera of the walk to the next: 1.25 m/s at most."""
 
 
 def poses() -> list[dict[str, object]]:
