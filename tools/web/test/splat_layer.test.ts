@@ -10,6 +10,8 @@ class CountingContext {
   readonly textures = new Map<object, number>();
   private bound: object | undefined;
   readonly copies: number[] = [];
+  /** Texture, first line and lines of each upload. */
+  uploads: { readonly texture: object; readonly line: number; readonly lines: number }[] = [];
 
   /** Bytes of all textures. */
   get bytes(): number {
@@ -28,6 +30,9 @@ class CountingContext {
         this.textures.set(this.bound!, format * width * height);
       },
       deleteTexture: (texture: object) => this.textures.delete(texture),
+      texSubImage2D: (...parts: number[]) => {
+        this.uploads.push({ texture: this.bound!, line: parts[3]!, lines: parts[5]! });
+      },
       copyTexSubImage2D: (...parts: number[]) => this.copies.push(parts[7]!),
       R32UI: 4,
       RG32UI: 8,
@@ -78,4 +83,41 @@ test("released rows leave the GPU's memory once they are not drawn, at the end o
   assert.equal(layer.rows, 2 * TEXTURE_WIDTH);
   layer.close();
   assert.equal(gpu.bytes, 0);
+});
+
+test("an order is uploaded as a whole, in runs of adjacent lines, and again when the view has turned", async () => {
+  const gpu = new CountingContext();
+  const lines = 80;
+  const layer = new SplatLayer(
+    gpu.context,
+    { ...SCENE, splats: lines * TEXTURE_WIDTH, antialiased: false, capture: [], hasLevels: false },
+    DEFAULT_RANGES,
+    Infinity,
+    (rows) => new DepthSorter(rows, undefined, assert.fail),
+    () => undefined,
+  );
+  layer.write(chunk(lines * TEXTURE_WIDTH), 0);
+  await whenSorted(layer);
+  while (!layer.upload()) assert.ok(gpu.uploads.length < 1000);
+  for (const forward of [
+    [1, 0, 0],
+    [0, 1, 0],
+    [0, 0, 1],
+  ]) {
+    gpu.uploads = [];
+    const plane = { forward, depth: 0 };
+    while (!layer.prepare(plane)) await new Promise((resolve) => setTimeout(resolve, 1));
+    assert.ok(layer.upload());
+    // The order alone has changed.
+    assert.equal(new Set(gpu.uploads.map(({ texture }) => texture)).size, 1);
+    assert.deepEqual(
+      gpu.uploads.map((upload) => [upload.line, upload.lines]),
+      [
+        [0, 32],
+        [32, 32],
+        [64, 16],
+      ],
+    );
+  }
+  layer.close();
 });
