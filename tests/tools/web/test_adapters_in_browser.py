@@ -284,8 +284,8 @@ def test_three_draws_our_pictures_where_no_worker_runs_and_says_so(
 
 # Bytes of a splat of degree 3 in each texture that an adapter fills.
 TEXTURE_BYTES = {
-    "three": (4, 8, 16, 16, 16),
-    "babylon": (4, 8, 16, 16, 16),
+    "three": (4, 8, 8, 16, 16, 16),
+    "babylon": (4, 8, 8, 16, 16, 16),
     "spark": (8, 16, 16, 16),
 }
 _COUNT_TEXTURES = """
