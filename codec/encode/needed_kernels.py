@@ -17,6 +17,7 @@ _OTHERS: Final = (
     "render.shading",
     "scoring.view_sums",
     "render.depth_order",
+    "render.visible_depth",
     "render.tiles",
     "render.projection",
     # Of the first view, of close views, in which predictions are measured, and of planned ones.

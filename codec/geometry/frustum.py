@@ -1,4 +1,4 @@
-"""Camera frusta: means that project into an image, and their depth."""
+"""Camera frusta: means that project into an image."""
 
 from __future__ import annotations
 
@@ -53,27 +53,3 @@ def in_picture(means: F64, camera: Camera, near_plane: float) -> NDArray[np.bool
     inside &= (x > 0.0) & (x < camera.width * z)
     inside &= (y > 0.0) & (y < camera.height * z)
     return inside
-
-
-def visible_depth(splats: Splats, camera: Camera) -> float:
-    """Return the median camera-space z of the means that project into the image.
-
-    Parameters
-    ----------
-    splats : Splats
-        Scene; every mean counts once, regardless of opacity and occlusion.
-    camera : Camera
-        Camera in the frame of the means. Means nearer than 0.2 (`NEAR`) are ignored.
-
-    Returns
-    -------
-    float
-        Depth, scene units; 0 if no mean projects into the image.
-    """
-    with np.errstate(all="ignore"):  # means behind the camera, or not finite, fail the tests below
-        local = splats.means @ camera.rotation.T + camera.translation
-        z = local[:, 2]
-        x = camera.fx * local[:, 0] / z + camera.cx
-        y = camera.fy * local[:, 1] / z + camera.cy
-        inside = (z > NEAR) & (x >= 0) & (x < camera.width) & (y >= 0) & (y < camera.height)
-    return float(np.median(z[inside])) if inside.any() else 0.0

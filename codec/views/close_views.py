@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR, visible_depth
+from cogsplat.codec.geometry.frustum import ALPHA_MIN, NEAR
+from cogsplat.codec.render.visible_depth import visible_depth
 from cogsplat.codec.splats import Splats
 
 from .low_discrepancy import STEPS_2D, sequence

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.geometry.frustum import visible_depth
+from cogsplat.codec.render.visible_depth import visible_depth
 from cogsplat.codec.splats import Splats
 
 F64 = NDArray[np.float64]

@@ -10,7 +10,7 @@ from typing import Final, TypeVar
 import numpy as np
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.geometry.frustum import visible_depth
+from cogsplat.codec.render.visible_depth import visible_depth
 from cogsplat.codec.splats import Splats
 
 from .low_discrepancy import STEP_1D
@@ -153,7 +153,7 @@ def leave_out(cameras: Sequence[Camera]) -> tuple[list[Camera], list[Camera]]:
     return hold_out(cameras, left_out_every(len(cameras)))
 
 
-def roam(splats: Splats, cameras: Sequence[Camera]) -> list[Camera]:
+def roam(splats: Splats, cameras: Sequence[Camera], first: int = 0) -> list[Camera]:
     """Return views off the capture path: two copies of every camera, moved back and rotated.
 
     Parameters
@@ -162,6 +162,8 @@ def roam(splats: Splats, cameras: Sequence[Camera]) -> list[Camera]:
         Scene, from which visible depths are measured.
     cameras : sequence of Camera
         Cameras in the frame of the means.
+    first : int
+        Index of the first of these cameras.
 
     Returns
     -------
@@ -180,7 +182,7 @@ def roam(splats: Splats, cameras: Sequence[Camera]) -> list[Camera]:
     ['view_00-back', 'view_00-turned']
     """
     views: list[Camera] = []
-    for index, camera in enumerate(cameras):
+    for index, camera in enumerate(cameras, first):
         depth = visible_depth(splats, camera)
         moved = camera.translation + np.array([0.0, 0.0, STEP_BACK * depth])
         views.append(replace(camera, translation=moved, name=f"{camera.name}-back"))
@@ -198,12 +200,14 @@ def roam(splats: Splats, cameras: Sequence[Camera]) -> list[Camera]:
     return views
 
 
-def jitter(splats: Splats, cameras: Sequence[Camera], copies: int = 2) -> list[Camera]:
+def jitter(
+    splats: Splats, cameras: Sequence[Camera], copies: int = 2, first: int = 0
+) -> list[Camera]:
     """Return jittered copies of cameras, which scoring adds: moved back or rotated.
 
     Parameters
     ----------
-    splats, cameras
+    splats, cameras, first
         See `roam`.
     copies : int
         Copies per camera: 2 for both copies of `roam`, 1 for one of the two. The camera's index
@@ -214,7 +218,8 @@ def jitter(splats: Splats, cameras: Sequence[Camera], copies: int = 2) -> list[C
     list of Camera
         Copies in the order of the cameras.
     """
-    both = roam(splats, cameras)
+    both = roam(splats, cameras, first)
     if copies == 2:
         return both
-    return [both[2 * index + int(index % 4 in (1, 2))] for index in range(len(cameras))]
+    turned = [int((first + index) % 4 in (1, 2)) for index in range(len(cameras))]
+    return [both[2 * index + kind] for index, kind in enumerate(turned)]

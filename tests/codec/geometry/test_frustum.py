@@ -6,7 +6,7 @@ import numpy as np
 import oracle
 import pytest
 
-from cogsplat.codec.geometry.frustum import NEAR, in_frustum, in_picture, visible_depth
+from cogsplat.codec.geometry.frustum import NEAR, in_frustum, in_picture
 
 
 def projected(mean, camera):
@@ -53,14 +53,3 @@ def test_means_behind_the_camera_or_not_finite_are_outside(scene):
     means[2] = eye + 2.0 * camera.rotation[2]
     few = replace(splats.take(np.arange(3)), means=means.astype(np.float32))
     assert in_frustum(few, camera, 0.5).tolist() == [False, False, True]
-
-
-def test_the_visible_depth_is_the_median_of_what_is_in_the_image(scene):
-    splats, camera = scene
-    depths = []
-    for mean in splats.means.astype(np.float64):
-        x, y, z = projected(mean, camera)
-        if z > NEAR and 0 <= x < camera.width and 0 <= y < camera.height:
-            depths.append(z)
-    assert visible_depth(splats, camera) == pytest.approx(np.median(depths), rel=1e-6)
-    assert visible_depth(splats.take(np.zeros(0, np.int64)), camera) == 0.0

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import oracle
 
-from cogsplat.codec.geometry.frustum import visible_depth
+from cogsplat.codec.render.visible_depth import visible_depth
 from cogsplat.codec.views.drawn_views import ViewDrawer
 
 

@@ -5,8 +5,7 @@ import numpy as np
 import oracle
 import pytest
 
-from cogsplat.codec.geometry.frustum import visible_depth
-from cogsplat.codec.splats import concatenate, empty
+from cogsplat.codec.render.visible_depth import visible_depth
 from cogsplat.codec.views.view_sets import hold_out, jitter, leave_out, roam
 
 
@@ -38,24 +37,6 @@ def test_every_eighth_camera_is_left_out_and_every_fourth_of_16_to_39():
     assert leave_out(list(range(15)))[1] == leave_out(list(range(9)))[1] == [0, 8]
     assert leave_out(list(range(8))) == (list(range(8)), [])
     assert leave_out([]) == ([], [])
-
-
-def test_visible_depth_is_the_median_over_means_in_the_picture():
-    splats = empty(0, 6)
-    camera = replace(oracle.camera(), rotation=np.eye(3), translation=np.zeros(3))
-    splats.means[:] = [[0, 0, 1], [0, 0, 2], [0.1, 0, 9], [5, 0, 3], [0, 0, -4], [0, 0, 0.1]]
-    assert visible_depth(splats, camera) == 2.0
-
-
-def test_visible_depth_ignores_what_is_not_finite_and_is_zero_for_nothing():
-    splats = oracle.scene(0, n=9)
-    expected = visible_depth(splats, oracle.camera())
-    broken = splats.take(np.arange(9))
-    broken.means[:] = np.nan
-    broken.means[4] = np.inf
-    assert visible_depth(concatenate([splats, broken]), oracle.camera()) == expected
-    assert visible_depth(broken, oracle.camera()) == 0.0
-    assert visible_depth(empty(0), oracle.camera()) == 0.0
 
 
 def test_roam_moves_back_and_turns_alternately():
@@ -102,3 +83,6 @@ def test_single_jittered_copies_alternate_between_kinds_and_sides():
     for copy in copies:
         np.testing.assert_array_equal(copy.rotation, by_name[copy.name].rotation)
         np.testing.assert_array_equal(copy.translation, by_name[copy.name].translation)
+    again = jitter(splats, cameras[3:], copies=1, first=3)
+    assert [copy.name for copy in again] == [copy.name for copy in copies[3:]]
+    np.testing.assert_array_equal(again[2].rotation, copies[5].rotation)

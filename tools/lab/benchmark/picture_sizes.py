@@ -27,9 +27,9 @@ import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.capture import Capture, capture_of_cameras
 from cogsplat.codec.fit.downscaling import downscale_picture
-from cogsplat.codec.geometry.frustum import visible_depth
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import RenderConfig, render
+from cogsplat.codec.render.visible_depth import visible_depth
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.tools.terminal.output import print_line, print_table

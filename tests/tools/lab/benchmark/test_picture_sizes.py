@@ -8,7 +8,7 @@ import pytest
 
 import cogsplat
 from cogsplat.codec.capture import capture_of_cameras
-from cogsplat.codec.geometry.frustum import visible_depth
+from cogsplat.codec.render.visible_depth import visible_depth
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.tools.lab.benchmark.picture_sizes import (
     AS_TRAINED,
