@@ -10,13 +10,12 @@ import numpy as np
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
-from cogsplat.codec.executor import Executor
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.codec.scoring.contribution import ScoreConfig, Scores, score
+from cogsplat.codec.scoring.contribution import ScoreConfig, Scorer, Scores
+from cogsplat.codec.scoring.view_sums import ViewSums
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.planner import ViewPlan, plan
 from cogsplat.codec.views.view_sets import TEST_VIEWS, leave_out, sample_evenly
-from cogsplat.codec.workspace import IN_MEMORY, Workspace
 
 from .encoded import EncodeReport
 from .presets import Preset
@@ -38,8 +37,8 @@ With 15 cameras in one room, in two rooms and in a house of three rooms the shar
 room, of which further cameras showed as much as scored ones.
 """
 
-_RETRY_FACTOR: Final = 4
-"""Growth of the number of scored views per retry; earlier passes then cost a quarter at most."""
+_GROWTH: Final = 4
+"""Growth of the number of scored views where they overlap too little."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,22 +93,23 @@ def score_scene(splats: Splats, request: EncodeRequest, progress: Progress) -> S
     if request.test_views:
         used = list(request.cameras)
     # An empty list of cameras is refused here; only None plans views.
-    views, scores = score_given(
+    scorer = _scorer(splats, request, progress)
+    views = _add_given(scorer, used, request.effort, request.scoring)
+    single = single_camera_share(scorer.sums, request.scoring)
+    if not (left_out and len(views) == len(used) and single > _OVERLAP_LIMIT):
+        return _given_views(request, views, scorer.scores())
+    return _score_planned(splats, request, progress, scorer, views)
+
+
+def _scorer(splats: Splats, request: EncodeRequest, progress: Progress) -> Scorer:
+    """Return a scorer of the scene with the settings of a request."""
+    return Scorer(
         splats,
-        used,
-        request.effort,
         request.scoring,
         workspace=request.workspace,
         executor=request.executor,
         progress=progress,
     )
-    all_scored = len(views) == len(used)
-    single = single_camera_share(scores, request.scoring)
-    if not (left_out and all_scored and single > _OVERLAP_LIMIT):
-        return _given_views(request, views, scores)
-    # Large arrays: the next pass needs their memory.
-    del scores
-    return _score_planned(splats, request, progress, views)
 
 
 def _given_views(
@@ -135,12 +135,18 @@ def _test_views(request: EncodeRequest, scored: Sequence[Camera]) -> tuple[Seque
 
 
 def _score_planned(
-    splats: Splats, request: EncodeRequest, progress: Progress, given: Sequence[Camera] = ()
+    splats: Splats,
+    request: EncodeRequest,
+    progress: Progress,
+    scorer: Scorer | None = None,
+    given: Sequence[Camera] = (),
 ) -> ScoredViews:
-    """Score a scene in planned views, and in given cameras that overlap too little."""
+    """Score a scene in planned views, and in given cameras that overlap too little.
+
+    `scorer` has the scores in the given cameras; None without such cameras.
+    """
     planned = _plan_views(splats, request, progress)
-    settings = request.scoring
-    settings = replace(settings, jitter=settings.jitter and request.effort.planned_jitter)
+    jittered = request.scoring.jitter and request.effort.planned_jitter
     views = [*given, *planned.views]
     if given:
         tests, origin = _test_views(request, given)
@@ -148,19 +154,15 @@ def _score_planned(
         tests, origin = request.test_views, "given" if request.test_views else "none"
     else:
         tests, origin = planned.test_views, "planned"
-    without_views = ScoredViews(None, (), tests, settings.jitter, EncodeReport(test_views=origin))
+    without_views = ScoredViews(None, (), tests, jittered, EncodeReport(test_views=origin))
     if not views:
         return without_views
+    if scorer is None:
+        scorer = _scorer(splats, request, progress)
+    scorer.add(planned.views, jittered=jittered)
+    scorer.add(planned.covering_views, covering=True)
     try:
-        scores = score(
-            splats,
-            views,
-            settings,
-            covering=planned.covering_views,
-            workspace=request.workspace,
-            executor=request.executor,
-            progress=progress,
-        )
+        scores = scorer.scores()
     except DataError as error:
         if error.code != "cameras-see-nothing":
             raise
@@ -173,7 +175,7 @@ def _score_planned(
         ) from error
     found = "given and planned" if given else "planned"
     report = EncodeReport(views=found, test_views=origin, coverage=planned.coverage)
-    return ScoredViews(scores, views, tests, settings.jitter, report)
+    return ScoredViews(scores, views, tests, jittered, report)
 
 
 def _plan_views(splats: Splats, request: EncodeRequest, progress: Progress) -> ViewPlan:
@@ -187,7 +189,7 @@ def _plan_views(splats: Splats, request: EncodeRequest, progress: Progress) -> V
         return ViewPlan([], [], [], 1.0)
 
 
-def single_camera_share(scores: Scores, config: ScoreConfig) -> float:
+def single_camera_share(scores: Scores | ViewSums, config: ScoreConfig) -> float:
     """Return the share of all contribution from splats that only one camera shows.
 
     It estimates the part of a picture from a further camera that the scored cameras do not show
@@ -195,7 +197,7 @@ def single_camera_share(scores: Scores, config: ScoreConfig) -> float:
 
     Parameters
     ----------
-    scores : Scores
+    scores : Scores or ViewSums
         Scores in the cameras.
     config : ScoreConfig
         Settings of the scoring pass. A splat counts as shown by one camera if it was seen at most
@@ -209,6 +211,7 @@ def single_camera_share(scores: Scores, config: ScoreConfig) -> float:
     Examples
     --------
     >>> import cogsplat
+    >>> from cogsplat.codec.scoring.contribution import score
     >>> splats = cogsplat.read("scene.ply")
     >>> cameras = cogsplat.read_cameras("cameras.json")[:8]
     >>> config = ScoreConfig()
@@ -228,14 +231,12 @@ def score_given(
     preset: Preset,
     config: ScoreConfig,
     *,
-    workspace: Workspace = IN_MEMORY,
-    executor: Executor | None = None,
     progress: Progress = silent,
 ) -> tuple[list[Camera], Scores]:
     """Score a scene in the preset's share of the given views, or in more where they overlap little.
 
-    Where single cameras show much that no other shows, as in rooms with walls between them, the
-    number of views is multiplied by four until they overlap or all are scored.
+    Where single cameras show much that no other shows, as in rooms with walls between them, as many
+    views again are added until they overlap or all are scored.
 
     Parameters
     ----------
@@ -247,31 +248,38 @@ def score_given(
         Number of views to begin with.
     config : ScoreConfig
         Scoring settings.
-    workspace : Workspace
-        Allocator of the scores.
-    executor : Executor, optional
-        Runs the work of single views; None for threads of this process.
     progress : Progress
         Called with ``score``.
 
     Returns
     -------
     (list of Camera, Scores)
-        Scored views, evenly spread over the given ones, and the scores in them.
+        Scored views in the order of the given ones, and the scores in them.
 
     Raises
     ------
     DataError
         ``no-cameras``, ``cameras-see-nothing``.
     """
-    views = preset.views(cameras)
+    scorer = Scorer(splats, config, progress=progress)
+    views = _add_given(scorer, cameras, preset, config)
+    return views, scorer.scores()
+
+
+def _add_given(
+    scorer: Scorer, cameras: Sequence[Camera], preset: Preset, config: ScoreConfig
+) -> list[Camera]:
+    """Score given views until they overlap or all are scored; return those that were scored."""
+    count = len(preset.views(cameras))
+    scored: list[int] = []
     while True:
-        scores = score(
-            splats, views, config, workspace=workspace, executor=executor, progress=progress
-        )
+        rest = [number for number in range(len(cameras)) if number not in set(scored)]
+        further = sample_evenly(rest, count - len(scored)) if rest else []
+        scorer.add([cameras[number] for number in further], jittered=config.jitter)
+        scored = sorted([*scored, *further])
         if (
-            len(views) == len(cameras)
-            or single_camera_share(scores, config) <= _SINGLE_CAMERA_LIMIT
+            len(scored) == len(cameras)
+            or single_camera_share(scorer.sums, config) <= _SINGLE_CAMERA_LIMIT
         ):
-            return views, scores
-        views = sample_evenly(cameras, min(_RETRY_FACTOR * len(views), len(cameras)))
+            return [cameras[number] for number in scored]
+        count = min(_GROWTH * count, len(cameras))

@@ -28,8 +28,9 @@ _ZERO = np.float32(0.0)
 
 WEIGHT, SQUARE, PEAK = range(3)
 """Columns of a view's sums over pixels, with weights w = T·alpha: Σw, Σw² and the largest w."""
-# Offsets of these sums, and of one row of weights, in the lanes of a tile.
-_SQUARES, _PEAKS, _ROW = np.uintp(TILE), np.uintp(2 * TILE), np.uintp(3 * TILE)
+# Offsets of these sums, of the largest transmittance taken, and of one row of weights, in the lanes
+# of a tile.
+_SQUARES, _PEAKS, _TAKEN, _ROW = (np.uintp(k * TILE) for k in range(1, 5))
 
 # Splats of a pixel at most: ln(1e-4) / ln(1 - 1/255) = 2344 splats of the smallest alpha.
 MAX_WEIGHTS = 2346
@@ -37,7 +38,7 @@ MAX_WEIGHTS = 2346
 
 @called_with(
     "int64, int64[::1], int32[::1], float32[:, ::1], int32[:, ::1], int64, int64, float32, "
-    "float32[:, ::1], int64, int64"
+    "float32[:, ::1], boolean[::1], int64, int64"
 )
 @kernel
 def _weigh(
@@ -50,6 +51,7 @@ def _weigh(
     height: int,
     least_weight: np.float32,
     sums: NDArray[np.float32],
+    acts: NDArray[np.bool_],
     first: int,
     last: int,
 ) -> None:
@@ -67,12 +69,15 @@ def _weigh(
         Smaller weights are left out of Σw.
     sums : (P, 3) float32
         Output: Σw, Σw² and the largest w of each pair.
+    acts : (P,) bool
+        Output: whether the pair changes the transmittance of a pixel: one that ends a pixel does,
+        without a weight.
     first, last : int
         Half-open range of tiles.
     """
     live = np.empty(PIXELS, np.float32)
-    # Σw, Σw² and the largest w by column of the tile.
-    lanes = np.empty(3 * TILE, np.float32)
+    # Σw, Σw², the largest w and the largest transmittance taken, by column of the tile.
+    lanes = np.empty(4 * TILE, np.float32)
     for tile in range(first, last):
         top, left, num_rows, num_columns = tile_area(tile, width, height)
         open_pixels(live, num_rows, num_columns)
@@ -92,23 +97,29 @@ def _weigh(
                 for lane in range(LANES):
                     at = base + lane
                     u = narrow * (np.float32(lane) - row_x)
-                    _, _, weight, _, after = blend_pixel(live[at], opacity, row_exponent - u * u)
+                    before = live[at]
+                    _, _, weight, _, after = blend_pixel(before, opacity, row_exponent - u * u)
                     live[at] = after
                     lanes[lane] += weight if weight >= least_weight else _ZERO
                     lanes[lane + _SQUARES] += weight * weight
                     lanes[lane + _PEAKS] = max(lanes[lane + _PEAKS], weight)
+                    lanes[lane + _TAKEN] = max(lanes[lane + _TAKEN], before - after)
             weights = _ZERO
             squares = _ZERO
             peak = _ZERO
+            taken = _ZERO
             for lane in range(LANES):
                 weights += lanes[lane]
                 squares += lanes[lane + _SQUARES]
                 peak = max(peak, lanes[lane + _PEAKS])
+                taken = max(taken, lanes[lane + _TAKEN])
             sums[pair, WEIGHT] = weights
             sums[pair, SQUARE] = squares
             sums[pair, PEAK] = peak
+            acts[pair] = taken > _ZERO
             if all_ended(pair, live):
                 for rest in range(pair + 1, end):
+                    acts[rest] = False
                     for column in range(3):
                         sums[rest, column] = _ZERO
                 break
@@ -125,6 +136,7 @@ def _weigh_largest(
     height: int,
     top_k: int,
     sums: NDArray[np.float32],
+    acts: NDArray[np.bool_],
     first: int,
     last: int,
 ) -> None:
@@ -134,8 +146,8 @@ def _weigh_largest(
     because selecting the largest weights would double the time of the loop over lanes of `_weigh`.
     """
     live = np.empty(PIXELS, np.float32)
-    # By column of the tile: unused, Σw², the largest w, and the weights of one row.
-    lanes = np.empty(4 * TILE, np.float32)
+    # By column of the tile: unused, Σw², the largest w and transmittance, and one row of weights.
+    lanes = np.empty(5 * TILE, np.float32)
     # The K largest weights of each pixel so far, their pairs, and the threshold for the next one.
     best = np.empty((PIXELS, top_k), np.float32)
     owners = np.empty((PIXELS, top_k), np.int64)
@@ -164,10 +176,12 @@ def _weigh_largest(
                 for lane in range(LANES):
                     at = base + lane
                     u = narrow * (np.float32(lane) - row_x)
-                    _, _, weight, _, after = blend_pixel(live[at], opacity, row_exponent - u * u)
+                    before = live[at]
+                    _, _, weight, _, after = blend_pixel(before, opacity, row_exponent - u * u)
                     live[at] = after
                     lanes[lane + _SQUARES] += weight * weight
                     lanes[lane + _PEAKS] = max(lanes[lane + _PEAKS], weight)
+                    lanes[lane + _TAKEN] = max(lanes[lane + _TAKEN], before - after)
                     lanes[lane + _ROW] = weight
                     above_bar += int(weight > bar[at])
                 if above_bar > 0:
@@ -196,14 +210,18 @@ def _weigh_largest(
                             bar[at] = best[at, low]
             squares = _ZERO
             peak = _ZERO
+            taken = _ZERO
             for lane in range(LANES):
                 squares += lanes[lane + _SQUARES]
                 peak = max(peak, lanes[lane + _PEAKS])
+                taken = max(taken, lanes[lane + _TAKEN])
             sums[pair, WEIGHT] = _ZERO
             sums[pair, SQUARE] = squares
             sums[pair, PEAK] = peak
+            acts[pair] = taken > _ZERO
             if all_ended(pair, live):
                 for rest in range(pair + 1, end):
+                    acts[rest] = False
                     for column in range(3):
                         sums[rest, column] = _ZERO
                 break
@@ -221,7 +239,7 @@ def add_weights(
     sums: NDArray[np.float64],
     *,
     least_weight: float = 0.0,
-) -> None:
+) -> NDArray[np.bool_]:
     """Add the weights of each footprint in the pixels of the tiles of `lists`.
 
     Parameters
@@ -241,8 +259,14 @@ def add_weights(
         Columns `WEIGHT`, `SQUARE` and `PEAK`, changed in place.
     least_weight : float
         Minimum of the weights that count in Σw; ignored unless `top_k` is 0.
+
+    Returns
+    -------
+    (P,) bool
+        Mask of the pairs that change a pixel. Without the others, pictures are the same.
     """
     pair_sums = np.empty((len(lists.members), 3), np.float32)
+    acts = np.empty(len(lists.members), np.bool_)
     by_size = 0 < top_k < MAX_WEIGHTS
     of_tiles = (
         lists.first,
@@ -254,8 +278,9 @@ def add_weights(
         camera.height,
     )
     if by_size:
-        lists.for_ranges(partial(_weigh_largest, *of_tiles, top_k, pair_sums), threads)
+        lists.for_ranges(partial(_weigh_largest, *of_tiles, top_k, pair_sums, acts), threads)
     else:
         least = np.float32(least_weight if top_k == 0 else 0.0)
-        lists.for_ranges(partial(_weigh, *of_tiles, least, pair_sums), threads)
+        lists.for_ranges(partial(_weigh, *of_tiles, least, pair_sums, acts), threads)
     add_pair_sums(lists.members, pair_sums, sums, 1)
+    return acts

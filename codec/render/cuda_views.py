@@ -34,7 +34,7 @@ from .projection import (
     Y,
     project,
 )
-from .sensitivities import COLUMNS
+from .sensitivities import COLUMNS, SQUARES
 from .tiles import TILE
 
 F32 = NDArray[np.float32]
@@ -105,26 +105,41 @@ class CudaView:
                 sums[:, PEAK] = torch.maximum(sums[:, PEAK], peaks)
         return self._array(sums)
 
-    def moments(self) -> F64:
-        """Return the sums from which sensitivities are computed, (M, 13) float64.
+    def moments(self, tiles: NDArray[np.bool_]) -> F64:
+        """Return the sums from which sensitivities are computed.
 
-        The first nine columns are the moments of each footprint (see `sensitivities._moments`).
+        Parameters
+        ----------
+        tiles : (T,) bool
+            Mask of the tiles of the picture that are measured.
+
+        Returns
+        -------
+        (M, 13) float64
+            The first ten columns are the moments of each footprint (see `sensitivities._moments`).
         """
         import torch
 
         sums = torch.zeros(
             (len(self.colours), COLUMNS), dtype=torch.float64, device=self._depths.device
         )
+        by_tile = tiles.reshape(-1, -(-self._camera.width // TILE))
+        pixels = by_tile.repeat(TILE, 0).repeat(TILE, 1)
+        pixels = pixels[: self._camera.height, : self._camera.width].ravel()
+        measured = torch.tensor(pixels, device=self._depths.device)
         with within_device_memory():
             # Without a background, as in `add_moments`.
             pictures = self._pictures((0.0, 0.0, 0.0))
             for pairs in self.pairs():
                 by_log_alpha = pairs.colour_derivatives(self._colours, pictures)
-                g = by_log_alpha.square().sum(1) * pairs.free
+                counts = measured[pairs.pixel]
+                g = by_log_alpha.square().sum(1) * (pairs.free & counts)
                 u, v = pairs.u.double(), pairs.v.double()
                 powers = ((0, 0), (2, 0), (1, 1), (0, 2), (4, 0), (3, 1), (2, 2), (1, 3), (0, 4))
                 for column, (p, q) in enumerate(powers):
                     sums[:, column].index_add_(0, pairs.splat, g * u**p * v**q)
+                squares = pairs.weight.square() * counts
+                sums[:, SQUARES].index_add_(0, pairs.splat, squares)
         return self._array(sums)
 
     def loss_sums(self, by_picture: F32, background: Sequence[float]) -> F64:

@@ -76,6 +76,19 @@ class Footprints:
     def __len__(self) -> int:
         return len(self.index)
 
+    def only(self, kept: NDArray[np.bool_]) -> Footprints:
+        """Return the footprints of a mask, (M,) bool, nearest first."""
+        by_row = np.empty_like(kept)
+        by_row[self.order] = kept
+        ranks = np.cumsum(by_row, dtype=np.int32) - np.int32(1)
+        return Footprints(
+            self.index[kept],
+            ranks[self.order[kept]],
+            self.ellipse[kept],
+            self.rows[kept],
+            self.added[kept],
+        )
+
     def sorted_rows(self) -> NDArray[np.int32]:
         """Return `index` in ascending order, (M,): the order in which a scene is read fastest."""
         rows = np.empty_like(self.index)

@@ -49,12 +49,15 @@ _ZERO = np.float32(0.0)
 _ONE = np.float32(1.0)
 
 PAIRS_AT_ONCE = 1 << 22
-"""Pairs of a tile and a splat listed at once, at most; each takes 36 bytes of moments."""
+"""Pairs of a tile and a splat listed at once, at most; each takes 40 bytes of moments."""
 
-# Moments Σ g·u^p·v^q (see `_moments`), named by p and q, and their rows in a tile's lanes.
-M00, M20, M11, M02, M40, M31, M22, M13, M04 = range(9)
-MOMENTS = 9
-_L20, _L11, _L02, _L40, _L31, _L22, _L13, _L04 = (np.uintp(k * TILE) for k in range(1, MOMENTS))
+# Moments Σ g·u^p·v^q (see `_moments`), named by p and q, then Σw², and their rows in a tile's
+# lanes.
+M00, M20, M11, M02, M40, M31, M22, M13, M04, SQUARES = range(10)
+MOMENTS = 10
+_L20, _L11, _L02, _L40, _L31, _L22, _L13, _L04, _LW = (
+    np.uintp(k * TILE) for k in range(1, MOMENTS)
+)
 
 # Columns of a view's sensitivities.
 _OPACITY, _MEANS, _SCALES, _ROTATIONS, _SH0 = 0, 1, 4, 7, 10
@@ -137,9 +140,9 @@ def _moments(
     """Sum the moments of every pair of a tile and a splat, for the tiles ``first`` to ``last``.
 
     (u, v) is the offset from the centre, scaled so that alpha is ``opacity · exp(-u² - v²)``. With
-    g = Σ over channels of (∂C/∂alpha · alpha)², the moments are Σ over pixels of g·u^p·v^q. The
-    derivative ∂C/∂alpha is T·c minus the colour behind the splat over 1 - alpha (Kerbl et al. 2023,
-    appendix C), so each tile is walked twice.
+    g = Σ over channels of (∂C/∂alpha · alpha)², the moments are Σ over pixels of g·u^p·v^q, and of
+    w². The derivative ∂C/∂alpha is T·c minus the colour behind the splat over 1 - alpha (Kerbl et
+    al. 2023, appendix C), so each tile is walked twice.
     """
     state = np.empty(PLANES * PIXELS, np.float32)
     lanes = np.empty(MOMENTS * TILE, np.float32)
@@ -213,6 +216,7 @@ def _moments(
                     lanes[lane + _L22] += guu * vv
                     lanes[lane + _L13] += gu * vv * v
                     lanes[lane + _L04] += gvv * vv
+                    lanes[lane + _LW] += weight * weight
             store_lane_sums(lanes, sums, MOMENTS, pair)
 
 
@@ -239,7 +243,7 @@ def add_moments(
     threads : int
         Number of threads, at least 1. The sums do not depend on it.
     moments : (M, 13) float64
-        Moments in the first nine columns (see `_moments`), changed in place.
+        Moments in the first ten columns (see `_moments`), changed in place.
     """
     pair_sums = np.empty((len(lists.members), MOMENTS), np.float32)
     everything = np.ones(len(footprints), np.bool_)
@@ -274,7 +278,7 @@ def _quartic_sum(moments: NDArray[np.float64], c: float, p: float, q: float, r: 
 
 
 @called_with(
-    "int32[::1], int32[::1], float32[:, ::1], float64[:], float32[:, ::1], "
+    "int32[::1], int32[::1], float32[:, ::1], float32[:, ::1], "
     "float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[::1], float64[:, ::1], "
     "float64[::1], float64[::1], int64, int64, float32[:, ::1], float64[:, ::1]"
 )
@@ -283,7 +287,6 @@ def _moments_to_sensitivities(
     index: NDArray[np.int32],
     order: NDArray[np.int32],
     ellipse: NDArray[np.float32],
-    squares: NDArray[np.float64],
     colours: NDArray[np.float32],
     means: NDArray[np.float32],
     scales: NDArray[np.float32],
@@ -308,8 +311,6 @@ def _moments_to_sensitivities(
         from a file.
     ellipse : (M, 8) float32
         `Footprints.ellipse`.
-    squares : (M,) float64
-        Sum of squared blending weights of each footprint.
     colours : (M, 3) float32
         Colours of the footprints.
     means, scales, quats, opacities
@@ -341,7 +342,7 @@ def _moments_to_sensitivities(
             columns[row, k] = 0.0
         for channel in range(3):
             if colours[row, channel] > 0.0:
-                columns[row, _SH0 + channel] = sh.C0 * sh.C0 / 3.0 * squares[row]
+                columns[row, _SH0 + channel] = sh.C0 * sh.C0 / 3.0 * m[SQUARES]
         if not m[M00] > 0.0:
             continue
         rest = 1.0 / (1.0 + math.exp(float(opacities[i])))
@@ -430,7 +431,6 @@ def view_sensitivities(
     footprints: Footprints,
     colours: NDArray[np.float32],
     moments: NDArray[np.float64],
-    squares: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Convert the moments of one view to the sensitivities of the stored values, in place.
 
@@ -439,10 +439,8 @@ def view_sensitivities(
     splats, camera, footprints, colours
         Inputs of `add_moments`.
     moments : (M, 13) float64
-        Moments over all tiles, from `add_moments`; overwritten, because a second such array of a
-        large view would take as much memory as the scene.
-    squares : (M,) float64
-        Sum over pixels of the squared weight of each footprint.
+        Moments over all measured tiles, from `add_moments`; overwritten, because a second such
+        array of a large view would take as much memory as the scene.
 
     Returns
     -------
@@ -454,7 +452,6 @@ def view_sensitivities(
         footprints.index,
         footprints.row_order(),
         footprints.ellipse,
-        squares,
         colours,
         splats.means,
         splats.scales,

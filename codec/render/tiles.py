@@ -50,6 +50,20 @@ class TileLists:
         edges = np.unique(np.concatenate(([self.first], cuts, [self.last])))
         return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
 
+    def of_pairs(self, kept: NDArray[np.bool_]) -> TileLists:
+        """Return the lists of the pairs of a mask, (P,) bool."""
+        before = np.zeros(len(kept) + 1, np.int64)
+        np.cumsum(kept, out=before[1:])
+        return TileLists(self.first, self.last, before[self.starts], self.members[kept])
+
+    def pairs_in(self, tiles: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return a mask of the pairs, (P,) bool, in the tiles of a mask of all tiles, (T,) bool."""
+        return np.repeat(tiles[self.first : self.last], np.diff(self.starts))
+
+    def renumbered(self, places: NDArray[np.int32]) -> TileLists:
+        """Return the lists with each member m replaced by ``places[m]``."""
+        return TileLists(self.first, self.last, self.starts, places[self.members])
+
     def for_ranges(self, work: Callable[[int, int], object], threads: int) -> None:
         """Call ``work(first, last)`` for half-open ranges of tiles on several threads.
 
@@ -65,28 +79,47 @@ class TileLists:
             pass
 
 
+def sampled_tiles(width: int, height: int, every: int, phase: int) -> NDArray[np.bool_]:
+    """Return a mask of one in `every` tiles of an image, spread evenly.
+
+    Parameters
+    ----------
+    width, height : int
+        Image size, px.
+    every : int
+        Interval of the tiles, at least 1.
+    phase : int
+        Number of the sample: in `every` consecutive samples each tile occurs once.
+
+    Returns
+    -------
+    (T,) bool
+        By tile, row by row.
+    """
+    rows = np.arange(-(-height // TILE))[:, None]
+    columns = np.arange(-(-width // TILE))
+    # Half the interval from row to row keeps the tiles of a sample apart.
+    chosen: NDArray[np.bool_] = (columns + (every + 1) // 2 * rows + phase) % every == 0
+    return chosen.ravel()
+
+
+def sampled_pixels(width: int, height: int, tiles: NDArray[np.bool_]) -> int:
+    """Return the number of pixels in the tiles of a mask by tile of the image, (T,) bool."""
+    rows = np.diff(np.append(np.arange(0, height, TILE), height))
+    columns = np.diff(np.append(np.arange(0, width, TILE), width))
+    return int(np.outer(rows, columns).ravel()[tiles].sum())
+
+
 @inner_kernel
-def _tile_columns(
-    ellipse: NDArray[np.float32], first_row: int, last_row: int, width: int
-) -> tuple[int, int]:
-    """Return the half-open range of tile columns that an ellipse reaches between two image rows."""
-    x, y = float(ellipse[X]), float(ellipse[Y])
-    shear = float(ellipse[SHEAR])
-    half_width, half_height = float(ellipse[HALF_WIDTH]), float(ellipse[HALF_HEIGHT])
-    reach = math.sqrt(half_width * half_width + shear * shear * half_height * half_height)
-    # Offset of the row in which the ellipse extends furthest right; negated, furthest left.
-    furthest = 0.0
-    if reach > 0.0:
-        furthest = shear * half_height * (half_height / reach)
-    low = max(first_row + 0.5 - y, -half_height)
-    high = min(last_row - 0.5 - y, half_height)
-    right_row = min(max(furthest, low), high)
-    left_row = min(max(-furthest, low), high)
-    share = right_row / half_height if half_height > 0.0 else 0.0
-    right = x + shear * right_row + half_width * math.sqrt(max(0.0, 1.0 - share * share))
-    share = left_row / half_height if half_height > 0.0 else 0.0
-    left = x + shear * left_row - half_width * math.sqrt(max(0.0, 1.0 - share * share))
-    margin = slack(x, reach + abs(shear) * half_height)
+def _reach(ellipse: NDArray[np.float32]) -> float:
+    """Return half the width of an ellipse's box, px."""
+    half_width, tilt = float(ellipse[HALF_WIDTH]), float(ellipse[SHEAR] * ellipse[HALF_HEIGHT])
+    return math.sqrt(half_width * half_width + tilt * tilt)
+
+
+@inner_kernel
+def _columns_between(left: float, right: float, margin: float, width: int) -> tuple[int, int]:
+    """Return the half-open range of tile columns between two positions, px, with a margin."""
     # Clamped as floats: a NaN or a huge value must not reach the integers.
     left = left - 0.5 - margin
     if not left > 0.0:
@@ -97,6 +130,34 @@ def _tile_columns(
     if not left <= right:
         return 0, 0
     return math.ceil(left) // TILE, math.floor(right) // TILE + 1
+
+
+@inner_kernel
+def _tile_columns(
+    ellipse: NDArray[np.float32], reach: float, first_row: int, last_row: int, width: int
+) -> tuple[int, int]:
+    """Return the half-open range of tile columns that an ellipse reaches between two image rows."""
+    x, y = float(ellipse[X]), float(ellipse[Y])
+    shear = float(ellipse[SHEAR])
+    half_width, half_height = float(ellipse[HALF_WIDTH]), float(ellipse[HALF_HEIGHT])
+    margin = slack(x, reach + abs(shear) * half_height)
+    left, right = _columns_between(x - reach, x + reach, margin, width)
+    if right - left <= 1:
+        # Most splats of a large scene are small: their box is in one tile.
+        return left, right
+    # Offset of the row in which the ellipse extends furthest right; negated, furthest left.
+    furthest = 0.0
+    if reach > 0.0:
+        furthest = shear * half_height * (half_height / reach)
+    low = max(first_row + 0.5 - y, -half_height)
+    high = min(last_row - 0.5 - y, half_height)
+    right_row = min(max(furthest, low), high)
+    left_row = min(max(-furthest, low), high)
+    share = right_row / half_height if half_height > 0.0 else 0.0
+    right_end = x + shear * right_row + half_width * math.sqrt(max(0.0, 1.0 - share * share))
+    share = left_row / half_height if half_height > 0.0 else 0.0
+    left_end = x + shear * left_row - half_width * math.sqrt(max(0.0, 1.0 - share * share))
+    return _columns_between(left_end, right_end, margin, width)
 
 
 @called_with("float32[:, ::1], int32[:, ::1], int64, int64, int64[::1]")
@@ -110,10 +171,11 @@ def _count(
 ) -> None:
     """Count the footprints that may reach each tile; `counts`, by tile, is increased in place."""
     for i in range(len(ellipse)):
+        reach = _reach(ellipse[i])
         for tile_y in range(rows[i, 0] // TILE, (rows[i, 1] + TILE - 1) // TILE):
             top = max(rows[i, 0], tile_y * TILE)
             bottom = min(rows[i, 1], tile_y * TILE + TILE)
-            left, right = _tile_columns(ellipse[i], top, bottom, width)
+            left, right = _tile_columns(ellipse[i], reach, top, bottom, width)
             for tile in range(tile_y * tiles_x + left, tile_y * tiles_x + right):
                 counts[tile] += 1
 
@@ -152,10 +214,11 @@ def _fill(
     for i in range(len(ellipse)):
         begin = max(rows[i, 0] // TILE, top_tile)
         end = min((rows[i, 1] + TILE - 1) // TILE, bottom_tile)
+        reach = _reach(ellipse[i])
         for tile_y in range(begin, end):
             top = max(rows[i, 0], tile_y * TILE)
             bottom = min(rows[i, 1], tile_y * TILE + TILE)
-            left, right = _tile_columns(ellipse[i], top, bottom, width)
+            left, right = _tile_columns(ellipse[i], reach, top, bottom, width)
             for tile in range(
                 max(tile_y * tiles_x + left, first), min(tile_y * tiles_x + right, last)
             ):

@@ -15,26 +15,18 @@ from cogsplat.codec.executor import Executor, LocalThreads
 from cogsplat.codec.finite_fields import require_finite
 from cogsplat.codec.geometry.frustum import NEAR
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.codec.render.blend_weights import PEAK, SQUARE, add_weights
+from cogsplat.codec.render.blend_weights import PEAK, SQUARE
 from cogsplat.codec.render.cuda_device import require_device
 from cogsplat.codec.render.cuda_views import CudaScene
-from cogsplat.codec.render.projection import Footprints, project
-from cogsplat.codec.render.sensitivities import (
-    COLUMNS,
-    PAIRS_AT_ONCE,
-    Sensitivities,
-    add_moments,
-    from_columns,
-    view_sensitivities,
-)
-from cogsplat.codec.render.shading import footprint_colours
-from cogsplat.codec.render.tiles import TileLists, tile_lists
+from cogsplat.codec.render.sensitivities import COLUMNS, Sensitivities, from_columns
+from cogsplat.codec.render.tiles import sampled_pixels, sampled_tiles
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
 from cogsplat.codec.threads import thread_count
 from cogsplat.codec.views.view_sets import jitter
 from cogsplat.codec.workspace import IN_MEMORY, Gather, Workspace
 
-from .view_sums import ViewSums, add_rows, sort_by_row
+from .view_scores import ViewScores, score_on_device, score_view
+from .view_sums import ViewSums, add_rows
 
 _BASES = sh_coefficients(MAX_SH_DEGREE)
 
@@ -66,6 +58,9 @@ MAX_VIEW_PARALLEL_SPLATS = 2_000_000
 The sums of one view take up to 0.4 kB for each splat in it.
 """
 
+# Rows scaled at once.
+_BLOCK = 1 << 16
+
 
 @dataclass(frozen=True)
 class ScoreConfig:
@@ -88,8 +83,8 @@ class ScoreConfig:
     threads : int
         Number of threads; 0 for every core this process may use. Scores do not depend on it.
     sensitivity_every : int
-        Interval of the views in which `Sensitivities` are measured: every n-th view; 0 for none.
-        At 1 they double the run time.
+        Interval of the tiles of each view in which `Sensitivities` are measured: one in n tiles,
+        others in the next view; 0 for none. At 1 they double the run time.
     colour_sensitivity : bool
         Whether to compute `Scores.colour_sensitivity`, which takes 128 bytes per splat.
     device : str
@@ -217,99 +212,169 @@ def zero_scores(splats: int) -> Scores:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _ViewScores:
-    """Weight sums and sensitivities of one view, for the splats whose footprints reach it.
+class Scorer:
+    """Running scores of a scene, to which views are added until they show enough of it.
 
     Parameters
     ----------
-    index : (M,) int32
-        Rows of the splats in the scene, ascending.
-    weight_sums : (M, 3) float64
-        Sums of the blending weights, from `add_weights`, in the order of `index`.
-    sensitivity_rows : (M,) int32
-        Row of `sensitivities` for each row of `index`.
-    sensitivities : (M, 13) float64 or None
-        Result of `view_sensitivities`, nearest splat first; None if not measured in this view.
+    splats, config, workspace, executor, progress
+        See `score`.
+
+    Attributes
+    ----------
+    sums : ViewSums
+        Sums over the views so far.
     """
 
-    index: NDArray[np.int32]
-    weight_sums: NDArray[np.float64]
-    sensitivity_rows: NDArray[np.int32]
-    sensitivities: NDArray[np.float64] | None
+    def __init__(
+        self,
+        splats: Splats,
+        config: ScoreConfig,
+        *,
+        workspace: Workspace = IN_MEMORY,
+        executor: Executor | None = None,
+        progress: Progress = silent,
+    ) -> None:
+        if executor is not None and config.device == "cuda":
+            raise ValueError("an executor and the device cuda, expected one of them")
+        n = len(splats)
+        self.sums = ViewSums(splats, config.colour_sensitivity, workspace.zeros)
+        measured = n if config.sensitivity_every else 0
+        self._columns: NDArray[np.float64] = workspace.zeros((measured, COLUMNS), np.float64)
+        self._splats = splats
+        self._config = config
+        self._workspace = workspace
+        self._executor = executor
+        self._progress = progress
+        self._device = CudaScene(splats) if config.device == "cuda" else None
+        # Views so far, cameras among them; pixels by weight of their views, and measured ones.
+        self._views = 0
+        self._cameras = 0
+        self._num_pixels = 0
+        self._pixels = 0.0
+        self._measured_pixels = 0.0
 
+    def add(
+        self, cameras: Sequence[Camera], *, jittered: bool = False, covering: bool = False
+    ) -> None:
+        """Score further views.
 
-def _score_view(
-    view: tuple[Camera, bool],
-    splats: Splats,
-    *,
-    config: ScoreConfig,
-    threads: int,
-) -> _ViewScores:
-    """Score one view; `view` is its camera and whether to measure sensitivities."""
-    camera, sensitive = view
-    footprints = project(splats, camera, near_plane=config.near_plane)
-    sums = np.zeros((len(footprints), 3), np.float64)
+        Parameters
+        ----------
+        cameras : sequence of Camera
+            Cameras in the frame of the means.
+        jittered : bool
+            Whether to score `ScoreConfig.jitter_copies` of each camera as well.
+        covering : bool
+            Whether the views count as ``covering`` of `score`.
+        """
+        config, every = self._config, self._config.sensitivity_every
+        views = list(cameras)
+        shares = [0.0 if covering else 1.0] * len(views)
+        if jittered:
+            copies = jitter(self._splats, cameras, config.jitter_copies, self._cameras)
+            views += copies
+            shares += [1.0 / config.jitter_copies] * len(copies)
+        if not covering:
+            self._cameras += len(cameras)
+        if not views:
+            return
+        numbers = range(self._views, self._views + len(views))
+        self._views += len(views)
+        # The phase moves on from run to run: jittered copies alternate between two kinds, and a
+        # fixed phase would always meet the same kind.
+        phases = [
+            (number + number // every) % every if every and share else -1
+            for number, share in zip(numbers, shares, strict=True)
+        ]
+        work = list(zip(views, phases, strict=True))
+        self._progress("score", numbers.start, self._views)
+        for done, result in enumerate(self._results(work)):
+            self._add(result, *work[done], shares[done])
+            self._workspace.trim()
+            self._progress("score", numbers[done] + 1, self._views)
 
-    def weigh(lists: TileLists) -> None:
-        least = config.least_weight
-        add_weights(lists, footprints, camera, config.top_k, threads, sums, least_weight=least)
-
-    if not sensitive:
-        for lists in tile_lists(footprints, camera.width, camera.height):
-            weigh(lists)
-        return _view_scores(footprints, sums, None)
-    colours = footprint_colours(splats, camera, footprints)
-    moments = np.zeros((len(footprints), COLUMNS), np.float64)
-    for lists in tile_lists(footprints, camera.width, camera.height, PAIRS_AT_ONCE):
-        weigh(lists)
-        add_moments(lists, footprints, colours, camera, threads, moments)
-    columns = view_sensitivities(splats, camera, footprints, colours, moments, sums[:, SQUARE])
-    return _view_scores(footprints, sums, columns)
-
-
-def _view_scores(
-    footprints: Footprints,
-    weight_sums: NDArray[np.float64],
-    sensitivities: NDArray[np.float64] | None,
-) -> _ViewScores:
-    """Return the scores of a view with the weight sums sorted by row of the scene.
-
-    The sensitivities, the largest array, stay in the order of the footprints, nearest first.
-    """
-    return _ViewScores(
-        footprints.sorted_rows(),
-        sort_by_row(footprints, weight_sums),
-        footprints.row_order(),
-        sensitivities,
-    )
-
-
-def _score_on_device(
-    view: tuple[Camera, bool], splats: Splats, scene: CudaScene, config: ScoreConfig
-) -> _ViewScores:
-    """Score one view on a CUDA device; `view` is as for `_score_view`."""
-    camera, sensitive = view
-    shown = scene.view(camera, near_plane=config.near_plane)
-    footprints, sums = shown.footprints, shown.weights(config.top_k, config.least_weight)
-    columns = None
-    if sensitive:
-        moments = shown.moments()
-        columns = view_sensitivities(
-            splats, camera, footprints, shown.colours, moments, sums[:, SQUARE]
+    def _results(self, work: Sequence[tuple[Camera, int]]) -> Iterator[ViewScores]:
+        """Yield the scores of each view, in their order."""
+        config, splats = self._config, self._splats
+        if self._device is not None:
+            return (score_on_device(view, splats, self._device, config) for view in work)
+        threads = thread_count(config.threads)
+        by_view = self._executor is not None or (
+            self._workspace.views_at_once
+            and threads <= len(work)
+            and len(splats) <= MAX_VIEW_PARALLEL_SPLATS
         )
-    return _view_scores(footprints, sums, columns)
+        executor = self._executor or LocalThreads(threads if by_view else 1)
+        return executor.map(
+            partial(score_view, config=config, threads=1 if by_view else threads), work, splats
+        )
 
+    def _add(self, result: ViewScores, camera: Camera, phase: int, share: float) -> None:
+        """Add the scores of one view; a share of 0 is that of a covering view."""
+        num_pixels = camera.width * camera.height
+        self._num_pixels += num_pixels
+        self._pixels += share * num_pixels
+        sums = result.weight_sums
+        if not share:
+            sums[:, PEAK] *= COVERING_SHARE
+            sums[:, SQUARE] *= COVERING_ENERGY
+        self.sums.add(result.covered, result.seen, sums, camera.position, num_pixels, share)
+        if phase >= 0:
+            size = (camera.width, camera.height)
+            tiles = sampled_tiles(*size, self._config.sensitivity_every, phase)
+            self._measured_pixels += share * sampled_pixels(*size, tiles)
+            add_rows(
+                result.measured, result.measured_places, result.sensitivities, share, self._columns
+            )
 
-def _sensitivity_views(count: int, every: int) -> list[bool]:
-    """Return a list that marks the views with sensitivities: one in each run of `every` views.
+    def scores(self) -> Scores:
+        """Return the scores in all views added, which must be no more changed.
 
-    The position of the marked view varies from run to run: jittered copies alternate between two
-    kinds, and a fixed position would always meet the same kind.
-    """
-    if every == 0:
-        return [False] * count
-    return [(view + view // every) % every == 0 for view in range(count)]
+        Raises
+        ------
+        DataError
+            ``no-cameras`` without views, ``cameras-see-nothing`` if no splat reaches a pixel.
+        """
+        totals, n = self.sums, len(self._splats)
+        if not self._cameras:
+            raise DataError("no-cameras", "0 cameras to score with, expected at least 1")
+        if not totals.seen.any():
+            raise DataError(
+                "cameras-see-nothing",
+                f"none of {n} splats reaches a pixel of the {self._cameras} cameras, expected "
+                "cameras in the frame of the scene",
+            )
+        basis_mean, basis_spread = totals.basis_mean(), totals.basis_spread()
+        self._scale(totals.contribution, 1.0 / self._cameras)
+        for sums in (totals.energy, totals.bases):
+            self._scale(sums, 1.0 / self._pixels)
+        every = self._config.sensitivity_every
+        if every:
+            self._scale(self._columns, 1.0 / self._measured_pixels)
+        return Scores(
+            contribution=totals.contribution,
+            colour_sensitivity=(
+                totals.bases.max(axis=1)
+                if self._config.colour_sensitivity
+                else np.zeros(n, np.float64)
+            ),
+            energy=totals.energy,
+            largest_energy=totals.largest_energy,
+            peak=totals.peak,
+            seen=totals.seen,
+            covered=totals.covered,
+            basis_mean=basis_mean,
+            basis_spread=basis_spread,
+            num_pixels=self._num_pixels,
+            sensitivities=from_columns(self._columns) if every else None,
+        )
+
+    def _scale(self, values: NDArray[np.float64], factor: float) -> None:
+        """Multiply an array in place, by blocks: it may be mapped."""
+        for start in range(0, len(values), _BLOCK):
+            values[start : start + _BLOCK] *= factor
+            self._workspace.trim()
 
 
 def score(
@@ -370,90 +435,8 @@ def score(
     ((1000,), 2)
     """
     config = config or ScoreConfig()
-    if not cameras:
-        raise DataError("no-cameras", "0 cameras to score with, expected at least 1")
-    sets = [list(cameras)]
-    if config.jitter:
-        sets.append(jitter(splats, cameras, config.jitter_copies))
-    views: list[Camera] = []
-    shares: list[tuple[float, float]] = []
-    sensitive: list[float] = []
-    for members in sets:
-        pixels = sum(camera.width * camera.height for camera in members)
-        views += members
-        shares += [(1.0 / len(members), 1.0 / (pixels * len(sets)))] * len(members)
-        chosen = _sensitivity_views(len(members), config.sensitivity_every)
-        pixels = sum(
-            camera.width * camera.height
-            for camera, included in zip(members, chosen, strict=True)
-            if included
-        )
-        sensitive += [1.0 / (pixels * len(sets)) if included else 0.0 for included in chosen]
-    given = len(views)
-    views += covering
-    shares += [(0.0, 0.0)] * len(covering)
-    sensitive += [0.0] * len(covering)
-
-    totals = ViewSums(splats, config.colour_sensitivity, workspace.zeros)
-    n = len(splats)
-    columns = workspace.zeros((n if config.sensitivity_every else 0, COLUMNS), np.float64)
-    threads = thread_count(config.threads)
-    by_view = executor is not None or (
-        workspace.views_at_once and threads <= len(views) and n <= MAX_VIEW_PARALLEL_SPLATS
-    )
-    if executor is not None and config.device == "cuda":
-        raise ValueError("an executor and the device cuda, expected one of them")
-    if executor is None:
-        executor = LocalThreads(threads if by_view else 1)
-    work = list(zip(views, (share > 0.0 for share in sensitive), strict=True))
-    results: Iterator[_ViewScores]
-    if config.device == "cuda":
-        scene = CudaScene(splats)
-        results = (_score_on_device(view, splats, scene, config) for view in work)
-    else:
-        results = executor.map(
-            partial(_score_view, config=config, threads=1 if by_view else threads),
-            work,
-            splats,
-        )
-    progress("score", 0, len(views))
-    for done, result in enumerate(results):
-        view_share, pixel_share = shares[done]
-        camera = views[done]
-        num_pixels = camera.width * camera.height
-        sums = result.weight_sums
-        if done >= given:
-            sums[:, PEAK] *= COVERING_SHARE
-            sums[:, SQUARE] *= COVERING_ENERGY
-        totals.add(result.index, sums, camera.position, num_pixels, view_share, pixel_share)
-        if result.sensitivities is not None:
-            add_rows(
-                result.index,
-                result.sensitivity_rows,
-                result.sensitivities,
-                sensitive[done],
-                columns,
-            )
-        workspace.trim()
-        progress("score", done + 1, len(views))
-    if not totals.seen.any():
-        raise DataError(
-            "cameras-see-nothing",
-            f"none of {n} splats reaches a pixel of the {len(cameras)} cameras, expected cameras "
-            "in the frame of the scene",
-        )
-    return Scores(
-        contribution=totals.contribution,
-        colour_sensitivity=(
-            totals.bases.max(axis=1) if config.colour_sensitivity else np.zeros(n, np.float64)
-        ),
-        energy=totals.energy,
-        largest_energy=totals.largest_energy,
-        peak=totals.peak,
-        seen=totals.seen,
-        covered=totals.covered,
-        basis_mean=totals.basis_mean(),
-        basis_spread=totals.basis_spread(),
-        num_pixels=sum(camera.width * camera.height for camera in views),
-        sensitivities=from_columns(columns) if config.sensitivity_every else None,
-    )
+    scorer = Scorer(splats, config, workspace=workspace, executor=executor, progress=progress)
+    if cameras:
+        scorer.add(cameras, jittered=config.jitter)
+        scorer.add(covering, covering=True)
+    return scorer.scores()

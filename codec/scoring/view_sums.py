@@ -27,18 +27,18 @@ _BLOCK = 1 << 16
 
 
 @called_with(
-    "int32[::1], float64[:, ::1], float32[:, ::1], float64[::1], float64, float64, int64, "
+    "int32[::1], int32[::1], float64[:, ::1], float32[:, ::1], float64[::1], float64, int64, "
     "boolean, boolean, float64[::1], float64[:, ::1], float64[::1], float64[::1], "
     "float32[::1], int32[::1], int32[::1], float64[:, ::1], float64[:, ::1]"
 )
 @kernel
 def _add_view(
+    reached: NDArray[np.int32],
     index: NDArray[np.int32],
     sums: NDArray[np.float64],
     means: NDArray[np.float32],
     position: NDArray[np.float64],
-    view_share: float,
-    pixel_share: float,
+    share: float,
     num_pixels: int,
     colours: bool,
     directions: bool,
@@ -56,15 +56,14 @@ def _add_view(
 
     `colours` enables the sum `bases`, `directions` the sums `basis_sum` and `gram`.
     """
+    for i in reached:
+        covered[i] += 1
     for row in range(len(index)):
         i = index[row]
-        covered[i] += 1
-        if not sums[row, PEAK] > 0.0:
-            continue
-        weight = sums[row, WEIGHT]
+        weight = share * sums[row, WEIGHT]
         square = sums[row, SQUARE]
-        contribution[i] += view_share * weight
-        energy[i] += pixel_share * square
+        contribution[i] += weight
+        energy[i] += share * square
         largest_energy[i] = max(largest_energy[i], square / num_pixels)
         peak[i] = max(peak[i], np.float32(sums[row, PEAK]))
         seen[i] += 1
@@ -76,18 +75,17 @@ def _add_view(
         inverse = 1.0 / np.sqrt(x * x + y * y + z * z)
         values = sh_terms(x * inverse, y * inverse, z * inverse)
         if colours:
-            share = pixel_share * weight
-            bases[i, 0] += share * sh.C0
+            bases[i, 0] += weight * sh.C0
             for k in range(_BASES - 1):
-                bases[i, k + 1] += share * abs(values[k])
-        share = pixel_share * square
-        if directions and share > 0.0:
+                bases[i, k + 1] += weight * abs(values[k])
+        square *= share
+        if directions and square > 0.0:
             for j in range(_BASES - 1):
-                basis_sum[i, j] += share * values[j]
+                basis_sum[i, j] += square * values[j]
             if i % _GRAM_STRIDE == 0:
                 for j in range(_BASES - 1):
                     for k in range(j + 1):
-                        gram[j, k] += share * values[j] * values[k]
+                        gram[j, k] += square * values[j] * values[k]
 
 
 @called_with("int32[::1], float64[:, ::1], float64[:, ::1]")
@@ -164,13 +162,13 @@ class ViewSums:
     Attributes
     ----------
     contribution : (N,) float64
-        Σw, each view times its `view_share`, px.
+        Σw, each view times its share, px.
     energy : (N,) float64
-        Σw², each view times its `pixel_share`.
+        Σw², each view times its share.
     largest_energy : (N,) float64
         Largest Σw² in one view, per pixel of that view.
     bases : (N, 16) float64
-        Σw·|Y| of every SH basis Y in the direction of each view, times the view's `pixel_share`;
+        Σw·|Y| of every SH basis Y in the direction of each view, times the view's share;
         0 rows unless `colours` is set.
     peak : (N,) float32
         Largest w in any pixel.
@@ -200,37 +198,39 @@ class ViewSums:
 
     def add(
         self,
+        reached: NDArray[np.int32],
         index: NDArray[np.int32],
         sums: F64,
         position: F64,
         num_pixels: int,
-        view_share: float,
-        pixel_share: float,
+        share: float,
     ) -> None:
         """Add the weights and viewing directions of one view to the sums.
 
+        Ascending rows are added fastest.
+
         Parameters
         ----------
-        index : (M,) int32
-            Rows of the splats whose footprint reaches the image; ascending rows are added fastest.
-        sums : (M, 3) float64
-            Sums of `blend_weights.add_weights` over all tiles.
+        reached : (M,) int32
+            Rows of the splats whose footprint reaches the image.
+        index : (S,) int32
+            Rows of the splats that a pixel shows.
+        sums : (S, 3) float64
+            Sums of `blend_weights.add_weights` over all tiles, in the order of `index`.
         position : (3,) float64
             Position of the camera in the frame of the means.
         num_pixels : int
             Number of pixels of the view.
-        view_share : float
-            Weight of the view in `contribution`.
-        pixel_share : float
-            Weight of each of the view's pixels in `energy` and `bases`.
+        share : float
+            Weight of the view in all sums.
         """
         _add_view(
+            reached,
             index,
             sums,
             self._means,
             position,
-            view_share,
-            pixel_share,
+            share,
             num_pixels,
             self._colours,
             self._directions,

@@ -52,3 +52,19 @@ def test_no_pixel_blends_more_than_the_bound():
 def test_a_huge_top_k_counts_every_weight():
     splats, camera = oracle.scene(7), oracle.camera()
     np.testing.assert_array_equal(_sums(splats, camera, 10**12)[1], _sums(splats, camera, 0)[1])
+
+
+@pytest.mark.parametrize("top_k", [0, 3])
+def test_pairs_that_change_no_pixel_are_told_apart(top_k):
+    """Without them every weight is the same, with and without a splat that ends pixels."""
+    splats, camera = oracle.scene(3, n=150), oracle.camera(width=45, height=37)
+    splats.opacities[::3] = 9.0
+    splats.scales[:] += 1.5
+    footprints = project(splats, camera)
+    whole, few = np.zeros((2, len(footprints), 3))
+    for lists in tile_lists(footprints, camera.width, camera.height):
+        acts = add_weights(lists, footprints, camera, top_k, 1, whole)
+        shown = lists.of_pairs(acts)
+        assert add_weights(shown, footprints, camera, top_k, 1, few).all()
+        assert 0 < acts.sum() < len(acts)
+    np.testing.assert_array_equal(few, whole)

@@ -20,9 +20,9 @@ from cogsplat.codec.render.rasteriser import (
     render_tiles,
     render_views,
 )
-from cogsplat.codec.render.sensitivities import add_moments
+from cogsplat.codec.render.sensitivities import MOMENTS, add_moments
 from cogsplat.codec.render.shading import footprint_colours
-from cogsplat.codec.render.tiles import tile_lists
+from cogsplat.codec.render.tiles import sampled_tiles, tile_lists
 
 CONFIGS = {
     "plain": RenderConfig(device="cuda"),
@@ -133,11 +133,13 @@ def test_moments_are_ours(config):
     splats, camera = scene(), oracle.camera()
     footprints, colours = ours(splats, camera, config)
     expected = np.zeros((len(footprints), 13))
+    tiles = sampled_tiles(camera.width, camera.height, 2, 1)
     for lists in tile_lists(footprints, camera.width, camera.height):
-        add_moments(lists, footprints, colours, camera, 1, expected)
-    found = cuda_view(CudaScene(splats), camera, config).moments()
-    assert_near(found[:, :9], expected[:, :9], off=1e-3, jumps=0.02)
-    assert not found[:, 9:].any()
+        measured = lists.of_pairs(lists.pairs_in(tiles))
+        add_moments(measured, footprints, colours, camera, 1, expected)
+    found = cuda_view(CudaScene(splats), camera, config).moments(tiles)
+    assert_near(found[:, :MOMENTS], expected[:, :MOMENTS], off=1e-3, jumps=0.02)
+    assert not found[:, MOMENTS:].any()
 
 
 @pytest.mark.usefixtures("device")
@@ -145,7 +147,8 @@ def test_the_picture_over_one_background_is_drawn_once(monkeypatch):
     splats, camera = scene(), oracle.camera()
     config = CONFIGS["background"]
     seen = cuda_view(CudaScene(splats), camera, config)
-    expected = seen.moments()
+    every = sampled_tiles(camera.width, camera.height, 1, 0)
+    expected = seen.moments(every)
     listed = []
     pairs = seen.pairs
     monkeypatch.setattr(seen, "pairs", lambda: listed.append(None) or pairs())
@@ -153,7 +156,7 @@ def test_the_picture_over_one_background_is_drawn_once(monkeypatch):
     seen.loss_sums(picture, config.background)
     assert len(listed) == 2
     # Moments take a picture without a background.
-    assert_near(seen.moments(), expected, off=1e-9)
+    assert_near(seen.moments(every), expected, off=1e-9)
     assert len(listed) == 4
     np.testing.assert_array_equal(seen.picture(config.background), picture)
 

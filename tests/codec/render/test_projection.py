@@ -135,3 +135,15 @@ def test_every_splat_that_reaches_into_the_picture_from_beside_it_is_found(info)
             assert index in found
             beside += not ((centre > 0.0) & (centre < size)).all()
     assert beside > 20
+
+
+def test_some_footprints_are_those_of_their_splats_alone():
+    splats, camera = oracle.scene(5, n=60), oracle.camera()
+    whole = project(splats, camera)
+    kept = np.arange(len(whole)) % 3 == 1
+    few = whole.only(kept)
+    alone = project(splats.take(np.sort(whole.index[kept])), camera)
+    for name in ("order", "ellipse", "rows", "added"):
+        np.testing.assert_array_equal(getattr(few, name), getattr(alone, name))
+    np.testing.assert_array_equal(few.index, whole.index[kept])
+    np.testing.assert_array_equal(few.sorted_rows(), np.sort(whole.index[kept]))

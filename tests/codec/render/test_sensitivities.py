@@ -6,7 +6,7 @@ import pytest
 
 from cogsplat.codec.geometry.sh import C0
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.codec.scoring import contribution as scoring
+from cogsplat.codec.scoring import view_scores
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.splats import SceneInfo, empty
 from cogsplat.codec.views.view_sets import jitter
@@ -143,7 +143,7 @@ def test_threads_and_bands_do_not_change_them(monkeypatch):
             actual = score(splats, cameras, replace(EVERY_VIEW, threads=threads)).sensitivities
             for name in NAMES:
                 np.testing.assert_array_equal(getattr(actual, name), getattr(expected, name))
-        monkeypatch.setattr(scoring, "PAIRS_AT_ONCE", 100)
+        monkeypatch.setattr(view_scores, "PAIRS_AT_ONCE", 100)
         banded = score(splats, cameras, EVERY_VIEW).sensitivities
         monkeypatch.undo()
         for name in NAMES:
@@ -160,17 +160,28 @@ def test_jitter_counts_half():
         np.testing.assert_allclose(getattr(both, name), expected, rtol=1e-12)
 
 
-def test_every_second_view_meets_both_kinds_of_copy():
-    splats = oracle.scene(8)
-    cameras = [oracle.camera(angle=0.4 * k, width=20 + k, height=16) for k in range(4)]
-    copies = jitter(splats, cameras)
-    some = score(splats, cameras, ScoreConfig(sensitivity_every=2)).sensitivities
-    given = score(splats, [cameras[0], cameras[3]], EVERY_VIEW).sensitivities
-    jittered = score(splats, [copies[k] for k in (0, 3, 4, 7)], EVERY_VIEW).sensitivities
+@pytest.mark.parametrize("every", [2, 3])
+def test_samples_of_tiles_add_up_to_the_whole(every):
+    """One camera repeated `every` times is measured in each tile once."""
+    splats = oracle.scene(8, n=150)
+    camera = oracle.camera(width=70, height=50)
+    whole = score(splats, [camera], EVERY_VIEW).sensitivities
+    sampled = replace(EVERY_VIEW, sensitivity_every=every)
+    # The phase moves on after each run of `every` views.
+    parts = score(splats, [camera] * every, sampled).sensitivities
     for name in NAMES:
-        expected = (getattr(given, name) + getattr(jittered, name)) / 2.0
-        np.testing.assert_allclose(getattr(some, name), expected, rtol=1e-12)
-    assert score(splats, cameras[:1], ScoreConfig(jitter=False, sensitivity_every=9)).sensitivities
+        expected = getattr(whole, name)
+        np.testing.assert_allclose(getattr(parts, name), expected, rtol=1e-6, atol=1e-30)
+    one = score(splats, [camera], sampled).sensitivities
+    assert 0 < np.count_nonzero(one.opacities) < np.count_nonzero(whole.opacities)
+
+
+def test_an_interval_beyond_all_tiles_measures_one():
+    cameras = [replace(camera, width=9, height=7) for camera in CAMERAS]
+    config = ScoreConfig(jitter=False, sensitivity_every=9)
+    found = score(oracle.scene(8), cameras, config).sensitivities
+    alone = score(oracle.scene(8), cameras[:1], EVERY_VIEW).sensitivities
+    np.testing.assert_allclose(found.sh0, alone.sh0, rtol=1e-12)
 
 
 def test_round_splats_need_no_rotation():

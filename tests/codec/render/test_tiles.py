@@ -3,7 +3,7 @@ import oracle
 import pytest
 
 from cogsplat.codec.render.projection import project
-from cogsplat.codec.render.tiles import TILE, tile_lists
+from cogsplat.codec.render.tiles import TILE, sampled_pixels, sampled_tiles, tile_lists
 from cogsplat.codec.splats import empty
 
 
@@ -68,3 +68,29 @@ def test_no_splats_still_cover_every_tile():
     (lists,) = tile_lists(_footprints(empty(0), camera), camera.width, camera.height)
     assert (lists.first, lists.last, len(lists.members)) == (0, 12, 0)
     assert lists.split(3) == [(0, 12)]
+
+
+@pytest.mark.parametrize("every", [1, 2, 3, 4, 9])
+def test_consecutive_samples_have_each_tile_once(every):
+    width, height = 150, 70  # the last tiles are cut
+    samples = [sampled_tiles(width, height, every, phase) for phase in range(5, 5 + every)]
+    assert (np.sum(samples, axis=0) == 1).all()
+    assert sum(sampled_pixels(width, height, sample) for sample in samples) == width * height
+    for sample in samples:
+        assert sampled_pixels(width, height, sample) <= TILE * TILE * sample.sum()
+    assert sampled_tiles(1, 1, every, 0).tolist() == [True]
+
+
+def test_tile_lists_of_some_pairs():
+    splats, camera = oracle.scene(5, n=80), oracle.camera()
+    footprints = _footprints(splats, camera)
+    tiles = sampled_tiles(camera.width, camera.height, 3, 1)
+    places = np.arange(len(footprints), dtype=np.int32)[::-1].copy()
+    for band in tile_lists(footprints, camera.width, camera.height, pairs_at_once=50):
+        few = band.of_pairs(band.pairs_in(tiles)).renumbered(places)
+        assert (few.first, few.last) == (band.first, band.last)
+        for tile in range(band.first, band.last):
+            whole = band.members[slice(*band.starts[tile - band.first :][:2])]
+            found = few.members[slice(*few.starts[tile - band.first :][:2])]
+            expected = places[whole] if tiles[tile] else []
+            np.testing.assert_array_equal(found, expected)

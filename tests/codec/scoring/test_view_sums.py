@@ -11,15 +11,15 @@ SUMS = ("contribution", "energy", "largest_energy", "peak", "seen")
 
 
 def _views(splats, count=4):
-    """Return made-up sums of some views: rows, (M, 3) weights, position, pixels, shares."""
+    """Return made-up sums of some views: rows, (S, 3) weights, position, pixels, share."""
     rng = np.random.default_rng(2)
     views = []
     for _ in range(count):
-        index = rng.permutation(len(splats))[: len(splats) // 2].astype(np.int32)
+        reached = rng.permutation(len(splats))[: len(splats) // 2].astype(np.int32)
+        index = reached[5:]  # the first five are hidden
         sums = rng.random((len(index), 3))
-        sums[:5] = 0.0  # covered, but hidden
         position = rng.normal(size=3) * 9.0
-        views.append((index, sums, position, int(rng.integers(9, 99)), rng.random(), rng.random()))
+        views.append((reached, index, sums, position, int(rng.integers(9, 99)), rng.random()))
     return views
 
 
@@ -28,19 +28,19 @@ def test_sums_are_those_of_their_definition():
     totals = ViewSums(splats)
     expected = {name: np.zeros(64) for name in SUMS}
     covered, bases, weighted = np.zeros(64), np.zeros((64, 16)), np.zeros((64, 15))
-    for index, sums, position, num_pixels, view_share, pixel_share in _views(splats):
-        totals.add(index, sums, position, num_pixels, view_share, pixel_share)
-        expected["contribution"][index] += view_share * sums[:, 0]
-        expected["energy"][index] += pixel_share * sums[:, 1]
+    for reached, index, sums, position, num_pixels, share in _views(splats):
+        totals.add(reached, index, sums, position, num_pixels, share)
+        expected["contribution"][index] += share * sums[:, 0]
+        expected["energy"][index] += share * sums[:, 1]
         expected["peak"][index] = np.maximum(expected["peak"][index], sums[:, 2])
         largest = expected["largest_energy"]
         largest[index] = np.maximum(largest[index], sums[:, 1] / num_pixels)
-        expected["seen"][index] += sums[:, 2] > 0
-        covered[index] += 1
+        expected["seen"][index] += 1
+        covered[reached] += 1
         offset = splats.means[index] - position
         values = oracle.real_sh(offset / np.linalg.norm(offset, axis=1, keepdims=True), 3)
-        bases[index] += pixel_share * sums[:, :1] * np.abs(values)
-        weighted[index] += pixel_share * sums[:, 1:2] * values[:, 1:]
+        bases[index] += share * sums[:, :1] * np.abs(values)
+        weighted[index] += share * sums[:, 1:2] * values[:, 1:]
     for name, value in expected.items():
         np.testing.assert_allclose(getattr(totals, name), value, rtol=1e-6, err_msg=name)
     np.testing.assert_array_equal(totals.covered, covered)
@@ -56,7 +56,8 @@ def test_the_spread_is_the_covariance_of_the_bases_over_views():
     values, weights = [], []
     for _ in range(6):
         position, square = rng.normal(size=3) * 5.0, rng.random()
-        totals.add(np.zeros(1, np.int32), np.array([[1.0, square, 1.0]]), position, 9, 1.0, 0.5)
+        row = np.zeros(1, np.int32)
+        totals.add(row, row, np.array([[1.0, square, 1.0]]), position, 9, 0.5)
         offset = splats.means[:1] - position
         values.append(oracle.real_sh(offset / np.linalg.norm(offset), 3)[0, 1:])
         weights.append(0.5 * square)
