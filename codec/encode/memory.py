@@ -37,6 +37,11 @@ _KEPT: Final = 60
 _GAIN: Final = 400
 _GAIN_OUT_OF_CORE: Final = 110
 
+# Bytes per splat, and at least, that may be allocated between two evictions of mapped arrays: numpy
+# holds the interpreter's lock while it copies the footprints of a view, 32 bytes each.
+_BURST: Final = 64
+_LEAST_BURST: Final = 128 << 20
+
 LEAST_RESIDENT: Final = 64 << 20
 """Least resident bytes of mapped arrays; with fewer, pages are evicted too often."""
 
@@ -126,6 +131,17 @@ def memory_need(
         in_memory += splats * row
         least += splats * _GAIN_OUT_OF_CORE
     return MemoryNeed(in_memory, min(least, in_memory), scene)
+
+
+def burst_bytes(splats: int) -> int:
+    """Return the bytes by which the memory of an out-of-core encode may grow between evictions.
+
+    Parameters
+    ----------
+    splats : int
+        Number of splats of the scene.
+    """
+    return _LEAST_BURST + _BURST * splats
 
 
 def _gb(size: int) -> str:

@@ -31,7 +31,7 @@ _PLANNED_RATIO: Final = 1.15
 
 _PLAN: Final = 2.0
 # Costs per view: for each pixel, and for each splat.
-_SCORE: Final = (1.4e-7, 1.1e-6)
+_SCORE: Final = (1.9e-7, 6.1e-7)
 _REFERENCE: Final = (6e-8, 9e-7)
 _PREDICT: Final = (9.3e-7, 1.4e-6)
 # Share of reference views that remains without jittered copies, of which each view has two.

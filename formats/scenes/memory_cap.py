@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cogsplat.codec.encode.config import EncodeConfig
-from cogsplat.codec.encode.memory import memory_need
+from cogsplat.codec.encode.memory import burst_bytes, memory_need
 from cogsplat.codec.errors import UnsupportedError
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.workspace import IN_MEMORY, Workspace
@@ -90,7 +90,7 @@ def working_memory(
     if resident is None:
         yield IN_MEMORY
         return
-    with ScratchFiles(folder, resident) as files:
+    with ScratchFiles(folder, resident, cap - burst_bytes(size.splats)) as files:
         yield Workspace(files.zeros, in_files=True, trim=files.evict)
 
 

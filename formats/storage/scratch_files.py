@@ -32,15 +32,19 @@ class ScratchFiles:
     """Allocator of zeroed arrays in temporary files, which are deleted with the arrays.
 
     As a context manager, it runs a thread that evicts the files' pages from memory whenever more
-    than `resident_bytes` are resident. The contents stay in the files. Only Linux reports resident
-    pages; elsewhere the operating system alone evicts pages.
+    than `resident_bytes` of them and more than `process_bytes` of the process are resident. The
+    contents stay in the files. Only Linux reports resident pages; elsewhere the operating system
+    alone evicts pages.
 
     Parameters
     ----------
     folder : Path
         Folder of the files. The files have no names, so a crash leaves none behind.
     resident_bytes : int
-        Resident-memory limit for the files, bytes. Fast reads may exceed it for milliseconds.
+        Resident memory that the files may take in any case, bytes. Fast reads may exceed it for
+        milliseconds.
+    process_bytes : int
+        Resident memory of the process, bytes, up to which the files may take more.
 
     Examples
     --------
@@ -52,9 +56,10 @@ class ScratchFiles:
     ((1000, 3), 0.0)
     """
 
-    def __init__(self, folder: Path, resident_bytes: int) -> None:
+    def __init__(self, folder: Path, resident_bytes: int, process_bytes: int = 0) -> None:
         self._folder = folder
         self._resident_bytes = resident_bytes
+        self._process_bytes = process_bytes
         # Weak: a map is freed with the last array that uses it.
         self._maps: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
         self._lock = threading.Lock()
@@ -63,7 +68,7 @@ class ScratchFiles:
         if self._statm is not None:
             weakref.finalize(self, os.close, self._statm)
         # Pages of programs and libraries are file-backed as well, and stay after an eviction.
-        self._baseline_bytes = self._resident_file_bytes()
+        self._baseline_bytes = self._resident()[1]
         self._stopped = threading.Event()
         self._watcher = threading.Thread(target=self._watch, daemon=True)
 
@@ -106,21 +111,25 @@ class ScratchFiles:
         return np.frombuffer(mapped, kind).reshape(shape)
 
     def evict(self) -> None:
-        """Evict the files' pages from memory if more than `resident_bytes` are resident."""
+        """Evict the files' pages from memory if more than the limits are resident."""
         with self._lock:
-            if self._resident_file_bytes() - self._baseline_bytes <= self._resident_bytes:
+            process, files = self._resident()
+            if process <= self._process_bytes:
+                return
+            if files - self._baseline_bytes <= self._resident_bytes:
                 return
             for mapped in self._maps:
                 mapped.madvise(mmap.MADV_DONTNEED)
-            self._baseline_bytes = self._resident_file_bytes()
+            self._baseline_bytes = self._resident()[1]
 
     def _watch(self) -> None:
         """Check the resident pages at intervals until the block ends."""
         while not self._stopped.wait(_INTERVAL):
             self.evict()
 
-    def _resident_file_bytes(self) -> int:
-        """Return the resident file-backed memory of this process, bytes; 0 outside Linux."""
+    def _resident(self) -> tuple[int, int]:
+        """Return the resident bytes of this process, all and file-backed; 0 outside Linux."""
         if self._statm is None:
-            return 0
-        return int(os.pread(self._statm, 128, 0).split()[2]) * mmap.PAGESIZE
+            return 0, 0
+        pages = os.pread(self._statm, 128, 0).split()
+        return int(pages[1]) * mmap.PAGESIZE, int(pages[2]) * mmap.PAGESIZE

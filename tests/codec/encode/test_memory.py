@@ -1,7 +1,7 @@
 import pytest
 from encoding import unseen
 
-from cogsplat.codec.encode.memory import LEAST_RESIDENT, memory_need
+from cogsplat.codec.encode.memory import LEAST_RESIDENT, burst_bytes, memory_need
 from cogsplat.codec.errors import LimitError
 
 MILLION = 1_000_000
@@ -66,3 +66,8 @@ def test_a_view_on_each_core_takes_more_up_to_where_all_cores_share_one():
     assert eight.out_of_core == two.out_of_core
     two, eight = (memory_need(3 * MILLION, 3, unseen(threads=count)) for count in (2, 8))
     assert eight.in_memory == two.in_memory
+
+
+def test_room_for_bursts_is_left_in_the_least_memory_that_works():
+    for splats in (1000, MILLION, 1000 * MILLION):
+        assert 0 < burst_bytes(splats) < memory_need(splats, 0, unseen(threads=2)).out_of_core

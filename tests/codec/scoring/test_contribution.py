@@ -8,7 +8,13 @@ from gsplat_on_cpu import on_cpu
 from cogsplat.codec.errors import Cancelled, DataError
 from cogsplat.codec.executor import LocalThreads
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.codec.scoring.contribution import COVERING_ENERGY, COVERING_SHARE, ScoreConfig, score
+from cogsplat.codec.scoring.contribution import (
+    COVERING_ENERGY,
+    COVERING_SHARE,
+    ScoreConfig,
+    Scorer,
+    score,
+)
 from cogsplat.codec.splats import SceneInfo, empty
 from cogsplat.codec.views.view_sets import jitter
 
@@ -135,6 +141,28 @@ def test_covering_views_count_in_maxima_and_in_no_mean():
     np.testing.assert_allclose(both.largest_energy, largest, rtol=1e-12)
     np.testing.assert_array_equal(both.seen, alone.seen + other.seen)
     np.testing.assert_array_equal(both.covered, alone.covered + other.covered)
+
+
+def test_views_may_be_added_in_parts():
+    """The second part has the copies that it has as the rest of one list."""
+    splats = oracle.scene(8, n=60)
+    config = ScoreConfig(jitter_copies=1, sensitivity_every=1)
+    expected = score(splats, CAMERAS, config)
+    scorer = Scorer(splats, config)
+    scorer.add(CAMERAS[:1], jittered=True)
+    assert 0 < scorer.sums.seen.max() <= 2
+    scorer.add(CAMERAS[1:], jittered=True)
+    found = scorer.scores()
+    for name in ("contribution", "colour_sensitivity", "energy", "largest_energy", "basis_mean"):
+        values = getattr(expected, name)
+        np.testing.assert_allclose(
+            getattr(found, name), values, rtol=1e-6, atol=1e-9 * values.max(), err_msg=name
+        )
+    np.testing.assert_array_equal(found.peak, expected.peak)
+    np.testing.assert_array_equal(found.seen, expected.seen)
+    np.testing.assert_allclose(
+        found.sensitivities.means, expected.sensitivities.means, rtol=1e-9, atol=1e-30
+    )
 
 
 def test_scores_do_not_depend_on_threads():

@@ -8,9 +8,13 @@ from cogsplat.codec.errors import StorageError
 from cogsplat.formats.storage.scratch_files import ScratchFiles
 
 
-def resident_file_bytes() -> int:
+def resident_bytes(kind: str = "VmRSS") -> int:
     with Path("/proc/self/status").open(encoding="ascii") as file:
-        return next(int(line.split()[1]) * 1024 for line in file if line.startswith("RssFile"))
+        return next(int(line.split()[1]) * 1024 for line in file if line.startswith(kind))
+
+
+def resident_file_bytes() -> int:
+    return resident_bytes("RssFile")
 
 
 def test_arrays_are_zeros_that_keep_what_is_written(tmp_path):
@@ -49,6 +53,22 @@ def test_few_pages_stay_in_memory(tmp_path):
             highest = max(highest, resident_file_bytes() - before)
         assert highest <= most + (2 << 20)
         assert int(values.sum(dtype=np.int64)) == 7 * size
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells what is resident")
+def test_pages_stay_while_the_process_has_memory_left(tmp_path):
+    size = 64 << 20
+    with ScratchFiles(tmp_path, 0, resident_bytes() + 2 * size) as files:
+        values = files.zeros((size,), np.uint8)
+        before = resident_file_bytes()
+        values[:] = 1
+        files.evict()
+        assert resident_file_bytes() - before > size // 2
+        taken = np.ones(2 * size, np.uint8)
+        files.evict()
+        assert resident_file_bytes() - before < size // 2
+        assert taken.all()
+    assert values.all()
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells what is resident")
