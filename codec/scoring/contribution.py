@@ -25,7 +25,7 @@ from cogsplat.codec.threads import thread_count
 from cogsplat.codec.views.view_sets import jitter
 from cogsplat.codec.workspace import IN_MEMORY, Gather, Workspace
 
-from .view_scores import ViewScores, score_on_device, score_view
+from .view_scores import ViewScores, Weighing, score_on_device, score_view
 from .view_sums import ViewSums, add_rows
 
 _BASES = sh_coefficients(MAX_SH_DEGREE)
@@ -297,8 +297,11 @@ class Scorer:
     def _results(self, work: Sequence[tuple[Camera, int]]) -> Iterator[ViewScores]:
         """Yield the scores of each view, in their order."""
         config, splats = self._config, self._splats
+        rules = Weighing(
+            config.top_k, config.least_weight, config.near_plane, config.sensitivity_every
+        )
         if self._device is not None:
-            return (score_on_device(view, splats, self._device, config) for view in work)
+            return (score_on_device(view, splats, self._device, rules) for view in work)
         threads = thread_count(config.threads)
         by_view = self._executor is not None or (
             self._workspace.views_at_once
@@ -307,7 +310,7 @@ class Scorer:
         )
         executor = self._executor or LocalThreads(threads if by_view else 1)
         return executor.map(
-            partial(score_view, config=config, threads=1 if by_view else threads), work, splats
+            partial(score_view, rules=rules, threads=1 if by_view else threads), work, splats
         )
 
     def _add(self, result: ViewScores, camera: Camera, phase: int, share: float) -> None:

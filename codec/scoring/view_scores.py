@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +23,21 @@ from cogsplat.codec.splats import Splats
 
 from .view_sums import sort_by_row
 
-if TYPE_CHECKING:
-    from .contribution import ScoreConfig
+
+@dataclass(frozen=True)
+class Weighing:
+    """Settings of a scoring pass that apply to each view.
+
+    Parameters
+    ----------
+    top_k, least_weight, near_plane, sensitivity_every
+        See `contribution.ScoreConfig`.
+    """
+
+    top_k: int
+    least_weight: float
+    near_plane: float
+    sensitivity_every: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +71,7 @@ class ViewScores:
 
 
 def score_view(
-    view: tuple[Camera, int], splats: Splats, *, config: ScoreConfig, threads: int
+    view: tuple[Camera, int], splats: Splats, *, rules: Weighing, threads: int
 ) -> ViewScores:
     """Score one view.
 
@@ -69,23 +81,23 @@ def score_view(
         Camera, and its phase in `sampled_tiles`; -1 to measure no sensitivities.
     splats : Splats
         Scene, drawn with the kernel of ``splats.info``.
-    config : ScoreConfig
-        Scoring settings.
+    rules : Weighing
+        Settings of the scoring pass.
     threads : int
         Number of threads, at least 1; the scores do not depend on it.
     """
     camera, phase = view
-    footprints = project(splats, camera, near_plane=config.near_plane)
+    footprints = project(splats, camera, near_plane=rules.near_plane)
     sums = np.zeros((len(footprints), 3), np.float64)
     size = (camera.width, camera.height)
     if phase < 0:
         for lists in tile_lists(footprints, *size):
-            _weigh(lists, footprints, camera, config, threads, sums)
+            _weigh(lists, footprints, camera, rules, threads, sums)
         return _view_scores(footprints, sums, footprints.only(np.zeros(len(sums), np.bool_)))
-    tiles = sampled_tiles(*size, config.sensitivity_every, phase)
+    tiles = sampled_tiles(*size, rules.sensitivity_every, phase)
     measured: list[TileLists] = []
     for lists in tile_lists(footprints, *size, PAIRS_AT_ONCE):
-        acts = _weigh(lists, footprints, camera, config, threads, sums)
+        acts = _weigh(lists, footprints, camera, rules, threads, sums)
         measured.append(lists.of_pairs(acts & lists.pairs_in(tiles)))
     shown = np.zeros(len(footprints), np.bool_)
     for lists in measured:
@@ -104,13 +116,13 @@ def _weigh(
     lists: TileLists,
     footprints: Footprints,
     camera: Camera,
-    config: ScoreConfig,
+    rules: Weighing,
     threads: int,
     sums: NDArray[np.float64],
 ) -> NDArray[np.bool_]:
     """Add the weights of the footprints in some tiles; see `add_weights`."""
-    least = config.least_weight
-    return add_weights(lists, footprints, camera, config.top_k, threads, sums, least_weight=least)
+    least = rules.least_weight
+    return add_weights(lists, footprints, camera, rules.top_k, threads, sums, least_weight=least)
 
 
 def _view_scores(
@@ -139,15 +151,15 @@ def _view_scores(
 
 
 def score_on_device(
-    view: tuple[Camera, int], splats: Splats, scene: CudaScene, config: ScoreConfig
+    view: tuple[Camera, int], splats: Splats, scene: CudaScene, rules: Weighing
 ) -> ViewScores:
     """Score one view on a CUDA device; see `score_view`."""
     camera, phase = view
-    drawn = scene.view(camera, near_plane=config.near_plane)
-    footprints, sums = drawn.footprints, drawn.weights(config.top_k, config.least_weight)
+    drawn = scene.view(camera, near_plane=rules.near_plane)
+    footprints, sums = drawn.footprints, drawn.weights(rules.top_k, rules.least_weight)
     if phase < 0:
         return _view_scores(footprints, sums, footprints.only(np.zeros(len(sums), np.bool_)))
-    tiles = sampled_tiles(camera.width, camera.height, config.sensitivity_every, phase)
+    tiles = sampled_tiles(camera.width, camera.height, rules.sensitivity_every, phase)
     moments = drawn.moments(tiles)
     columns = view_sensitivities(splats, camera, footprints, drawn.colours, moments)
     return _view_scores(footprints, sums, footprints, columns)
