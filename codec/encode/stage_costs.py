@@ -30,7 +30,7 @@ _PLANNED_PIXELS: Final = 480 * 360
 _PLANNED_RATIO: Final = 1.15
 
 _PLAN: Final = 2.0
-# Costs per view: for each pixel, and for each splat.
+# Costs per view: for each pixel, and for each splat; of scoring, up to a million splats.
 _SCORE: Final = (1.9e-7, 6.1e-7)
 _REFERENCE: Final = (6e-8, 9e-7)
 _PREDICT: Final = (9.3e-7, 1.4e-6)
