@@ -118,7 +118,7 @@ def urgencies(ratios: F64, chunk: I64, end: I64) -> F64:
     """
     of_units = np.where(chunk >= 0, ratios[np.maximum(chunk, 0)], 1.0)
     offsets = end.astype(np.float64)
-    result: F64 = of_units / (offsets * offsets)
+    result: F64 = of_units * np.minimum(of_units, 1.0) / (offsets * offsets)
     return result
 
 

@@ -71,9 +71,15 @@ export class Scheduler {
     });
   }
 
-  /** Return the estimated gain per byte of each unit: its chunk's ratio over the square of its end in the file. */
+  /**
+   * Return the estimated gain per byte of each unit: its chunk's ratio, squared if it is below 1, over the square of
+   * its end in the file.
+   */
   urgency(ratios: Float64Array): Float64Array {
-    return Float64Array.from(this.units, ({ chunk, end }) => (chunk >= 0 ? ratios[chunk]! : 1) / (end * end));
+    return Float64Array.from(this.units, ({ chunk, end }) => {
+      const ratio = chunk >= 0 ? ratios[chunk]! : 1;
+      return (ratio * Math.min(ratio, 1)) / (end * end);
+    });
   }
 
   decide(ratios: Float64Array, holdings: Holdings): Decision {
