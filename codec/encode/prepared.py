@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
-from cogsplat.codec.executor import Executor
+from cogsplat.codec.executor import Executor, LocalThreads
 from cogsplat.codec.order import chunk_plan, objects
 from cogsplat.codec.order.gain_effort import GainEffort
 from cogsplat.codec.order.orders import OrderInputs, order_rows
 from cogsplat.codec.partition.nested_cells import NestedCells, nested_cells
+from cogsplat.codec.partition.regions import WHOLE_SCENE, Region, find_regions
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.rate import allocation
 from cogsplat.codec.rate.pruning import keep_mask
@@ -30,6 +31,10 @@ from .encoded import EncodedCodebook
 
 # A cell's chunk holds at least 1/8 of the maximum; splats of smaller cells move to the next layer.
 _CELL_DIVISOR: Final = 8
+
+# Splats that a split into regions saves a view at least, in smallest chunks: a split adds about
+# two chunks.
+_LEAST_SAVING_CHUNKS: Final = 2
 
 # Rows that are checked at a time; comparing all at once would copy the scene.
 _BLOCK: Final = 1 << 16
@@ -106,6 +111,8 @@ class PreparedScene:
     codebooks : sequence of EncodedCodebook
         Codebooks of an earlier encode of nearly the same scene, from which the profile ``vq``
         starts; empty to start afresh.
+    regions : Region
+        Regions of a scene that is cut into cells.
     """
 
     source: Splats
@@ -114,6 +121,7 @@ class PreparedScene:
     config: EncodeConfig
     workspace: Workspace = IN_MEMORY
     codebooks: Sequence[EncodedCodebook] = ()
+    regions: Region = WHOLE_SCENE
     # Kept rows and chunks of the last call. A search for a target often keeps the same splats in
     # every trial, and cutting a large scene takes longer than comparing row numbers.
     _last: tuple[NDArray[np.int64], ChunkedScene] | None = field(
@@ -197,7 +205,21 @@ def prepare(
     )
     inflated = config.ordering.inflated and config.compensate
     rows = order_rows(config.order, scene, replace(config.ordering, inflated=inflated))
-    return PreparedScene(splats, rows[kept[rows]], scores, config, workspace)
+    regions = WHOLE_SCENE
+    if config.cells and views:
+        smallest, _ = _cell_sizes(config)
+        lagrangian = allocation.lagrangian(scores, config.quality_db)
+        is_stored = keep_mask(splats, scores, config.pruning, lagrangian)
+        regions = find_regions(
+            splats,
+            is_stored,
+            views,
+            smallest=smallest,
+            saving=_LEAST_SAVING_CHUNKS * smallest,
+            executor=executor or LocalThreads(config.threads),
+            progress=progress,
+        )
+    return PreparedScene(splats, rows[kept[rows]], scores, config, workspace, regions=regions)
 
 
 def _cut_chunks(
@@ -248,18 +270,24 @@ def _cut_chunks(
 
 def _cut_cells(prepared: PreparedScene, rows: NDArray[np.int64]) -> NestedCells:
     """Cut ordered rows into layers of nested cells."""
-    most = prepared.config.chunk_splats
-    first = min(chunk_plan.FIRST_SPLATS, most)
+    smallest, largest = _cell_sizes(prepared.config)
     means = prepared.workspace.gather(prepared.source.means, rows).astype(np.float64)
     weights = prepared.workspace.gather(prepared.scores.contribution, rows)
     return nested_cells(
         means,
         weights,
-        first=first,
+        first=min(chunk_plan.FIRST_SPLATS, largest),
         growth=chunk_plan.GROWTH,
-        smallest=min(first, max(most // _CELL_DIVISOR, 1)),
-        largest=most,
+        smallest=smallest,
+        largest=largest,
+        regions=prepared.regions,
     )
+
+
+def _cell_sizes(config: EncodeConfig) -> tuple[int, int]:
+    """Return the limits of the splats of a cell's chunk."""
+    largest = config.chunk_splats
+    return min(chunk_plan.FIRST_SPLATS, max(largest // _CELL_DIVISOR, 1)), largest
 
 
 def _require_scores(scores: Scores, splats: int) -> None:

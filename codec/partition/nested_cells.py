@@ -3,6 +3,8 @@
 The first layer is one chunk of the whole scene. Each further layer has more splats. Its cells are
 those of the layer before, halved if they hold too many splats. A client can thus fetch a coarse
 version of the whole scene, and details of visible cells only (as in COPC's octree of points).
+Regions that views tell apart, such as rooms, are halved first, and each has layers of its own: a
+view in one room fetches few coarse splats of the others.
 """
 
 from __future__ import annotations
@@ -12,6 +14,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .regions import WHOLE_SCENE, Region
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -38,6 +42,10 @@ WHOLE: Final = 1
 
 # Largest cell number whose halves have numbers of 32 bits, as the chunk table requires.
 _MAX_HALVED: Final = (1 << 31) - 1
+# A region has a coarse chunk if it holds at most a quarter of the splats of the smallest region
+# around it that has one: about one for each room. Without these chunks, the first 64 KiB of a house
+# of six rooms show 8 dB in place of 12 dB.
+_COARSENING: Final = 4
 # Share of the splats ignored at each end of an axis when a cell's length is measured: distant
 # floaters would make it cut across the wrong axis.
 _OUTLIERS: Final = 0.02
@@ -118,8 +126,25 @@ class _Chunk:
     places: I64
 
 
+@dataclass(frozen=True)
+class _Sizes:
+    """Sizes of layers and chunks; see `nested_cells`."""
+
+    first: int
+    growth: float
+    smallest: int
+    largest: int
+
+
 def nested_cells(
-    means: F64, weights: F64, *, first: int, growth: float, smallest: int, largest: int
+    means: F64,
+    weights: F64,
+    *,
+    first: int,
+    growth: float,
+    smallest: int,
+    largest: int,
+    regions: Region = WHOLE_SCENE,
 ) -> NestedCells:
     """Cut an order into growing layers, and each layer into cells.
 
@@ -136,6 +161,8 @@ def nested_cells(
     smallest, largest : int
         Limits of the splats of a chunk, with ``smallest ≤ first ≤ largest`` and
         ``2 · smallest ≤ largest``. A scene of fewer than `smallest` splats is one chunk.
+    regions : Region
+        Regions whose splats share no chunk but coarse ones; by default the scene is one region.
 
     Returns
     -------
@@ -153,14 +180,9 @@ def nested_cells(
             f"{growth}: expected the first layer between these, the largest at least twice the "
             "smallest, and growth above 1"
         )
-    root = _Cell(WHOLE)
     chunks: list[_Chunk] = []
-    for layer, run in enumerate(_layers(len(means), first, growth)):
-        _distribute(root, np.arange(run.start, run.stop), means)
-        for leaf in _leaves(root):
-            _cut(leaf, layer, means, smallest, largest, chunks)
-    for leaf in _leaves(root):
-        _chunk_pending(leaf, largest, chunks)
+    sizes = _Sizes(first, growth, smallest, largest)
+    _cut_region(regions, WHOLE, np.arange(len(means)), 0, np.inf, means, sizes, chunks)
     for chunk in chunks:
         chunk.places.sort()
     chunks.sort(key=lambda chunk: (chunk.layer, -float(weights[chunk.places].mean()), chunk.cell))
@@ -171,6 +193,59 @@ def nested_cells(
         np.array([chunk.layer for chunk in chunks], np.int64),
         np.array([chunk.cell for chunk in chunks], np.int64),
     )
+
+
+def _cut_region(
+    region: Region,
+    number: int,
+    places: I64,
+    layer: int,
+    outer_splats: float,
+    means: F64,
+    sizes: _Sizes,
+    chunks: list[_Chunk],
+) -> None:
+    """Append the chunks of a region, which is the cell `number`.
+
+    Its chunks start at `layer`. `outer_splats` is the number of splats of the smallest region
+    around it that has a coarse chunk.
+    """
+    has_coarse = len(places) * _COARSENING <= outer_splats
+    coarse, rest = np.split(places, [sizes.first * has_coarse])
+    is_low = means[rest, region.axis] < region.plane
+    sides = rest[is_low], rest[~is_low]
+    # Pruning may have left few splats on one side. Numbers of deeper cells would exceed 32 bits.
+    is_split = min(map(len, sides)) >= sizes.smallest and number <= _MAX_HALVED
+    if region.halves is None or not is_split:
+        # Two layers of a region, or the first of many, follow its coarse chunk.
+        most = min(len(places), sizes.largest) // 2
+        first = max(sizes.first, most) if layer else sizes.first
+        _cut_layers(_Cell(number), places, layer, first, means, sizes, chunks)
+        return
+    if has_coarse:
+        outer_splats = len(places)
+        chunks.append(_Chunk(layer, number, coarse))
+        layer += 1
+    for side, half in enumerate(region.halves):
+        _cut_region(half, 2 * number + side, sides[side], layer, outer_splats, means, sizes, chunks)
+
+
+def _cut_layers(
+    root: _Cell,
+    places: I64,
+    layer: int,
+    first: int,
+    means: F64,
+    sizes: _Sizes,
+    chunks: list[_Chunk],
+) -> None:
+    """Append the chunks of a cell, in growing layers from `layer` on."""
+    for number, run in enumerate(_layers(len(places), first, sizes.growth), start=layer):
+        _distribute(root, places[run], means)
+        for leaf in _leaves(root):
+            _cut(leaf, number, means, sizes.smallest, sizes.largest, chunks)
+    for leaf in _leaves(root):
+        _chunk_pending(leaf, sizes.largest, chunks)
 
 
 def _layers(splats: int, first: int, growth: float) -> list[slice]:

@@ -7,8 +7,10 @@ from encoding import unseen
 from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.order.chunk_plan import plan_chunks
 from cogsplat.codec.partition.nested_cells import parents
+from cogsplat.codec.partition.regions import WHOLE_SCENE
 from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.codec.scoring.contribution import zero_scores
+from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, synth_rooms
 
 
 def test_a_scene_is_laid_out_once_while_the_same_splats_stay():
@@ -86,3 +88,21 @@ def test_objects_have_chunks_of_their_own():
     assert sorted(layout.rows.tolist()) == list(range(600))
     for run, label in zip(layout.slices, layout.objects, strict=True):
         assert (labels[layout.rows[run]] == label).all()
+
+
+def test_rooms_are_cut_apart_before_they_are_cut_into_layers():
+    scene = synth_rooms(4, 8000, sh_degree=0)
+    views = [camera.downscaled(8) for camera in rooms_cameras(4, views=4)]
+    config = unseen(prune=None, cells=True, chunk_splats=1024)
+    prepared = prepare(scene, zero_scores(8000), config, views=views)
+    assert prepared.regions.halves is not None
+    layout = prepared.lay_out(40.0)
+    np.testing.assert_array_equal(np.sort(layout.rows), np.arange(8000))
+    assert (parents(layout.cells)[1:] >= 0).all()
+    # All chunks but the first lie on one side of the first plane.
+    axis, plane = prepared.regions.axis, prepared.regions.plane
+    for run in layout.slices[1:]:
+        is_low = layout.part(run).means[:, axis] < plane
+        assert is_low.all() or not is_low.any()
+    # Without views nothing tells rooms apart.
+    assert prepare(scene, zero_scores(8000), config).regions is WHOLE_SCENE

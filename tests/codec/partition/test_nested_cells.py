@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.partition.nested_cells import NestedCells, nested_cells, parents
+from cogsplat.codec.partition.regions import Region
 
 
 def cut(means: np.ndarray, first: int = 64, least: int = 16, most: int = 128) -> NestedCells:
@@ -112,3 +113,72 @@ def test_sizes_that_do_not_go_together_are_misuse(
         nested_cells(
             np.zeros((9, 3)), np.zeros(9), first=first, growth=growth, smallest=least, largest=most
         )
+
+
+def halved(depth: int, axis: int = 0, low: float = -8.0, high: float = 8.0) -> Region:
+    """Return regions of equal width along one axis, cut `depth` times."""
+    if depth == 0:
+        return Region()
+    middle = 0.5 * (low + high)
+    halves = halved(depth - 1, axis, low, middle), halved(depth - 1, axis, middle, high)
+    return Region(axis, middle, halves)
+
+
+def cut_regions(means: np.ndarray, regions: Region) -> NestedCells:
+    weights = np.linspace(1.0, 0.0, len(means))
+    return nested_cells(
+        means, weights, first=64, growth=1.5, smallest=16, largest=128, regions=regions
+    )
+
+
+@pytest.mark.parametrize("splats", [0, 15, 60, 70, 100, 500, 6000])
+@pytest.mark.parametrize("depth", [1, 4, 8])
+def test_regions_hold_every_splat_once_in_chunks_with_parents(splats: int, depth: int) -> None:
+    means = np.random.default_rng(splats).uniform(-8.0, 8.0, (splats, 3))
+    found = cut_regions(means, halved(depth))
+    np.testing.assert_array_equal(np.sort(found.order), np.arange(splats))
+    sizes = [run.stop - run.start for run in found.slices]
+    assert max(sizes, default=0) <= 128
+    assert min(sizes, default=16) >= min(16, splats)
+    above = parents(found.cells)
+    assert (above[1:] >= 0).all()
+    assert (found.layers[above[1:]] < found.layers[1:]).all()
+    assert (np.diff(found.layers) >= 0).all()
+
+
+def test_chunks_of_regions_are_apart_and_coarse_chunks_span_them() -> None:
+    rng = np.random.default_rng(1)
+    means = rng.uniform(-8.0, 8.0, (6000, 3))
+    means[:, 0] = rng.permutation(np.linspace(-7.99, 7.99, 6000))
+    found = cut_regions(means, halved(4))
+    below = {cell: found.order[run] for run, cell in zip(found.slices, found.cells, strict=True)}
+    # The scene, its quarters and its sixteenths have chunks, and chunks of sixteenths are halved.
+    depths = {int(cell).bit_length() - 1 for cell in found.cells}
+    assert depths == {0, 2, *range(4, max(depths) + 1)}
+    for cell, rows in below.items():
+        depth = int(cell).bit_length() - 1
+        number = int(cell) >> max(depth - 4, 0)
+        width = 16.0 / 2 ** min(depth, 4)
+        low = -8.0 + (number - (1 << min(depth, 4))) * width
+        assert ((means[rows, 0] >= low) & (means[rows, 0] < low + width)).all()
+    # The coarse chunk of a region holds its first splats.
+    quarter = np.flatnonzero((means[:, 0] < -4.0) & (np.arange(6000) >= 64))
+    np.testing.assert_array_equal(below[4], quarter[:64])
+
+
+def test_a_region_that_pruning_left_empty_is_not_halved() -> None:
+    means = np.random.default_rng(1).uniform(1.0, 8.0, (500, 3))
+    assert np.array_equal(cut_regions(means, halved(1)).order, cut(means).order)
+
+
+def test_cell_numbers_of_deep_regions_fit_32_bits() -> None:
+    region = Region()
+    for depth in range(40):
+        region = Region(0, float(depth - 40), (Region(), region))
+    # Most splats lie in the deepest region.
+    edges = np.repeat(np.arange(-40.0, 0.0), 16) - 0.5
+    means = np.zeros((len(edges) + 2000, 3))
+    means[::4, 0][: len(edges)] = edges[::-1]
+    found = cut_regions(means, region)
+    assert int(found.cells.max()) < 1 << 32
+    np.testing.assert_array_equal(np.sort(found.order), np.arange(len(means)))
