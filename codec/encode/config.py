@@ -110,8 +110,9 @@ class EncodeConfig:
         Splats per chunk at most.
     cells : bool
         Cut chunks by nested cells of space, finer from layer to layer, so that a client can fetch
-        the cells in view. Chunks of `partition.nested_cells.DEFAULT_CELL_SPLATS` splats cost hardly
-        more bytes than chunks without cells.
+        the cells in view. Regions that views tell apart, such as rooms, have layers of their own.
+        Chunks of `partition.nested_cells.DEFAULT_CELL_SPLATS` splats cost hardly more bytes than
+        chunks without cells.
     view_table : bool
         Store a table of each chunk's contribution to some viewpoints (SPEC 5.12); needs `cells`.
     morton : bool

@@ -54,9 +54,9 @@ def encode(
         Maker of the preview splats; required by `EncodeConfig.preview`.
     progress : Progress
         Called with the stages ``plan views``, ``score``, ``reference views``, the stages of the
-        order, ``order``, ``codebooks``, ``quantisers``, ``chunks``, ``view table``, ``preview``,
-        ``compensate`` and ``predict``. A search for a target repeats some of these stages within
-        the stage ``search``. A stage of one step is reported when it is done.
+        order, ``regions``, ``order``, ``codebooks``, ``quantisers``, ``chunks``, ``view table``,
+        ``preview``, ``compensate`` and ``predict``. A search for a target repeats some of these
+        stages within the stage ``search``. A stage of one step is reported when it is done.
 
     Returns
     -------

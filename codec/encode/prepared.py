@@ -15,8 +15,13 @@ from cogsplat.codec.executor import Executor, LocalThreads
 from cogsplat.codec.order import chunk_plan, objects
 from cogsplat.codec.order.gain_effort import GainEffort
 from cogsplat.codec.order.orders import OrderInputs, order_rows
-from cogsplat.codec.partition.nested_cells import NestedCells, nested_cells
-from cogsplat.codec.partition.regions import WHOLE_SCENE, Region, find_regions
+from cogsplat.codec.partition.nested_cells import (
+    WHOLE_SCENE,
+    NestedCells,
+    Region,
+    nested_cells,
+)
+from cogsplat.codec.partition.regions import find_regions
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.rate import allocation
 from cogsplat.codec.rate.pruning import keep_mask
@@ -168,7 +173,7 @@ def prepare(
     config : EncodeConfig
         Configuration of the encode.
     views : sequence of Camera
-        Scored views, for orders that render.
+        Scored views, for orders that render and for the regions of cells.
     jitter : bool
         Use jittered copies of the views in orders that render.
     references : ReferenceViews, optional
@@ -180,7 +185,7 @@ def prepare(
     executor : Executor, optional
         Runs the work of single views; None for threads of this process.
     progress : Progress
-        Called with the stages of orders that render.
+        Called with the stages of orders that render, and with ``regions``.
 
     Raises
     ------

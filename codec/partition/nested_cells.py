@@ -15,8 +15,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from .regions import WHOLE_SCENE, Region
-
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
@@ -49,6 +47,29 @@ _COARSENING: Final = 4
 # Share of the splats ignored at each end of an axis when a cell's length is measured: distant
 # floaters would make it cut across the wrong axis.
 _OUTLIERS: Final = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """Node of the binary tree of regions.
+
+    Parameters
+    ----------
+    axis : int
+        Axis that the plane is perpendicular to.
+    plane : float
+        Coordinate of the plane, scene units; lower coordinates belong to the first half.
+    halves : tuple of Region, optional
+        Regions on both sides; None for a region that is not split.
+    """
+
+    axis: int = 0
+    plane: float = 0.0
+    halves: tuple[Region, Region] | None = None
+
+
+WHOLE_SCENE: Final = Region()
+"""Region of a scene that views do not tell apart."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,6 @@ rendered pictures, which know walls.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
@@ -21,6 +20,8 @@ from cogsplat.codec.geometry.morton import spatial_order
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.scoring.chunk_contributions import chunk_contributions
 from cogsplat.codec.splats import Splats
+
+from .nested_cells import WHOLE_SCENE, Region
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -38,29 +39,6 @@ _SEEN_SHARE: Final = 1e-3
 # through a captured room saves 0.01, through a terrace 0.02, through a house of six rooms 0.34, and
 # through parts of its rooms 0.12 to 0.4.
 _LEAST_SAVING: Final = 0.1
-
-
-@dataclass(frozen=True, eq=False)
-class Region:
-    """Node of the binary tree of regions.
-
-    Parameters
-    ----------
-    axis : int
-        Axis that the plane is perpendicular to.
-    plane : float
-        Coordinate of the plane, scene units; lower coordinates belong to the first half.
-    halves : tuple of Region, optional
-        Regions on both sides; None for a region that is not split.
-    """
-
-    axis: int = 0
-    plane: float = 0.0
-    halves: tuple[Region, Region] | None = None
-
-
-WHOLE_SCENE: Final = Region()
-"""Region of a scene that views do not tell apart."""
 
 
 def find_regions(

@@ -6,8 +6,7 @@ from encoding import unseen
 
 from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.order.chunk_plan import plan_chunks
-from cogsplat.codec.partition.nested_cells import parents
-from cogsplat.codec.partition.regions import WHOLE_SCENE
+from cogsplat.codec.partition.nested_cells import WHOLE_SCENE, parents
 from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.codec.scoring.contribution import zero_scores
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, synth_rooms

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from cogsplat.codec.partition.nested_cells import NestedCells, nested_cells, parents
-from cogsplat.codec.partition.regions import Region
+from cogsplat.codec.partition.nested_cells import NestedCells, Region, nested_cells, parents
 
 
 def cut(means: np.ndarray, first: int = 64, least: int = 16, most: int = 128) -> NestedCells:

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from cogsplat.codec.partition.regions import WHOLE_SCENE, Region, find_regions, split_regions
+from cogsplat.codec.partition.nested_cells import WHOLE_SCENE, Region
+from cogsplat.codec.partition.regions import find_regions, split_regions
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, synth_rooms
 
 SIZES = {"smallest": 100, "saving": 100}
