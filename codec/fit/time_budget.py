@@ -11,8 +11,8 @@ from cogsplat.codec.errors import CogsplatWarning
 
 # Share of a step's time that does not depend on the number of splats: mostly renders of the source,
 # the ground truth of drawn views. Measured on a captured and a made scene with 10 to 100 % of their
-# splats: 0.17 to 0.23.
-_FIXED_SHARE: Final = 0.21
+# splats: 0.08 and 0.15.
+_FIXED_SHARE: Final = 0.11
 # Bounds of the factor on planned steps.
 _MIN_FACTOR: Final = 0.05
 _MAX_FACTOR: Final = 12.0
