@@ -35,7 +35,7 @@ from .trainer import Trainer
 from .tune_config import TuneRequest
 
 # Factors on the learning rates at the first and the last step.
-_LEARNING_RATE_FACTORS: Final = (0.4, 0.04)
+_LEARNING_RATE_FACTORS: Final = (0.8, 0.04)
 # Share of the steps in which the nominal quality follows the target. Afterwards the quantiser steps
 # are fixed, so that values converge to the quantisation grid.
 _RATE_CONTROL_SHARE: Final = 0.6

@@ -17,7 +17,7 @@ _STORING_LOSS_DB: Final = 2.0
 # PSNR that training after the last round gains, with falling learning rates, dB.
 _RECOVERY_GAIN_DB: Final = 1.8
 # Within this distance of the end, dB, a round removes half as many splats.
-_SMALL_ROUND_DB: Final = 1.5
+_SMALL_ROUND_DB: Final = 3.0
 # PSNR lost when the number of splats is halved and they are trained again, dB. A captured scene had
 # 39.7 dB with 25 % of its splats and 37.8 dB with 18 %.
 _LOSS_PER_HALVING_DB: Final = 4.0

@@ -66,9 +66,9 @@ class TuneConfig:
     """
 
     keep: float | None = None
-    round_keep: float = 0.8
+    round_keep: float = 0.6
     round_steps: int = 100
-    recovery_steps: int = 1000
+    recovery_steps: int = 1500
     quantised_steps: int = 600
     encode_interval: int = 10
     rate_weight: float = 3.0

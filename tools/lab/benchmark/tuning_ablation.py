@@ -220,7 +220,7 @@ def main() -> None:
     if (given.scene is None) != (given.cameras is None):
         parser.error("SCENE and --cameras: expected both or none")
     config = TuneConfig(
-        round_steps=given.steps, recovery_steps=10 * given.steps, quantised_steps=6 * given.steps
+        round_steps=given.steps, recovery_steps=15 * given.steps, quantised_steps=6 * given.steps
     )
     config = replace(config, train=replace(config.train, threads=given.threads))
     names = [variant.name for variant in variants(config, 1.0, photos=given.images is not None)]
