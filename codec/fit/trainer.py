@@ -330,8 +330,8 @@ class Trainer:
             elif views.drawn is not None:
                 # Photos show the path alone: the other view is on and off it in turn.
                 block, position = divmod(self.steps, _DRAWN_STEPS)
-                order = np.random.default_rng((seed, _DRAWN_SALT, kind, block))
-                number = int(order.permutation(_DRAWN_STEPS)[position]) // _SHOWINGS
+                rng = np.random.default_rng((seed, _DRAWN_SALT, kind, block))
+                number = int(rng.permutation(_DRAWN_STEPS)[position]) // _SHOWINGS
                 off_path = bool(kind) and not (views.photos and number % 2)
                 key = (seed, _DRAWN_SALT, kind, block, number)
                 chosen.append((partial(self._drawn_view, views.drawn, key, off_path), 1.0))
