@@ -19,8 +19,8 @@ def test_every_variant_differs_in_what_it_is_named_after() -> None:
     assert len(found) == 11
     assert found["default"].config == SHORT
     assert found["1.5 times as many splats"].config.keep == pytest.approx(0.6)
-    # 0.8⁵ is below 0.4: one cut is followed by the steps of five rounds.
-    assert found["one pruning step instead of rounds"].config.round_steps == 5 * SHORT.round_steps
+    # 0.6² is below 0.4: one cut is followed by the steps of two rounds.
+    assert found["one pruning step instead of rounds"].config.round_steps == 2 * SHORT.round_steps
     assert found["noise instead of quantisers"].config == replace(
         SHORT, train=replace(SHORT.train, noise=True)
     )
