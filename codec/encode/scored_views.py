@@ -235,8 +235,8 @@ def score_given(
 ) -> tuple[list[Camera], Scores]:
     """Score a scene in the preset's share of the given views, or in more where they overlap little.
 
-    Where single cameras show much that no other shows, as in rooms with walls between them, as many
-    views again are added until they overlap or all are scored.
+    Where single cameras show much that no other shows, as in rooms with walls between them, the
+    number of views is multiplied by four until they overlap or all are scored.
 
     Parameters
     ----------

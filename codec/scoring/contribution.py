@@ -332,7 +332,9 @@ class Scorer:
             )
 
     def scores(self) -> Scores:
-        """Return the scores in all views added, which must be no more changed.
+        """Return the scores in all views added; call it once, after the last view.
+
+        It scales the sums in place.
 
         Raises
         ------
