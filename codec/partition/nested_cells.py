@@ -15,6 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.finite_fields import require_finite
+
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
@@ -66,6 +68,9 @@ class Region:
     axis: int = 0
     plane: float = 0.0
     halves: tuple[Region, Region] | None = None
+
+    def __post_init__(self) -> None:
+        require_finite(self)
 
 
 WHOLE_SCENE: Final = Region()

@@ -22,7 +22,7 @@ from cogsplat.codec.render.sensitivities import COLUMNS, Sensitivities, from_col
 from cogsplat.codec.render.tiles import sampled_pixels, sampled_tiles
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
 from cogsplat.codec.threads import thread_count
-from cogsplat.codec.views.view_sets import jitter
+from cogsplat.codec.views.roam_views import jitter
 from cogsplat.codec.workspace import IN_MEMORY, Gather, Workspace
 
 from .view_scores import ViewScores, Weighing, score_on_device, score_view

@@ -18,7 +18,7 @@ from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import thread_count
 from cogsplat.codec.views.low_discrepancy import STEP_1D
-from cogsplat.codec.views.view_sets import jitter
+from cogsplat.codec.views.roam_views import jitter
 
 PICTURE_PIXELS = 48_000
 """Pixels of one reference view at most; bounds time and memory."""

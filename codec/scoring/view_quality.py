@@ -16,7 +16,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.codec.views.close_views import ViewDistance, close_views, view_distances
-from cogsplat.codec.views.view_sets import roam
+from cogsplat.codec.views.roam_views import roam
 
 # Side of SSIM's window (Wang et al. 2004), px.
 _SMALLEST_SIDE = 11

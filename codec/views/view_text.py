@@ -27,6 +27,8 @@ _AXES: Final = {
 _EXPECTED_UP: Final = "expected x,y,z or one of +x, -x, +y, -y, +z, -z"
 # Significant digits of a number in text.
 _DIGITS: Final = 7
+# Coordinates below this share of the largest are rounding errors of the pose, and become 0.
+_ROUNDING: Final = 1e-12
 # Fields of view, degrees.
 _LEAST_FOV, _MOST_FOV = 0.1, 170.0
 # Sine of the angle to the vertical below which a direction of view has no level picture.
@@ -221,7 +223,9 @@ def view_text(camera: Camera, up: F64, target: F64 | None = None) -> str:
         math.atan2(float(camera.rotation[0] @ level[1]), float(camera.rotation[0] @ level[0]))
     )
     fov = math.degrees(2.0 * math.atan(0.5 * camera.height / camera.fy))
-    numbers = [*camera.position, *(camera.position + depth * forward), fov]
+    places = np.array([camera.position, camera.position + depth * forward])
+    places[np.abs(places) < _ROUNDING * np.abs(places).max()] = 0.0
+    numbers = [*places.ravel(), fov]
     if abs(roll) >= 0.005:
         numbers.append(roll)
     return ",".join(_number_text(float(number)) for number in numbers)

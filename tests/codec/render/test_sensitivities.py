@@ -9,7 +9,7 @@ from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.scoring import view_scores
 from cogsplat.codec.scoring.contribution import ScoreConfig, score
 from cogsplat.codec.splats import SceneInfo, empty
-from cogsplat.codec.views.view_sets import jitter
+from cogsplat.codec.views.roam_views import jitter
 
 NAMES = ("opacities", "means", "scales", "rotations", "sh0")
 # Of unlike sizes, so that averages over views and over pixels differ.

@@ -16,7 +16,7 @@ from cogsplat.codec.scoring.contribution import (
     score,
 )
 from cogsplat.codec.splats import SceneInfo, empty
-from cogsplat.codec.views.view_sets import jitter
+from cogsplat.codec.views.roam_views import jitter
 
 # Of unlike sizes, so that averages over views and over pixels differ.
 CAMERAS = [

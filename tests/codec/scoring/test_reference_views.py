@@ -6,7 +6,7 @@ import pytest
 
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.scoring.reference_views import MAX_VIEWS, PICTURE_PIXELS, render_references
-from cogsplat.codec.views.view_sets import jitter
+from cogsplat.codec.views.roam_views import jitter
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.scoring import view_quality
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.close_views import close_views, view_distances
-from cogsplat.codec.views.view_sets import roam
+from cogsplat.codec.views.roam_views import roam
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 CAMERAS = synth_cameras(4, 48, 36)

@@ -62,3 +62,12 @@ def test_the_target_of_a_text_lies_ahead_at_the_depth_of_the_camera_s():
     np.testing.assert_allclose(found.target, camera.position + 2.0 * camera.rotation[2], atol=1e-6)
     with pytest.raises(ValueError, match="without a target"):
         view_text(replace(camera, target=None), parse_up("+z"))
+
+
+def test_rounding_errors_of_a_pose_are_no_coordinates():
+    up = parse_up("-y")
+    camera = parse_view("0,0,-4,0,0,0,45").camera(up)
+    moved = replace(camera, translation=camera.translation + np.array([5e-17, -2e-16, 0.0]))
+    assert view_text(moved, up) == "0,0,-4,0,0,0,45"
+    near = replace(camera, translation=camera.translation + np.array([-1e-9, 0.0, 0.0]))
+    assert view_text(near, up).startswith("0.000000001,0,-4,")

@@ -13,7 +13,7 @@ import numpy as np
 import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.progress import Progress, StageCost, silent
-from cogsplat.codec.views.view_sets import roam
+from cogsplat.codec.views.roam_views import roam
 
 if TYPE_CHECKING:
     from cogsplat.codec.encode.config import EncodeConfig

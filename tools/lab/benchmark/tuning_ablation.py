@@ -28,7 +28,8 @@ from cogsplat.codec.fit.tuning_views import TuningViews
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.views.view_sets import hold_out, roam, sample_evenly
+from cogsplat.codec.views.roam_views import roam
+from cogsplat.codec.views.view_sets import hold_out, sample_evenly
 from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.formats.storage.byte_counts import parse_bytes
 from cogsplat.tools.evaluation.photos import read_ground_truth

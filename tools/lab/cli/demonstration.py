@@ -14,7 +14,8 @@ import cogsplat
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.progress import Progress, StageCost, silent
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.views.view_sets import hold_out, roam
+from cogsplat.codec.views.roam_views import roam
+from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.storage.atomic import storage_errors
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras

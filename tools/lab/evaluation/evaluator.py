@@ -15,7 +15,7 @@ from cogsplat.codec.metrics import psnr, ssim
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
-from cogsplat.codec.views.view_sets import roam
+from cogsplat.codec.views.roam_views import roam
 from cogsplat.tools.evaluation.lpips import Lpips
 
 # Side of the SSIM window (Wang et al. 2004), px.

@@ -320,3 +320,9 @@ test("texts of poses and directions are those of the command line", () => {
   for (const text of TEXTS.refused) assert.throws(() => parseView(text), SyntaxError, text);
   for (const text of TEXTS.refused_ups) assert.throws(() => parseUp(text), SyntaxError, text);
 });
+
+test("rounding errors of a pose are no coordinates of its text", () => {
+  const axes = axesOf(parseView("0,0,-4,0,0,0,45"), [0, -1, 0]);
+  assert.equal(viewText([5e-17, -2e-16, -4], axes, 4, 45, [0, -1, 0]), "0,0,-4,0,0,0,45");
+  assert.match(viewText([1e-9, 0, -4], axes, 4, 45, [0, -1, 0]), /^1e-9,0,-4,/);
+});

@@ -18,7 +18,8 @@ from cogsplat.codec.metrics import psnr
 from cogsplat.codec.order.orders import ORDERS, OrderInputs, order_rows
 from cogsplat.codec.render.rasteriser import render_views
 from cogsplat.codec.scoring.contribution import score
-from cogsplat.codec.views.view_sets import hold_out, roam
+from cogsplat.codec.views.roam_views import roam
+from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.storage.source import FileSource, PrefixSource
 from cogsplat.tools.lab.cli.evaluation_options import codecs, objects, shares, sizes

@@ -16,6 +16,8 @@ export interface ViewText {
 const NUMBER = /^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$/;
 /** Significant digits of a number in text. */
 const DIGITS = 7;
+/** Coordinates below this share of the largest are rounding errors of the pose, and become 0. */
+const ROUNDING = 1e-12;
 /** Fields of view, degrees. */
 const [LEAST_FOV, MOST_FOV] = [0.1, 170];
 /** Sine of the angle to the vertical below which a direction of view has no level picture. */
@@ -99,7 +101,9 @@ export function poseOf(view: ViewText, up: Vector): ViewerPose {
 export function viewText(position: Vector, axes: Axes, distance: number, fov: number, up: Vector): string {
   const level = levelAxes(axes[2], up);
   const roll = Math.atan2(dot(axes[0], level[1]), dot(axes[0], level[0])) / RADIANS;
-  const numbers = [...position, ...add(position, axes[2], distance), fov];
+  const places = [...position, ...add(position, axes[2], distance)];
+  const least = ROUNDING * Math.max(...places.map(Math.abs));
+  const numbers = [...places.map((place) => (Math.abs(place) < least ? 0 : place)), fov];
   if (Math.abs(roll) >= 0.005) numbers.push(roll);
   return numbers.map((value) => String(Number(value.toPrecision(DIGITS)) + 0)).join(",");
 }
