@@ -141,7 +141,7 @@ def _score_planned(
     scorer: Scorer | None = None,
     given: Sequence[Camera] = (),
 ) -> ScoredViews:
-    """Score a scene in planned views, and in given cameras that overlap too little.
+    """Score a scene in planned views as well as the given cameras, which overlap too little.
 
     `scorer` has the scores in the given cameras; None without such cameras.
     """
@@ -233,7 +233,7 @@ def score_given(
     *,
     progress: Progress = silent,
 ) -> tuple[list[Camera], Scores]:
-    """Score a scene in the preset's share of the given views, or in more where they overlap little.
+    """Score a scene in the preset's number of given views, or in more where they overlap little.
 
     Where single cameras show much that no other shows, as in rooms with walls between them, the
     number of views is multiplied by four until they overlap or all are scored.
@@ -269,7 +269,7 @@ def score_given(
 def _add_given(
     scorer: Scorer, cameras: Sequence[Camera], preset: Preset, config: ScoreConfig
 ) -> list[Camera]:
-    """Score given views until they overlap or all are scored; return those that were scored."""
+    """Score given views until they overlap or all are scored; return the scored views."""
     count = len(preset.views(cameras))
     scored: list[int] = []
     while True:

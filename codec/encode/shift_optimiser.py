@@ -63,8 +63,8 @@ class FitConfig:
     coded_share : float
         Length of the longest prefix with codes, in `prefix_inflation.effective_splats`; 0 or more.
         In longer prefixes, codes take more bytes than they are worth. At 0.65 in place of 0.2, two
-        trained objects show 0.15 and 0.3 dB less in as many bytes. Of one the first half then shows
-        1 dB more, of the other the first two thirds show 1.5 dB less.
+        trained objects show 0.15 and 0.3 dB less in as many bytes. The first half of one then shows
+        1 dB more, and the first two thirds of the other 1.5 dB less.
     threads : int
         Number of threads, 0 for all cores. The result does not depend on it.
     """

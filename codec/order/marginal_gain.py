@@ -60,7 +60,7 @@ class GainConfig:
         (`prefix_inflation.best_inflation`) when gains are measured. Inflated prefixes show far
         more with few splats.
     jitter : bool
-        Whether to measure gains in jittered copies of the cameras too (`view_sets.jitter`).
+        Whether to measure gains in jittered copies of the cameras too (`roam_views.jitter`).
     threads : int
         Number of threads; 0 for every core this process may use. The order does not depend on it.
     effort : GainEffort

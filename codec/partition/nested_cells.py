@@ -3,8 +3,8 @@
 The first layer is one chunk of the whole scene. Each further layer has more splats. Its cells are
 those of the layer before, halved if they hold too many splats. A client can thus fetch a coarse
 version of the whole scene, and details of visible cells only (as in COPC's octree of points).
-Regions that views tell apart, such as rooms, are halved first, and each has layers of its own: a
-view in one room fetches few coarse splats of the others.
+The scene is first split into regions that views tell apart, such as rooms. Each has layers of its
+own: a view in one room fetches few coarse splats of the others.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ WHOLE: Final = 1
 
 # Largest cell number whose halves have numbers of 32 bits, as the chunk table requires.
 _MAX_HALVED: Final = (1 << 31) - 1
-# A region has a coarse chunk if it holds at most a quarter of the splats of the smallest region
-# around it that has one: about one for each room. Without these chunks, the first 64 KiB of a house
-# of six rooms show 8 dB in place of 12 dB.
+# A region that is split has a coarse chunk if it holds at most a quarter of the splats of the
+# smallest region around it with such a chunk: about one for each room. Without these chunks, the
+# first 64 KiB of a house of six rooms show 8 dB in place of 12 dB.
 _COARSENING: Final = 4
 # Share of the splats ignored at each end of an axis when a cell's length is measured: distant
 # floaters would make it cut across the wrong axis.
@@ -243,7 +243,7 @@ def _cut_region(
     # Pruning may have left few splats on one side. Numbers of deeper cells would exceed 32 bits.
     is_split = min(map(len, sides)) >= sizes.smallest and number <= _MAX_HALVED
     if region.halves is None or not is_split:
-        # Two layers of a region, or the first of many, follow its coarse chunk.
+        # Below a coarse chunk, the first layer has half of the splats, or of a chunk.
         most = min(len(places), sizes.largest) // 2
         first = max(sizes.first, most) if layer else sizes.first
         _cut_layers(_Cell(number), places, layer, first, means, sizes, chunks)

@@ -26,13 +26,13 @@ from .nested_cells import WHOLE_SCENE, Region
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-# Splats of a group, of which views see all or nothing, and groups at most: their contributions to
-# all views have to fit into memory.
+# Splats of a group, the unit of visibility, and groups at most: contributions of all groups to all
+# views have to fit into memory.
 _GROUP_SPLATS: Final = 256
 _MOST_GROUPS: Final = 16_384
 
-# Share of a picture from which a view fetches all of a region; below it, in proportion. Without a
-# picture's thousandth, its PSNR is about 40 dB.
+# Share of a picture from which a view is assumed to fetch a whole region; smaller shares count in
+# proportion.
 _SEEN_SHARE: Final = 1e-3
 
 # Least share of a region that a split must save a view that fetches the region. The best plane
@@ -62,7 +62,8 @@ def find_regions(
     cameras : sequence of Camera
         Views of the scene, in the frame of the means.
     smallest, saving : int
-        Least splats of a region, and splats that a split must save a view of the region at least.
+        Least splats of a region, and least mean number of splats that a split must save a view
+        that fetches the region.
     executor : Executor, optional
         Executor of the work on single views; by default threads of this process.
     progress : Progress
@@ -108,7 +109,8 @@ def split_regions(centres: F64, splats: I64, shares: F64, *, smallest: int, savi
     shares : (V, g) float64
         Share of each group in each view's picture, 0 to 1.
     smallest, saving : int
-        Least splats of a region, and splats that a split must save a view of the region at least.
+        Least splats of a region, and least mean number of splats that a split must save a view
+        that fetches the region.
     """
     whole, views = int(splats.sum()), float(_seen(shares.sum(axis=1)).sum())
     best, found = views * (whole - max(_LEAST_SAVING * whole, saving)), None

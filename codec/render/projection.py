@@ -200,7 +200,7 @@ def _project(
         jx = -min(max(x, low_x), high_x)
         jy = -min(max(y, low_y), high_y)
         if not (0.5 < px < width - 0.5 and 0.5 < py < height - 0.5):
-            # Most splats of a large scene are beside the picture: a sphere around the ellipsoid
+            # Most splats of a large scene are outside the picture: a sphere around the ellipsoid
             # tells without its rotation and opacity.
             widest = max(scales[i, 0], scales[i, 1], scales[i, 2])
             ball = _BALL * math.exp(2.0 * widest) / (z * z)

@@ -1,4 +1,4 @@
-"""Visible depth: the median depth of the splats in a camera's picture."""
+"""Visible depth: the median depth of the means inside a camera's picture, hidden or not."""
 
 from __future__ import annotations
 

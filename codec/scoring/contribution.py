@@ -74,7 +74,7 @@ class ScoreConfig:
     least_weight : float
         Minimum of the weights that count in the contribution, 0 to 1; ignored unless `top_k` is 0.
     jitter : bool
-        Whether to score jittered copies of the cameras too (`view_sets.jitter`), so that splats
+        Whether to score jittered copies of the cameras too (`roam_views.jitter`), so that splats
         hidden from the capture path do not score 0.
     jitter_copies : int
         Jittered copies of each camera: 2 for both kinds, 1 for alternating kinds.
@@ -213,7 +213,7 @@ def zero_scores(splats: int) -> Scores:
 
 
 class Scorer:
-    """Running scores of a scene, to which views are added until they show enough of it.
+    """Scores of a scene, summed up view by view.
 
     Parameters
     ----------
@@ -247,7 +247,8 @@ class Scorer:
         self._executor = executor
         self._progress = progress
         self._device = CudaScene(splats) if config.device == "cuda" else None
-        # Views so far, cameras among them; pixels by weight of their views, and measured ones.
+        # Views so far, and the cameras among them. Pixels: all, weighted by the share of their
+        # view, and likewise those of tiles with sensitivities.
         self._views = 0
         self._cameras = 0
         self._num_pixels = 0
@@ -281,8 +282,8 @@ class Scorer:
             return
         numbers = range(self._views, self._views + len(views))
         self._views += len(views)
-        # The phase moves on from run to run: jittered copies alternate between two kinds, and a
-        # fixed phase would always meet the same kind.
+        # The phase shifts by one after `every` views: jittered copies alternate between two kinds,
+        # and a kind would always have the same tiles measured.
         phases = [
             (number + number // every) % every if every and share else -1
             for number, share in zip(numbers, shares, strict=True)

@@ -128,7 +128,7 @@ def render_references(
         Cameras in the frame of the means, at least one. If the cameras and their copies exceed
         `MAX_VIEWS`, an evenly spread sample of the cameras is used.
     jittered : bool
-        Whether to draw jittered copies of the cameras (`view_sets.jitter`) too.
+        Whether to draw jittered copies of the cameras (`roam_views.jitter`) too.
     pixels : int
         Pixels of one picture at most, at least 1.
     near_plane : float

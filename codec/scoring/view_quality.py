@@ -55,7 +55,7 @@ class Comparison:
     close : tuple of ViewQuality
         Quality in close views of some cameras (`close_views.view_distances`).
     roaming : tuple of ViewQuality
-        Quality in views off the capture path, derived from the cameras (`view_sets.roam`).
+        Quality in views off the capture path, derived from the cameras (`roam_views.roam`).
     """
 
     test: tuple[ViewQuality, ...]

@@ -55,7 +55,8 @@ class ViewScores:
     weight_sums : (S, 3) float64
         Sums of `blend_weights.add_weights`, in the order of `seen`.
     measured : (R,) int32
-        Rows of the splats in the tiles in which sensitivities are measured.
+        Rows of the splats with sensitivities: those that change a pixel of the measured tiles; on a
+        CUDA device, all with a footprint.
     measured_places : (R,) int32
         Row of `sensitivities` for each row of `measured`.
     sensitivities : (R, 13) float64

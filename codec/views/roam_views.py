@@ -28,7 +28,7 @@ def roam(splats: Splats, cameras: Sequence[Camera], first: int = 0) -> list[Came
     cameras : sequence of Camera
         Cameras in the frame of the means.
     first : int
-        Index of the first of these cameras.
+        Number of the first camera: even numbers are rotated to the right, odd ones to the left.
 
     Returns
     -------

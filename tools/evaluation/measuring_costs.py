@@ -16,7 +16,7 @@ from cogsplat.codec.views.view_sets import CLOSE_VIEWS
 
 # Cost of PSNR and SSIM per pixel.
 _METRICS_COST: Final = 8.5e-7
-# Roaming views per camera that `view_sets.roam` makes.
+# Roaming views per camera that `roam_views.roam` makes.
 _ROAMING_VIEWS: Final = 2
 
 

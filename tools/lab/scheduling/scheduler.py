@@ -22,7 +22,7 @@ _HELD_FACTOR: Final = 2.0
 _ABORT_FACTOR: Final = 16.0
 
 EVICTED_SECONDS: Final = 1.0
-"""Time after its eviction for which a chunk is fetched again only if it has become worth more."""
+"""Time after an eviction within which a chunk is fetched again only if its worth has doubled."""
 
 
 @dataclass(frozen=True)

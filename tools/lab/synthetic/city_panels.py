@@ -167,7 +167,7 @@ def _sides(box: Box) -> list[tuple[float, float, tuple[float, float, float], flo
 
 
 def _walls(block: Block, box: Box) -> list[Panel]:
-    """Return the visible walls of a box, without those behind neighbours."""
+    """Return the visible walls of a box, without walls behind neighbours."""
     storey = (box.y1 - box.y0 - box.base) / max(box.floors, 1)
     panels = []
     for x, z, right, width in _sides(box):

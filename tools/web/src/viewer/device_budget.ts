@@ -1,10 +1,10 @@
-/** GiB of a device that does not state its memory; none states more. */
+/** Memory of a device whose browser states none, GiB. Browsers state 8 at most. */
 const USUAL_GIB = 8;
 /** GiB from which touch screens have their whole budget. */
 const GIB_OF_TOUCH = 4;
 /** Shorter side of a screen, CSS pixels, from which a device with touch is a tablet. */
 const TABLET_PX = 600;
-/** Splats for each GiB of a computer with graphics memory of its own; each takes about 180 bytes at SH degree 3. */
+/** Splats for each GiB of system memory, where the GPU has memory of its own; a splat takes about 180 bytes at SH degree 3. */
 const SPLATS_PER_GIB = 1_500_000;
 /** Splats in slower graphics, as in Spark 2 (sparkjs.dev). */
 const BUDGETS = { headset: 500_000, phone: 1_000_000, tablet: 1_500_000, shared: 2_500_000 } as const;

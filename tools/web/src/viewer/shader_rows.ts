@@ -3,8 +3,8 @@ import type { PackedSplats } from "../scene/packed_splats.js";
 /**
  * Words of splats as the shaders read them, row by row.
  *
- * Means are float32, which the shader subtracts from the camera's position before it rotates them: half floats would
- * be pixels off some metres from the origin.
+ * The shader subtracts the camera's position from the float32 means before it rotates them: half floats would be pixels
+ * off some metres from the origin.
  */
 export interface ShaderRows {
   /** Mean x, y, z as float32; word 0 of `PackedSplats`. */
