@@ -273,7 +273,7 @@ def _add_given(
     count = len(preset.views(cameras))
     scored: list[int] = []
     while True:
-        rest = [number for number in range(len(cameras)) if number not in set(scored)]
+        rest = sorted(set(range(len(cameras))) - set(scored))
         further = sample_evenly(rest, count - len(scored)) if rest else []
         scorer.add([cameras[number] for number in further], jittered=config.jitter)
         scored = sorted([*scored, *further])
