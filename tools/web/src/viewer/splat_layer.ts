@@ -3,6 +3,7 @@ import type { Viewpoint } from "../container/root.js";
 import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
 import type { ViewPlane } from "./depth_order.js";
 import type { DepthSorter } from "./depth_sorter.js";
+import { RowOrder } from "./row_order.js";
 import type { ShaderRows } from "./shader_rows.js";
 import { TEXTURE_WIDTH } from "./shaders.js";
 import { SplatTextures } from "./splat_textures.js";
@@ -24,9 +25,6 @@ export interface LayerScene {
   readonly hasLevels: boolean;
 }
 
-/** Cosine of the angle by which a view may turn before rows are sorted again: 0.05 degrees. */
-const SAME_DIRECTION = 1 - 4e-7;
-
 /** One scene drawn: its rows, and their order for the view. */
 export class SplatLayer {
   private allocated: number;
@@ -44,13 +42,9 @@ export class SplatLayer {
   private kept = Infinity;
   /** Ends of the chunks written, rows. */
   private readonly ends = new Set<number>();
-  private sorted: { readonly rows: number; readonly forward: readonly number[] } | undefined;
-  private sorting = false;
-  private stale = true;
-  private spare: Uint32Array | undefined;
-  /** Plane of the last view. */
-  private plane: ViewPlane | undefined;
-  private closed = false;
+  private readonly order: RowOrder;
+  /** Rows of the last picture. */
+  drawnRows = 0;
 
   /**
    * @param ranges - Value ranges of the codes of packed rows.
@@ -71,10 +65,16 @@ export class SplatLayer {
     this.textures = new SplatTextures(this.capacity, scene.shDegree, scene.hasLevels);
     this.textures.allocate(gl);
     // The textures take over orders, whose memory is uploaded in whole lines.
-    this.sorter = makeSorter(TEXTURE_WIDTH * Math.ceil(this.capacity / TEXTURE_WIDTH));
+    const sorter = makeSorter(TEXTURE_WIDTH * Math.ceil(this.capacity / TEXTURE_WIDTH));
+    this.order = new RowOrder(sorter, ({ order, rows, milliseconds }) => {
+      const spare = this.textures.writeOrder(order, rows);
+      this.drawnRows = rows;
+      this.shrink();
+      this.sortMilliseconds = milliseconds;
+      this.changed();
+      return spare;
+    });
   }
-
-  private readonly sorter: DepthSorter;
 
   /** Rows of allocated memory. */
   get capacity(): number {
@@ -91,14 +91,9 @@ export class SplatLayer {
     return this.textures.shaderRows;
   }
 
-  /** Rows of the last picture. */
-  get drawnRows(): number {
-    return this.sorted?.rows ?? 0;
-  }
-
-  /** Whether a sort is running that includes more rows than the last one. */
+  /** Whether a sort is running. */
   get isSorting(): boolean {
-    return this.sorting;
+    return this.order.isSorting;
   }
 
   /** Write a chunk's rows. */
@@ -107,11 +102,10 @@ export class SplatLayer {
     this.textures.write(packed, firstRow);
     this.ends.add(firstRow + packed.count);
     this.arrived = Math.max(this.arrived, firstRow + packed.count);
-    this.sorter.add(firstRow, packed.means);
-    this.stale = true;
-    // New rows are drawn once sorted, and the sort need not wait for a picture.
-    if (this.plane === undefined) this.changed();
-    else void this.sort(this.plane);
+    this.order.add(firstRow, packed.means);
+    // The sort need not wait for a picture, unless there was no view yet.
+    this.order.show(this.rows);
+    if (!this.order.isSorting) this.changed();
   }
 
   /** Hide rows. */
@@ -143,7 +137,7 @@ export class SplatLayer {
   /** Draw only the first rows. */
   limit(rows: number): void {
     this.most = Math.max(rows, 1);
-    this.stale = true;
+    this.order.show(this.rows);
     this.changed();
   }
 
@@ -152,7 +146,7 @@ export class SplatLayer {
     const whole = Math.max(...[...this.ends].filter((end) => end <= rows), 0);
     // Of a chunk that is only partly there, later changes could not be written.
     this.kept = this.arrived > rows && whole > 0 ? whole : Math.max(rows, 1);
-    this.stale = true;
+    this.order.show(this.rows);
     this.changed();
   }
 
@@ -174,18 +168,13 @@ export class SplatLayer {
    * @returns Whether all rows received are bound in the order of the view.
    */
   prepare(plane: ViewPlane): boolean {
-    this.plane = plane;
-    const before = this.sorted?.forward;
-    const turned =
-      before === undefined || before.reduce((sum, value, i) => sum + value * plane.forward[i]!, 0) < SAME_DIRECTION;
-    if ((this.stale || turned) && this.rows > 0) void this.sort(plane);
+    const isCurrent = this.order.look(plane);
     this.textures.bind(this.gl);
-    return !this.sorting && (this.rows === 0 || !(this.stale || turned));
+    return isCurrent;
   }
 
   close(): void {
-    this.closed = true;
-    this.sorter.close();
+    this.order.close();
     this.textures.delete(this.gl);
   }
 
@@ -195,21 +184,5 @@ export class SplatLayer {
     this.allocated = this.kept;
     this.arrived = Math.min(this.arrived, this.kept);
     this.textures.shrink(this.gl, this.kept);
-  }
-
-  private async sort(plane: ViewPlane): Promise<void> {
-    if (this.sorting) return;
-    this.sorting = true;
-    this.stale = false;
-    const { order, rows, milliseconds } = await this.sorter.sort(this.rows, plane, this.spare);
-    this.sorting = false;
-    if (this.closed) return;
-    this.spare = this.textures.writeOrder(order, rows);
-    this.sorted = { rows, forward: plane.forward };
-    this.shrink();
-    this.sortMilliseconds = milliseconds;
-    this.changed();
-    // Rows that arrived meanwhile need not wait for a picture either.
-    if (this.stale) void this.sort(this.plane!);
   }
 }
