@@ -160,39 +160,20 @@ def _tile_columns(
     return _columns_between(left_end, right_end, margin, width)
 
 
-@called_with("float32[:, ::1], int32[:, ::1], int64, int64, int64[::1]")
+@called_with(
+    "float32[:, ::1], int32[:, ::1], int64, int64, int64[::1], int64[::1], int32[:, ::1]"
+)
 @kernel
 def _count(
     ellipse: NDArray[np.float32],
     rows: NDArray[np.int32],
     width: int,
     tiles_x: int,
+    first_spans: NDArray[np.int64],
     counts: NDArray[np.int64],
+    spans: NDArray[np.int32],
 ) -> None:
-    """Count the footprints that may reach each tile; `counts`, by tile, is increased in place."""
-    for i in range(len(ellipse)):
-        reach = _reach(ellipse[i])
-        for tile_y in range(rows[i, 0] // TILE, (rows[i, 1] + TILE - 1) // TILE):
-            top = max(rows[i, 0], tile_y * TILE)
-            bottom = min(rows[i, 1], tile_y * TILE + TILE)
-            left, right = _tile_columns(ellipse[i], reach, top, bottom, width)
-            for tile in range(tile_y * tiles_x + left, tile_y * tiles_x + right):
-                counts[tile] += 1
-
-
-@called_with("float32[:, ::1], int32[:, ::1], int64, int64, int64, int64, int64[::1], int32[::1]")
-@kernel
-def _fill(
-    ellipse: NDArray[np.float32],
-    rows: NDArray[np.int32],
-    width: int,
-    tiles_x: int,
-    first: int,
-    last: int,
-    cursors: NDArray[np.int64],
-    members: NDArray[np.int32],
-) -> None:
-    """Append the footprints, in order, to the lists of the tiles that they may reach.
+    """Find the tiles that each footprint may reach, and count the footprints of each tile.
 
     Parameters
     ----------
@@ -202,6 +183,43 @@ def _fill(
         Image width, px.
     tiles_x : int
         Number of tiles in a row of tiles.
+    first_spans : (M + 1,) int64
+        First row of each footprint in `spans`.
+    counts : (tiles,) int64
+        Number of footprints by tile, increased in place.
+    spans : (S, 2) int32
+        Output, by footprint and row of tiles from the top: half-open range of tiles.
+    """
+    for i in range(len(ellipse)):
+        reach = _reach(ellipse[i])
+        tile_y = rows[i, 0] // TILE
+        for span in range(first_spans[i], first_spans[i + 1]):
+            top = max(rows[i, 0], tile_y * TILE)
+            bottom = min(rows[i, 1], tile_y * TILE + TILE)
+            left, right = _tile_columns(ellipse[i], reach, top, bottom, width)
+            spans[span, 0] = tile_y * tiles_x + left
+            spans[span, 1] = tile_y * tiles_x + right
+            for tile in range(tile_y * tiles_x + left, tile_y * tiles_x + right):
+                counts[tile] += 1
+            tile_y += 1
+
+
+@called_with("int64[::1], int32[:, ::1], int64, int64, int64[::1], int32[::1]")
+@kernel
+def _fill(
+    first_spans: NDArray[np.int64],
+    spans: NDArray[np.int32],
+    first: int,
+    last: int,
+    cursors: NDArray[np.int64],
+    members: NDArray[np.int32],
+) -> None:
+    """Append the footprints, in order, to the lists of the tiles that they may reach.
+
+    Parameters
+    ----------
+    first_spans, spans
+        Argument and output of `_count`.
     first, last : int
         Half-open range of tiles.
     cursors : (last - first,) int64
@@ -209,19 +227,9 @@ def _fill(
     members : (P,) int32
         Output: `TileLists.members`.
     """
-    top_tile = first // tiles_x
-    bottom_tile = (last + tiles_x - 1) // tiles_x
-    for i in range(len(ellipse)):
-        begin = max(rows[i, 0] // TILE, top_tile)
-        end = min((rows[i, 1] + TILE - 1) // TILE, bottom_tile)
-        reach = _reach(ellipse[i])
-        for tile_y in range(begin, end):
-            top = max(rows[i, 0], tile_y * TILE)
-            bottom = min(rows[i, 1], tile_y * TILE + TILE)
-            left, right = _tile_columns(ellipse[i], reach, top, bottom, width)
-            for tile in range(
-                max(tile_y * tiles_x + left, first), min(tile_y * tiles_x + right, last)
-            ):
+    for i in range(len(first_spans) - 1):
+        for span in range(first_spans[i], first_spans[i + 1]):
+            for tile in range(max(spans[span, 0], first), min(spans[span, 1], last)):
                 members[cursors[tile - first]] = i
                 cursors[tile - first] += 1
 
@@ -248,7 +256,11 @@ def tile_lists(
     tiles_x = -(-width // TILE)
     num_tiles = tiles_x * -(-height // TILE)
     counts = np.zeros(num_tiles, np.int64)
-    _count(footprints.ellipse, footprints.rows, width, tiles_x, counts)
+    rows = footprints.rows
+    first_spans = np.zeros(len(footprints) + 1, np.int64)
+    np.cumsum((rows[:, 1] + (TILE - 1)) // TILE - rows[:, 0] // TILE, out=first_spans[1:])
+    spans = np.empty((int(first_spans[-1]), 2), np.int32)
+    _count(footprints.ellipse, rows, width, tiles_x, first_spans, counts, spans)
     ends = np.cumsum(counts)
     first = 0
     while first < num_tiles:
@@ -258,16 +270,7 @@ def tile_lists(
         starts = np.zeros(last - first + 1, np.int64)
         starts[1:] = ends[first:last] - before
         members = np.empty(int(starts[-1]), np.int32)
-        _fill(
-            footprints.ellipse,
-            footprints.rows,
-            width,
-            tiles_x,
-            first,
-            last,
-            starts[:-1].copy(),
-            members,
-        )
+        _fill(first_spans, spans, first, last, starts[:-1].copy(), members)
         yield TileLists(first, last, starts, members)
         first = last
 
