@@ -206,8 +206,10 @@ class ForwardPass:
         degree = {0: 0, 3: 1, 8: 2, 15: 3}[higher]
         if self.config.sh_degree is not None:
             degree = min(degree, self.config.sh_degree)
+        order = footprints.row_order()
         colour = partial(
             add_colour_gradients,
+            order,
             footprints.index,
             sums,
             self.colours,
@@ -221,6 +223,7 @@ class ForwardPass:
         )
         shape = partial(
             add_shape_gradients,
+            order,
             footprints.index,
             sums,
             footprints.ellipse,

@@ -72,11 +72,13 @@ def _direction_gradient(
 
 
 @called_with(
-    "int32[::1], float64[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, :, ::1], "
-    "float64[::1], int64, float32[:, ::1], float32[:, ::1], float32[:, :, ::1], int64, int64"
+    "int32[::1], int32[::1], float64[:, ::1], float32[:, ::1], float32[:, ::1], "
+    "float32[:, :, ::1], float64[::1], int64, float32[:, ::1], float32[:, ::1], "
+    "float32[:, :, ::1], int64, int64"
 )
 @kernel
 def add_colour_gradients(
+    order: NDArray[np.int32],
     index: NDArray[np.int32],
     sums: F64,
     colours: F32,
@@ -94,6 +96,8 @@ def add_colour_gradients(
 
     Parameters
     ----------
+    order : (M,) int32
+        Footprints in ascending order of `index`, in which the values of the scene are read fastest.
     index : (M,) int32
         Splat of each footprint, without duplicates.
     sums : (M, SUMS) float64
@@ -109,11 +113,12 @@ def add_colour_gradients(
     by_means, by_sh0, by_shN : (N, 3), (N, 3), (N, K-1, 3) float32
         Gradients, changed in place.
     first, last : int
-        Half-open range of footprints.
+        Half-open range of `order`.
     """
     dots = np.zeros(15, np.float64)
     higher = (degree + 1) * (degree + 1) - 1
-    for row in range(first, last):
+    for place in range(first, last):
+        row = order[place]
         i = index[row]
         red = sums[row, BY_RED] if colours[row, 0] > 0.0 else 0.0
         green = sums[row, BY_RED + 1] if colours[row, 1] > 0.0 else 0.0
@@ -144,13 +149,14 @@ def add_colour_gradients(
 
 
 @called_with(
-    "int32[::1], float64[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], "
+    "int32[::1], int32[::1], float64[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], "
     "float32[:, ::1], float32[::1], float64[:, ::1], float64[::1], float64[::1], int64, int64, "
     "float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[::1], "
     "float64[:, ::1], int64, int64"
 )
 @kernel
 def add_shape_gradients(
+    order: NDArray[np.int32],
     index: NDArray[np.int32],
     sums: F64,
     ellipse: F32,
@@ -176,7 +182,7 @@ def add_shape_gradients(
 
     Parameters
     ----------
-    index, sums
+    order, index, sums
         Arguments of `add_colour_gradients`.
     ellipse : (M, 8) float32
         Array of `Footprints`.
@@ -193,7 +199,7 @@ def add_shape_gradients(
     by_centres : (M, 2) float64
         Output: gradients w.r.t. the image-space centres of the footprints, 1/px.
     first, last : int
-        Half-open range of footprints.
+        Half-open range of `order`.
 
     Notes
     -----
@@ -215,7 +221,8 @@ def add_shape_gradients(
     by_scaled = np.empty((2, 3), np.float64)
     by_world = np.empty((2, 3), np.float64)
     linear = np.empty(3, np.float64)
-    for row in range(first, last):
+    for place in range(first, last):
+        row = order[place]
         i = index[row]
         g, gu, gv = sums[row, G], sums[row, GU], sums[row, GV]
         guu, guv, gvv = sums[row, GUU], sums[row, GUV], sums[row, GVV]
