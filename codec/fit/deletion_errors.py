@@ -12,7 +12,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.marginal_gains import marginal_gains
 from cogsplat.codec.render.projection import project
-from cogsplat.codec.render.rasteriser import RenderConfig, render
+from cogsplat.codec.render.rasteriser import RenderConfig
 from cogsplat.codec.render.shading import footprint_colours
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
@@ -26,14 +26,13 @@ def _view_errors(
     """Return the rows of the splats that one view shows, and the deletion error of each in it."""
     camera, config = view
     footprints = project(splats, camera, reduction=config.reduction)
-    colours = footprint_colours(splats, camera, footprints)
-    picture = render(splats, camera, config)
-    present = np.ones(len(footprints), np.bool_)
-    # With the scene's own render as ground truth, the gain of a splat is minus the squared change
-    # that its deletion makes.
     # Relative to the background, a picture over it is one over black, as `marginal_gains` expects.
-    background = np.array(config.background, np.float32)
-    gains, _ = marginal_gains(footprints, colours - background, present, picture - background)
+    colours = footprint_colours(splats, camera, footprints)
+    colours -= np.array(config.background, np.float32)
+    present = np.ones(len(footprints), np.bool_)
+    # With the scene's own picture as ground truth, the gain of a splat is minus the squared change
+    # that its deletion makes.
+    gains, _ = marginal_gains(footprints, colours, present, (camera.width, camera.height))
     return footprints.index, -gains
 
 

@@ -143,7 +143,8 @@ def view_gains(
     """
     footprints = project(splats.shapes, camera, reduction=reduction, near_plane=near_plane)
     colours = footprint_colours(splats.scene, camera, footprints, rows=splats.rows)
-    found, error = marginal_gains(footprints, colours, present[footprints.index], target)
+    size = camera.width, camera.height
+    found, error = marginal_gains(footprints, colours, present[footprints.index], size, target)
     return footprints.index, found, error
 
 

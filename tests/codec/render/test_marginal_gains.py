@@ -12,7 +12,8 @@ from cogsplat.codec.splats import concatenate
 def _measure(splats, present, camera, target):
     footprints = project(splats, camera)
     colours = row_colours(splats, footprints.index, camera)
-    gains, error = marginal_gains(footprints, colours, present[footprints.index], target)
+    size = camera.width, camera.height
+    gains, error = marginal_gains(footprints, colours, present[footprints.index], size, target)
     return footprints.index, gains, error
 
 
