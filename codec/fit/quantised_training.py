@@ -226,7 +226,7 @@ class QuantisedTraining:
     def encode_towards_target(
         self, splats: Splats, quality_db: float, done: float, measure: bool
     ) -> tuple[float, RoundTrip]:
-        """Encode the scene, and again if its size or PSNR asks for another nominal quality.
+        """Encode the scene, and choose the nominal quality of the next encode.
 
         The nominal quality changes in the first 60 % of the steps alone.
 
@@ -235,7 +235,7 @@ class QuantisedTraining:
         splats : Splats
             Scene in training.
         quality_db : float
-            Nominal quality of the last encode, dB.
+            Nominal quality of this encode, dB.
         done : float
             Share of the quantised training steps already made, 0 to 1.
         measure : bool
@@ -243,22 +243,19 @@ class QuantisedTraining:
 
         Returns
         -------
-        quality_db : float
-            Nominal quality of this encode, dB.
+        next_db : float
+            Nominal quality with which size or PSNR come nearer to the target, dB.
         made : RoundTrip
             Encoded and decoded scene.
         """
         made = self._encode(splats, quality_db)
         if measure:
             self.last_measurement = self.measure(made.encoded)
-        if done < _RATE_CONTROL_SHARE:
-            change_db = self._damped_quality_change_db(made.encoded, _DAMPING)
-            quality_db = _clamp_quality(
-                quality_db + min(max(change_db, -_MAX_QUALITY_STEP_DB), _MAX_QUALITY_STEP_DB)
-            )
-            if change_db:
-                made = self._encode(splats, quality_db)
-        return quality_db, made
+        if done >= _RATE_CONTROL_SHARE:
+            return quality_db, made
+        change_db = self._damped_quality_change_db(made.encoded, _DAMPING)
+        change_db = min(max(change_db, -_MAX_QUALITY_STEP_DB), _MAX_QUALITY_STEP_DB)
+        return _clamp_quality(quality_db + change_db), made
 
     def train(
         self,

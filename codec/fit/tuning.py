@@ -457,7 +457,7 @@ class _TuningRun:
     def _run_cycle(
         self, quantised: QuantisedTraining, done: int, planned: int, quality_db: float
     ) -> float:
-        """Encode the scene once and train on its decoded values; return the nominal quality, dB.
+        """Encode the scene once and train on its decoded values; return the next nominal quality.
 
         Parameters
         ----------
@@ -466,17 +466,17 @@ class _TuningRun:
         done, planned : int
             Quantised training steps made and planned.
         quality_db : float
-            Nominal quality of the last cycle.
+            Nominal quality of the encode, dB.
         """
         interval = self._config.encode_interval
         measure = (done // interval + 1) % _CHECKPOINT_CYCLES == 0
-        quality_db, made = quantised.encode_towards_target(
+        next_db, made = quantised.encode_towards_target(
             self.trainer.splats, quality_db, done / planned, measure
         )
         first = quantised.learning_rate_factor(done / planned)
         last = quantised.learning_rate_factor((done + interval) / planned)
         quantised.train(self.trainer, made, quality_db, interval, (first, last))
-        return quality_db
+        return next_db
 
     def _report_encode(self, quantised: QuantisedTraining) -> None:
         """Pass the last measurement and a checkpoint to the caller, during quantised training."""
