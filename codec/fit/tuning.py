@@ -19,7 +19,7 @@ from cogsplat.codec.metrics import psnr
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.splats import Splats
-from cogsplat.codec.threads import ordered_map, thread_count
+from cogsplat.codec.threads import one_blas_thread, ordered_map, thread_count
 
 from .checkpoint_arrays import CheckpointArrays, checkpoint_array, checkpoint_splats
 from .deletion_errors import deletion_errors
@@ -105,6 +105,7 @@ class TuneResult:
     splats: Splats
 
 
+@one_blas_thread()
 def tune(
     source: Splats,
     request: TuneRequest,

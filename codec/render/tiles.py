@@ -160,9 +160,7 @@ def _tile_columns(
     return _columns_between(left_end, right_end, margin, width)
 
 
-@called_with(
-    "float32[:, ::1], int32[:, ::1], int64, int64, int64[::1], int64[::1], int32[:, ::1]"
-)
+@called_with("float32[:, ::1], int32[:, ::1], int64, int64, int64[::1], int64[::1], int32[:, ::1]")
 @kernel
 def _count(
     ellipse: NDArray[np.float32],
