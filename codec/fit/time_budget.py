@@ -107,7 +107,9 @@ class TimeBudget:
         factor = self.factor if extend else min(self.factor, 1.0)
         return max(1, round(planned * factor))
 
-    def affordable_count(self, planned: int, seconds: float, reserved_seconds: float) -> int:
+    def affordable_count(
+        self, planned: int, seconds: float, reserved_seconds: float, extra: int = 0
+    ) -> int:
         """Return the number of repetitions that end by the deadline; `planned` without a deadline.
 
         At least 1, and between `_MIN_FACTOR` and `_MAX_FACTOR` times `planned`: the lower bound may
@@ -121,17 +123,16 @@ class TimeBudget:
             Duration of one repetition.
         reserved_seconds : float
             Time to leave for the work that follows.
+        extra : int
+            Further repetitions to leave time for, but no more than a fifth of the repetitions.
         """
         if self._deadline is None:
             return planned
         affordable = int((self._deadline - self._clock() - reserved_seconds) / seconds)
+        affordable -= min(extra, affordable // 5)
         return max(
             1, min(max(affordable, round(_MIN_FACTOR * planned)), round(_MAX_FACTOR * planned))
         )
-
-    def seconds_of(self, work: float) -> float:
-        """Return the duration of an amount of work (`work`), seconds; 0 if none was timed yet."""
-        return work * self._measured_seconds / self._measured_work if self._measured_work else 0.0
 
     def has_time(self, reserved_seconds: float) -> bool:
         """Return whether more than `reserved_seconds` remain, or there is no deadline."""

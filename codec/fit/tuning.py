@@ -48,11 +48,14 @@ _QUANTISED_STEP_COST: Final = 1.6
 # right, and the maximum number of such recoveries.
 _TRIAL_RECOVERY_SHARE: Final = 0.5
 _MAX_RECOVERIES: Final = 3
+# Number of these recoveries that a time limit is planned for.
+_EXPECTED_RECOVERIES: Final = 2
 # Number of earlier rounds that can be restored.
 _MAX_EARLIER_ROUNDS: Final = 2
-# Time reserved for the end of the encode, in durations of the setup of quantised training, plus
-# durations of one cycle of encoding and training.
-_RESERVED_SETUPS, _RESERVED_CYCLES = 2.0, 8.0
+# Time reserved for the end of the encode, in durations of the setup of quantised training, and for
+# the last corrections, in cycles of encoding and training.
+_RESERVED_SETUPS: Final = 2.0
+_CORRECTION_CYCLES: Final = 8
 # Views in which the first deletion errors are measured; later ones accumulate in training.
 _DELETION_VIEWS: Final = 128
 # Cycle whose duration the number of cycles is planned by; one-off compilation is over by then.
@@ -168,12 +171,12 @@ def tune(
     compare_untuned = request.target.psnr_db is not None and config.keep is None
     begin = run.time_budget.now()
     of_source = make_quantised(source) if compare_untuned else None
-    run.reserved_seconds = (1.0 + _RESERVED_SETUPS) * (run.time_budget.now() - begin)
+    source_seconds = run.time_budget.now() - begin
     untuned = None if of_source is None else of_source.encode_untrained(source)
     if resume is not None:
         run.restore(resume)
     if run.base is None:
-        run.prune()
+        run.prune(source_seconds)
         run.base = run.trainer.copy()
     begin = run.time_budget.now()
     quantised = make_quantised(run.base)
@@ -209,9 +212,8 @@ class _TuningRun:
         self._progress = progress
         self._source_count = len(source)
         self.time_budget = TimeBudget(config.seconds)
-        # Time to leave for quantised training's own setup and the end of the encode, as far as it
-        # was measured, seconds.
-        self.reserved_seconds = 0.0
+        # Time to leave for the setup of quantised training and the end of the encode, seconds.
+        self._reserved_seconds = 0.0
         # Time between two trainings: deletion errors, merging and measurements, seconds.
         self._round_seconds = 0.0
         self._trained_at = 0.0
@@ -247,8 +249,21 @@ class _TuningRun:
         """Current number of splats, relative to the source."""
         return self._count / max(self._source_count, 1)
 
-    def prune(self) -> None:
-        """Prune and train in rounds until the target allows no further round."""
+    @property
+    def _recovery_steps(self) -> int:
+        """Steps of one recovery; fewer where a target PSNR decides on the number of splats."""
+        share = _TRIAL_RECOVERY_SHARE if self._final_count() is None else 1.0
+        return math.ceil(share * self._config.recovery_steps)
+
+    def prune(self, setup_seconds: float) -> None:
+        """Prune and train in rounds until the target allows no further round.
+
+        Parameters
+        ----------
+        setup_seconds : float
+            Expected duration of the setup of quantised training; 0 if none was timed.
+        """
+        self._reserved_seconds = (1.0 + _RESERVED_SETUPS) * setup_seconds
         self._trained_at = self.time_budget.now()
         if not self._recoveries:
             while (count := self._next_count()) is not None:
@@ -286,10 +301,7 @@ class _TuningRun:
 
     def _recover(self) -> None:
         """Train for the recovery steps, with falling learning rates."""
-        steps = self._config.recovery_steps
-        if self._final_count() is None:
-            steps = math.ceil(_TRIAL_RECOVERY_SHARE * steps)
-        self._train(steps, _RECOVERY_RATES, recovery=True)
+        self._train(self._recovery_steps, _RECOVERY_RATES, recovery=True)
         self._recoveries += 1
         self._report_round()
 
@@ -366,37 +378,36 @@ class _TuningRun:
             timed = partial(self.trainer.run, _TIMED_STEPS, rates[0], rates[0])
             budget.run_timed(timed, TimeBudget.work(_TIMED_STEPS, self._share))
             done = _WARM_STEPS + _TIMED_STEPS
-        self._update_time_budget(planned if recovery else 0)
+        self._update_time_budget(recovery=recovery)
         steps = max(1, budget.scaled_steps(planned, extend=recovery) - done)
         run = partial(self.trainer.run, steps, *rates, progress=self._progress)
         budget.run_timed(run, TimeBudget.work(steps, self._share))
         self._trained_at = budget.now()
 
-    def _update_time_budget(self, recovery_steps: int) -> None:
+    def _update_time_budget(self, *, recovery: bool) -> None:
         """Set the factor on planned steps so that the remaining training meets the deadline.
 
         Parameters
         ----------
-        recovery_steps : int
-            Steps of the recovery that starts now; 0 before a round.
+        recovery : bool
+            Whether a recovery starts now, or a round.
         """
         config, share = self._config, self._share
         final = self._final_count()
-        final_share = _ASSUMED_SHARE if final is None else final / max(self._source_count, 1)
-        rounds, reserved = 0.0, self.reserved_seconds
-        if not recovery_steps and not self._recoveries:
+        rounds, reserved = 0.0, self._reserved_seconds
+        if not recovery and not self._recoveries:
+            final_share = _ASSUMED_SHARE if final is None else final / max(self._source_count, 1)
             while share > final_share:
                 rounds += TimeBudget.work(config.round_steps, share)
+                # The last deletion was from the splats that this round began with.
+                reserved += self._round_seconds * config.round_keep * share / self._share
                 share *= config.round_keep
-                reserved += self._round_seconds
-            recovery_steps = config.recovery_steps
-        quantised = _QUANTISED_STEP_COST * config.quantised_steps
-        last_share = min(final_share, share)
-        scalable = TimeBudget.work(recovery_steps + quantised, last_share)
-        # The last corrections train too, for as long as time remains.
-        corrections = _RESERVED_CYCLES * config.encode_interval * _QUANTISED_STEP_COST
-        reserved += self.time_budget.seconds_of(TimeBudget.work(corrections, last_share))
-        self.time_budget.fit_to_deadline(rounds, scalable, reserved)
+            share = min(final_share, share)
+        expected = 1 if final is not None else max(1, _EXPECTED_RECOVERIES - self._recoveries)
+        # The last corrections train too.
+        quantised = config.quantised_steps + _CORRECTION_CYCLES * config.encode_interval
+        steps = expected * self._recovery_steps + _QUANTISED_STEP_COST * quantised
+        self.time_budget.fit_to_deadline(rounds, TimeBudget.work(steps, share), reserved)
 
     def _measure_psnr(self) -> tuple[float, float]:
         """Return the mean and the lowest PSNR of the test views, dB."""
@@ -440,9 +451,11 @@ class _TuningRun:
             done += interval
             seconds = self.time_budget.now() - begin
             if is_new and done == _TIMED_CYCLE * interval:
-                reserved = _RESERVED_SETUPS * setup_seconds + _RESERVED_CYCLES * seconds
                 cycles = self.time_budget.affordable_count(
-                    (planned - done) // interval, seconds, reserved
+                    (planned - done) // interval,
+                    seconds,
+                    _RESERVED_SETUPS * setup_seconds,
+                    _CORRECTION_CYCLES,
                 )
                 planned = done + cycles * interval
             self._progress("train quantised", done, planned)
