@@ -59,7 +59,9 @@ _DAMPING, _FINAL_DAMPING = 0.4, 0.6
 # Names of a codebook's payloads in a checkpoint: number, attribute and rows of the codebook, part.
 _CODEBOOK_NAME: Final = re.compile(r"codebook\.([0-9]{1,2})\.(\w{1,20})\.([0-9]{1,9})\.[0-9]{1,2}")
 # Maximum number of given views for scoring, and the number up to which views near them are added.
-_MAX_SCORED_VIEWS, _LEAST_SCORED_VIEWS = 64, 48
+# A house of 42 cameras gains 1.1 dB held out by 96 in place of 48, and 6 dB in a view far from all
+# cameras; an object, a room and a terrace of 12 cameras lose and gain nothing.
+_MAX_SCORED_VIEWS, _LEAST_SCORED_VIEWS = 64, 96
 
 
 class QuantisedTraining:
