@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.rate import allocation
+from cogsplat.codec.rate.refinement_split import entropy_bits
+from cogsplat.codec.rate.sparse_codes import choose_codes
 from cogsplat.codec.streams import grid as grids
 from cogsplat.codec.streams import scalar, shn_transform
 from cogsplat.codec.streams.records import SH_BANDS, Stream
@@ -124,9 +126,15 @@ class ColourBasis:
             Source minus decoded.
         """
         coordinates = self.coordinates(coefficients)
-        largest = float(np.abs(coordinates).max(initial=0))
-        step = max(allocation.shn_step(lagrangian, energy), largest / _MOST_STEPS, _FINEST_STEP)
-        codes = _round(coordinates / step)
+        step = _step(coordinates, energy, lagrangian)
+        positions = coordinates / step
+        codes = choose_codes(
+            positions,
+            step**2 * allocation.shn_cost(energy),
+            allocation.bit_price(lagrangian),
+            _SHRINK,
+            _round(positions),
+        )
         stream = shn_transform.write(codes, codebook, step, _SHRINK)
         values = np.sign(codes) * np.maximum(np.abs(codes) - _SHRINK, 0) * step
         decoded = (values @ self.rows.astype(np.float64)).reshape(coefficients.shape)
@@ -156,6 +164,12 @@ def _flat(coefficients: F32) -> F64:
     """Return (n, K-1, 3) coefficients reshaped to (n, 3(K-1))."""
     flat: F64 = coefficients.reshape(-1, math.prod(coefficients.shape[1:])).astype(np.float64)
     return flat
+
+
+def _step(coordinates: F64, energy: F64, lagrangian: float) -> float:
+    """Return the step of a chunk from its coordinates, (n, B), and its splats' energies, (n,)."""
+    largest = float(np.abs(coordinates).max(initial=0))
+    return max(allocation.shn_step(lagrangian, energy), largest / _MOST_STEPS, _FINEST_STEP)
 
 
 def _round(values: F64) -> I64:
@@ -216,14 +230,38 @@ def fit(
         order = np.argsort(-levels, kind="stable")
         rows = (np.eye(len(metric)) / lengths)[order].astype(np.float32)
     basis = ColourBasis(np.ascontiguousarray(rows), metric)
-    projection = basis.projection
-    used = 1
+    count = _rows_that_pay(basis, coefficients_of, energy, lagrangian, chunks)
+    return replace(basis, rows=basis.rows[:count])
+
+
+def _rows_that_pay(
+    basis: ColourBasis,
+    coefficients_of: Callable[[slice], F32],
+    energy: F64,
+    lagrangian: float,
+    chunks: Sequence[slice],
+) -> int:
+    """Return how many rows of a full basis, at least one, remove more error than bytes are worth.
+
+    Parameters
+    ----------
+    basis : ColourBasis
+        All rows, most visible first.
+    coefficients_of, energy, lagrangian, chunks
+        As in `fit`.
+    """
+    price = allocation.bit_price(lagrangian)
+    gains = np.full(len(basis.rows), -price * basis.rows.shape[1] * np.log2(_ROW_LEVELS))
     for run in chunks:
-        # Check only rows after the last used one; mostly the first chunk uses the last row.
-        if used == len(rows):
+        coordinates = basis.coordinates(coefficients_of(run))
+        step = _step(coordinates, energy[run], lagrangian)
+        codes = _round(coordinates / step)
+        missed = np.square(coordinates - step * codes)
+        removed = allocation.shn_cost(energy[run]) @ (np.square(coordinates) - missed)
+        counts = [np.unique(column, return_counts=True)[1] for column in codes.T]
+        bits = np.array([entropy_bits(column) for column in counts])
+        gains += np.maximum(removed - price * bits, 0.0)
+        # Mostly the first chunk pays for all rows.
+        if (gains > 0).all():
             break
-        step = allocation.shn_step(lagrangian, energy[run])
-        coordinates = _flat(coefficients_of(run)) @ projection[:, used:]
-        coded = np.flatnonzero((np.abs(coordinates) >= _DEAD_ZONE * step).any(axis=0))
-        used += int(coded[-1]) + 1 if len(coded) else 0
-    return replace(basis, rows=basis.rows[:used])
+    return int(np.argmax(np.cumsum(gains))) + 1

@@ -150,16 +150,19 @@ def test_a_lower_slope_misses_less_and_costs_more():
     assert sizes[-1] > 4 * sizes[0]
 
 
-def test_principal_axes_take_fewer_bytes_for_as_little_error():
+def test_principal_axes_take_fewer_bytes_for_what_they_miss():
     results = []
     for principal in (True, False):
         values, basis = fitted(3, 1e-8, principal=principal)
         basis = basis.with_decoded_rows(stored(basis, 3).shN)
         run = CHUNKS[1]
         stream, missed = basis.encode(values[run], energy_of()[run], 1e-8, 0)
-        results.append((len(records.pack([stream])), cost(missed, basis.metric)))
-    assert results[0][0] < 0.8 * results[1][0]
-    assert results[0][1] < 1.3 * results[1][1]
+        results.append((8 * len(records.pack([stream])), basis.error(missed, energy_of()[run])))
+    (bits, error), (single_bits, single_error) = results
+    assert bits < 0.8 * single_bits
+    # More is missed than by single coefficients, but less than the bits between them are worth.
+    price = allocation.bit_price(1e-8)
+    assert error + price * bits < 0.6 * (single_error + price * single_bits)
 
 
 def test_views_get_the_directions_that_they_see():
@@ -196,6 +199,22 @@ def test_rows_that_no_chunk_would_use_are_left_out():
     stream, missed = none.encode(values, energy_of(), 1e6, 0)
     assert not stream.planes[0].any()
     np.testing.assert_array_equal(missed, values)
+
+
+def test_a_row_that_few_splats_use_is_stored_where_it_shows():
+    # One direction is that of a single splat.
+    values = np.zeros((300, 15, 3), f32)
+    values[:, 0, 0] = np.linspace(-1, 1, 300)
+    energy = np.full(300, 1e-4)
+
+    def rows(size):
+        values[7, 9, 1] = size
+        return colour_transform.fit(values.__getitem__, energy, NOWHERE, 1e-7, CHUNKS).rows
+
+    # Two steps of error are worth fewer bits than the row has, twenty are worth more.
+    step = allocation.shn_step(1e-7, energy) * np.sqrt(4 * np.pi)
+    assert len(rows(2 * step)) == 1
+    assert len(rows(20 * step)) == 2
 
 
 @pytest.mark.parametrize("rows", [1, 2])
