@@ -102,7 +102,7 @@ def test_codebooks_start_from_those_of_the_last_encode():
     splats, cameras = synth(3000, seed=3), synth_cameras(6, 64, 48)
     rng = np.random.default_rng(3)
     colours = rng.normal(0, 0.3, (4, 15, 3))[rng.integers(4, size=len(splats))]
-    noise = rng.normal(0, 0.02, colours.shape)
+    noise = rng.normal(0, 0.06, colours.shape)
     splats = replace(splats, shN=(colours + noise).astype(np.float32))
     config = EncodeConfig(
         profile="vq",
