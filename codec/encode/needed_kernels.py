@@ -20,6 +20,7 @@ _OTHERS: Final = (
     "render.visible_depth",
     "render.tiles",
     "render.projection",
+    "render.splat_blocks",
     # Of the first view, of close views, in which predictions are measured, and of planned ones.
     "render.peak_weights",
     "views.occlusion",

@@ -1,4 +1,4 @@
-"""Depth order: radix sort of depths, nearest first."""
+"""Radix sort of 64-bit keys, and with it the depth order: nearest first."""
 
 from __future__ import annotations
 
@@ -70,6 +70,25 @@ def _sort(
     return swapped
 
 
+def key_order(keys: NDArray[np.uint64]) -> NDArray[np.int32]:
+    """Return the permutation that sorts keys in ascending order, ties in their original order.
+
+    Parameters
+    ----------
+    keys : (M,) uint64
+        Keys, overwritten.
+
+    Returns
+    -------
+    (M,) int32
+        Equal to ``np.argsort(keys, kind="stable")``, in a fraction of the time.
+    """
+    places = np.arange(len(keys), dtype=np.int32)
+    spare_keys, spare_places = np.empty_like(keys), np.empty_like(places)
+    counts = np.zeros((_DIGITS, _VALUES), np.int64)
+    return spare_places if _sort(keys, places, spare_keys, spare_places, counts) else places
+
+
 def depth_order(depths: NDArray[np.float64]) -> NDArray[np.int32]:
     """Return the permutation that sorts depths in ascending order, ties in their original order.
 
@@ -83,8 +102,4 @@ def depth_order(depths: NDArray[np.float64]) -> NDArray[np.int32]:
     (M,) int32
         Equal to ``np.argsort(depths, kind="stable")``, in a fraction of the time.
     """
-    keys = depths.view(np.uint64).copy()
-    places = np.arange(len(keys), dtype=np.int32)
-    spare_keys, spare_places = np.empty_like(keys), np.empty_like(places)
-    counts = np.zeros((_DIGITS, _VALUES), np.int64)
-    return spare_places if _sort(keys, places, spare_keys, spare_places, counts) else places
+    return key_order(depths.view(np.uint64).copy())

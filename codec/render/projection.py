@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,15 +29,15 @@ _SLACK = 1e-6
 _HUGE = 1e18
 
 # Variance of a uniform distribution over a pixel, px².
-_PIXEL_VARIANCE = 1.0 / 12.0
+PIXEL_VARIANCE = 1.0 / 12.0
 # The pixel of a picture counts as that of training when their areas differ by less than this share:
 # rounding of a position must not blur the picture of a training camera.
 _SAME_PIXEL = 1e-6
 
 # Bounds of a footprint by the sphere around its ellipsoid. A camera's rotation may be off by 1e-3,
 # which lengthens the rows of the Jacobian; a splat of opacity 1 has the longest cut.
-_BALL = 1.02
-_BALL_EDGE = 1.001 * math.sqrt(-2.0 * math.log(ALPHA_MIN))
+BALL = 1.02
+BALL_EDGE = 1.001 * math.sqrt(-2.0 * math.log(ALPHA_MIN))
 
 # Columns of `Footprints.ellipse`, and of `Footprints.added`.
 X, Y, NARROW, SHEAR, FLAT, OPACITY, HALF_WIDTH, HALF_HEIGHT = range(8)
@@ -75,6 +76,20 @@ class Footprints:
 
     def __len__(self) -> int:
         return len(self.index)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Footprints]) -> Footprints:
+        """Return the footprints of several parts of a scene, each further away than the last."""
+        index = np.concatenate([part.index for part in parts])
+        order = np.empty_like(index)
+        order[np.argsort(index)] = np.arange(len(index), dtype=np.int32)
+        return cls(
+            index,
+            order,
+            np.concatenate([part.ellipse for part in parts]),
+            np.concatenate([part.rows for part in parts]),
+            np.concatenate([part.added for part in parts]),
+        )
 
     def only(self, kept: NDArray[np.bool_]) -> Footprints:
         """Return the footprints of a mask, (M,) bool, nearest first."""
@@ -136,8 +151,9 @@ def slack(centre: float, extent: float) -> float:
 
 @called_with(
     "float32[:, ::1], float32[:, ::1], float32[:, ::1], float32[::1], float64[:, ::1], "
-    "float64[::1], float64[::1], float64[::1], float64[::1], int64, int64, float64, int32[::1], "
-    "float64[::1], float32[:, ::1], int32[:, ::1], float32[:, ::1]"
+    "float64[::1], float64[::1], float64[::1], float64[::1], int64, int64, float64, float64, "
+    "float64, boolean, int32[::1], int32[::1], float64[::1], float32[:, ::1], int32[:, ::1], "
+    "float32[:, ::1]"
 )
 @kernel
 def _project(
@@ -153,6 +169,10 @@ def _project(
     width: int,
     height: int,
     near_plane: float,
+    nearest: float,
+    furthest: float,
+    listed: bool,
+    chosen: NDArray[np.int32],
     index: NDArray[np.int32],
     depths: NDArray[np.float64],
     ellipse: NDArray[np.float32],
@@ -170,6 +190,10 @@ def _project(
         pixels of training, and 0.
     pixel : (5,) or (0,) float64
         Training pixel (`capture.training_pixel`), empty for one thickness and filter.
+    nearest, furthest : float
+        Half-open range of depths.
+    listed : bool
+        Whether only the splats of the rows `chosen` are projected.
     """
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     guard_x = GUARD * width / (2.0 * fx)
@@ -180,10 +204,11 @@ def _project(
     thickness, blur = variances[THICKNESS], variances[FILTER]
     sized = len(pixel) > 0
     count = 0
-    for i in range(len(means)):
+    for k in range(len(chosen) if listed else len(means)):
+        i = np.int64(chosen[k]) if listed else k
         mx, my, mz = float(means[i, 0]), float(means[i, 1]), float(means[i, 2])
         z = r[2, 0] * mx + r[2, 1] * my + r[2, 2] * mz + translation[2]
-        if not z > near_plane:
+        if not (z > near_plane and z >= nearest and z < furthest):
             continue
         x = (r[0, 0] * mx + r[0, 1] * my + r[0, 2] * mz + translation[0]) / z
         y = (r[1, 0] * mx + r[1, 1] * my + r[1, 2] * mz + translation[1]) / z
@@ -196,16 +221,16 @@ def _project(
             if abs(share - 1.0) < _SAME_PIXEL:
                 share = 1.0
             thickness = variances[THICKNESS] * share
-            blur = _PIXEL_VARIANCE * (1.0 - share) if share < 1.0 else 0.0
+            blur = PIXEL_VARIANCE * (1.0 - share) if share < 1.0 else 0.0
         jx = -min(max(x, low_x), high_x)
         jy = -min(max(y, low_y), high_y)
         if not (0.5 < px < width - 0.5 and 0.5 < py < height - 0.5):
             # Most splats of a large scene are outside the picture: a sphere around the ellipsoid
             # tells without its rotation and opacity.
             widest = max(scales[i, 0], scales[i, 1], scales[i, 2])
-            ball = _BALL * math.exp(2.0 * widest) / (z * z)
-            ball_x = _BALL_EDGE * math.sqrt(ball * fx * fx * (1.0 + jx * jx) + thickness + blur)
-            ball_y = _BALL_EDGE * math.sqrt(ball * fy * fy * (1.0 + jy * jy) + thickness + blur)
+            ball = BALL * math.exp(2.0 * widest) / (z * z)
+            ball_x = BALL_EDGE * math.sqrt(ball * fx * fx * (1.0 + jx * jx) + thickness + blur)
+            ball_y = BALL_EDGE * math.sqrt(ball * fy * fy * (1.0 + jy * jy) + thickness + blur)
             ball_x += slack(px, ball_x)
             ball_y += slack(py, ball_y)
             if px + ball_x <= 0.5 or px - ball_x >= width - 0.5:
@@ -302,7 +327,13 @@ def _project(
 
 
 def project(
-    splats: Splats, camera: Camera, *, reduction: float = 1.0, near_plane: float = NEAR
+    splats: Splats,
+    camera: Camera,
+    *,
+    reduction: float = 1.0,
+    near_plane: float = NEAR,
+    rows: NDArray[np.int32] | None = None,
+    depths: tuple[float, float] = (0.0, math.inf),
 ) -> Footprints:
     """Project a scene into a camera, with the kernel of ``splats.info``.
 
@@ -317,6 +348,10 @@ def project(
         Not used for scenes with capture viewpoints or marked as anti-aliased.
     near_plane : float
         Camera-space depth up to which nothing is drawn, scene units.
+    rows : (K,) int32, optional
+        Rows of the splats to project, ascending; by default all.
+    depths : (float, float)
+        Half-open range of camera-space depths; splats outside it are left out.
 
     Returns
     -------
@@ -328,13 +363,13 @@ def project(
     that thickness in pixels of training. Where pixels are larger, the splat is then filtered by
     what the larger pixel has beyond that of training, and keeps its total opacity.
     """
-    n = len(splats)
+    n = len(splats) if rows is None else len(rows)
     index = np.empty(n, np.int32)
-    depths = np.empty(n, np.float64)
+    found = np.empty(n, np.float64)
     ellipse = np.empty((n, 8), np.float32)
-    rows = np.empty((n, 2), np.int32)
+    image_rows = np.empty((n, 2), np.int32)
     added = np.empty((n, 2), np.float32)
-    variances, pixel = _view_kernel(splats, camera, reduction)
+    variances, pixel = view_kernel(splats, camera, reduction)
     count = _project(
         splats.means,
         splats.scales,
@@ -348,30 +383,48 @@ def project(
         camera.width,
         camera.height,
         float(near_plane),
+        float(depths[0]),
+        float(depths[1]),
+        rows is not None,
+        np.empty(0, np.int32) if rows is None else rows,
         index,
-        depths,
+        found,
         ellipse,
-        rows,
+        image_rows,
         added,
     )
-    order = depth_order(depths[:count])
+    order = depth_order(found[:count])
     return Footprints(
         index[:count].take(order),
         order,
         ellipse.take(order, axis=0),
-        rows.take(order, axis=0),
+        image_rows.take(order, axis=0),
         added.take(order, axis=0),
     )
 
 
-def _view_kernel(
-    splats: Splats, camera: Camera, reduction: float
+def view_kernel(
+    splats: Splats, camera: Camera, reduction: float = 1.0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the arguments ``variances`` and ``pixel`` of `_project`."""
+    """Return the variances that a camera adds to the footprints of a scene.
+
+    Parameters
+    ----------
+    splats, camera, reduction
+        See `project`.
+
+    Returns
+    -------
+    variances : (2,) float64
+        Thickness and filter of every splat, px², where `pixel` is empty; else ``kernel_px`` in
+        pixels of training, and 0.
+    pixel : (5,) or (0,) float64
+        Training pixel (`capture.training_pixel`), empty for one thickness and filter.
+    """
     info = splats.info
     if info.antialiased:
         return np.array([0.0, info.kernel_px]), np.empty(0)
     if info.capture:
         return np.array([info.kernel_px, 0.0]), training_pixel(info.capture, camera.position)
     share = 1.0 / (reduction * reduction)
-    return np.array([info.kernel_px * share, _PIXEL_VARIANCE * (1.0 - share)]), np.empty(0)
+    return np.array([info.kernel_px * share, PIXEL_VARIANCE * (1.0 - share)]), np.empty(0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,6 +63,18 @@ class TileLists:
     def renumbered(self, places: NDArray[np.int32]) -> TileLists:
         """Return the lists with each member m replaced by ``places[m]``."""
         return TileLists(self.first, self.last, self.starts, places[self.members])
+
+    def bands(self, pairs_at_once: int) -> Iterator[TileLists]:
+        """Yield consecutive ranges of the tiles with at most so many pairs, or a single tile."""
+        at = 0
+        while at < self.last - self.first:
+            before = int(self.starts[at])
+            after = int(np.searchsorted(self.starts, before + pairs_at_once, side="right")) - 1
+            stop = max(after, at + 1)
+            starts = self.starts[at : stop + 1] - before
+            members = self.members[before : int(self.starts[stop])]
+            yield TileLists(self.first + at, self.first + stop, starts, members)
+            at = stop
 
     def for_ranges(self, work: Callable[[int, int], object], threads: int) -> None:
         """Call ``work(first, last)`` for half-open ranges of tiles on several threads.
@@ -160,18 +172,22 @@ def _tile_columns(
     return _columns_between(left_end, right_end, margin, width)
 
 
-@called_with("float32[:, ::1], int32[:, ::1], int64, int64, int64[::1], int64[::1], int32[:, ::1]")
+@called_with(
+    "float32[:, ::1], int32[:, ::1], int64, int64, boolean[::1], int64[::1], int64[::1], "
+    "int32[:, ::1]"
+)
 @kernel
 def _count(
     ellipse: NDArray[np.float32],
     rows: NDArray[np.int32],
     width: int,
     tiles_x: int,
+    is_open: NDArray[np.bool_],
     first_spans: NDArray[np.int64],
     counts: NDArray[np.int64],
     spans: NDArray[np.int32],
 ) -> None:
-    """Find the tiles that each footprint may reach, and count the footprints of each tile.
+    """Find the tiles that each footprint may reach, and count the footprints of each open tile.
 
     Parameters
     ----------
@@ -181,6 +197,8 @@ def _count(
         Image width, px.
     tiles_x : int
         Number of tiles in a row of tiles.
+    is_open : (T,) bool
+        Tiles that are listed.
     first_spans : (M + 1,) int64
         First row of each footprint in `spans`.
     counts : (tiles,) int64
@@ -198,15 +216,17 @@ def _count(
             spans[span, 0] = tile_y * tiles_x + left
             spans[span, 1] = tile_y * tiles_x + right
             for tile in range(tile_y * tiles_x + left, tile_y * tiles_x + right):
-                counts[tile] += 1
+                if is_open[tile]:
+                    counts[tile] += 1
             tile_y += 1
 
 
-@called_with("int64[::1], int32[:, ::1], int64, int64, int64[::1], int32[::1]")
+@called_with("int64[::1], int32[:, ::1], boolean[::1], int64, int64, int64[::1], int32[::1]")
 @kernel
 def _fill(
     first_spans: NDArray[np.int64],
     spans: NDArray[np.int32],
+    is_open: NDArray[np.bool_],
     first: int,
     last: int,
     cursors: NDArray[np.int64],
@@ -216,8 +236,8 @@ def _fill(
 
     Parameters
     ----------
-    first_spans, spans
-        Argument and output of `_count`.
+    first_spans, spans, is_open
+        Arguments and output of `_count`.
     first, last : int
         Half-open range of tiles.
     cursors : (last - first,) int64
@@ -228,12 +248,17 @@ def _fill(
     for i in range(len(first_spans) - 1):
         for span in range(first_spans[i], first_spans[i + 1]):
             for tile in range(max(spans[span, 0], first), min(spans[span, 1], last)):
-                members[cursors[tile - first]] = i
-                cursors[tile - first] += 1
+                if is_open[tile]:
+                    members[cursors[tile - first]] = i
+                    cursors[tile - first] += 1
 
 
 def tile_lists(
-    footprints: Footprints, width: int, height: int, pairs_at_once: int = _PAIRS_AT_ONCE
+    footprints: Footprints,
+    width: int,
+    height: int,
+    pairs_at_once: int = _PAIRS_AT_ONCE,
+    is_open: NDArray[np.bool_] | None = None,
 ) -> Iterator[TileLists]:
     """Yield the footprints of every tile of an image, in bands of bounded memory.
 
@@ -246,6 +271,9 @@ def tile_lists(
     pairs_at_once : int
         Pairs of a tile and a splat in a band at most; a single tile may exceed it.
 
+    is_open : (T,) bool, optional
+        Tiles to list, row by row; the lists of others are empty. By default all.
+
     Yields
     ------
     TileLists
@@ -253,12 +281,14 @@ def tile_lists(
     """
     tiles_x = -(-width // TILE)
     num_tiles = tiles_x * -(-height // TILE)
+    if is_open is None:
+        is_open = np.ones(num_tiles, np.bool_)
     counts = np.zeros(num_tiles, np.int64)
     rows = footprints.rows
     first_spans = np.zeros(len(footprints) + 1, np.int64)
     np.cumsum((rows[:, 1] + (TILE - 1)) // TILE - rows[:, 0] // TILE, out=first_spans[1:])
     spans = np.empty((int(first_spans[-1]), 2), np.int32)
-    _count(footprints.ellipse, rows, width, tiles_x, first_spans, counts, spans)
+    _count(footprints.ellipse, rows, width, tiles_x, is_open, first_spans, counts, spans)
     ends = np.cumsum(counts)
     first = 0
     while first < num_tiles:
@@ -268,9 +298,77 @@ def tile_lists(
         starts = np.zeros(last - first + 1, np.int64)
         starts[1:] = ends[first:last] - before
         members = np.empty(int(starts[-1]), np.int32)
-        _fill(first_spans, spans, first, last, starts[:-1].copy(), members)
+        _fill(first_spans, spans, is_open, first, last, starts[:-1].copy(), members)
         yield TileLists(first, last, starts, members)
         first = last
+
+
+@called_with("int32[::1], float32[:, ::1], float64[:, ::1], int64")
+@kernel
+def add_pair_sums(
+    members: NDArray[np.int32],
+    pair_sums: NDArray[np.float32],
+    sums: NDArray[np.float64],
+    peaks: int,
+) -> None:
+    """Add the sums of each pair of a tile and a footprint to the footprint's sums.
+
+    Parameters
+    ----------
+    members : (P,) int32
+        Row of each pair's footprint, from `TileLists`.
+    pair_sums : (P, K) float32
+        Sums of each pair.
+    sums : (M, K) float64
+        Sums of each footprint, changed in place.
+    peaks : int
+        Number of the last columns that hold maxima instead of sums.
+    """
+    columns = pair_sums.shape[1]
+    for pair in range(len(members)):
+        i = members[pair]
+        for column in range(columns - peaks):
+            sums[i, column] += pair_sums[pair, column]
+        for column in range(columns - peaks, columns):
+            sums[i, column] = max(sums[i, column], pair_sums[pair, column])
+
+
+@called_with("int64[::1], int32[::1], int64, int64[::1], int32[::1]")
+@kernel
+def _append(
+    starts: NDArray[np.int64],
+    members: NDArray[np.int32],
+    first: int,
+    cursors: NDArray[np.int64],
+    joined: NDArray[np.int32],
+) -> None:
+    """Append the lists from the tile `first` on to those in `joined`, and move the cursors."""
+    for tile in range(len(starts) - 1):
+        to = cursors[first + tile]
+        for pair in range(starts[tile], starts[tile + 1]):
+            joined[to] = members[pair]
+            to += 1
+        cursors[first + tile] = to
+
+
+def join_lists(parts: Sequence[TileLists]) -> TileLists:
+    """Return for each tile its lists in several parts, one after the other.
+
+    Parameters
+    ----------
+    parts : sequence of TileLists
+        Lists of any ranges of tiles, whose members have the same numbers in all parts.
+    """
+    num_tiles = max(part.last for part in parts)
+    starts = np.zeros(num_tiles + 1, np.int64)
+    for part in parts:
+        starts[part.first + 1 : part.last + 1] += np.diff(part.starts)
+    np.cumsum(starts, out=starts)
+    members = np.empty(int(starts[-1]), np.int32)
+    cursors = starts[:-1].copy()
+    for part in parts:
+        _append(part.starts, part.members, part.first, cursors, members)
+    return TileLists(0, num_tiles, starts, members)
 
 
 @called_with("int32[::1], float32[:, ::1], float64[:, ::1], int64")

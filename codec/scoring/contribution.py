@@ -19,6 +19,7 @@ from cogsplat.codec.render.blend_weights import PEAK, SQUARE
 from cogsplat.codec.render.cuda_device import require_device
 from cogsplat.codec.render.cuda_views import CudaScene
 from cogsplat.codec.render.sensitivities import COLUMNS, Sensitivities, from_columns
+from cogsplat.codec.render.splat_blocks import SplatBlocks, add_hidden, splat_blocks
 from cogsplat.codec.render.tiles import sampled_pixels, sampled_tiles
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
 from cogsplat.codec.threads import thread_count
@@ -57,6 +58,9 @@ MAX_VIEW_PARALLEL_SPLATS = 2_000_000
 
 The sums of one view take up to 0.4 kB for each splat in it.
 """
+
+LEAST_SPLATS_IN_BLOCKS = 100_000
+"""Splats of a scene from which blocks are worth their sort."""
 
 # Rows scaled at once.
 _BLOCK = 1 << 16
@@ -247,6 +251,11 @@ class Scorer:
         self._executor = executor
         self._progress = progress
         self._device = CudaScene(splats) if config.device == "cuda" else None
+        self._blocks: SplatBlocks | None = None
+        if n >= LEAST_SPLATS_IN_BLOCKS and self._device is None:
+            self._blocks = splat_blocks(splats, workspace)
+        # Views in which each block was left out, because nearer splats hide it.
+        self._hidden = np.zeros(0 if self._blocks is None else len(self._blocks), np.int32)
         # Views so far, and the cameras among them. Pixels: all, weighted by the share of their
         # view, and likewise those of tiles with sensitivities.
         self._views = 0
@@ -310,8 +319,11 @@ class Scorer:
             and len(splats) <= MAX_VIEW_PARALLEL_SPLATS
         )
         executor = self._executor or LocalThreads(threads if by_view else 1)
+        shared = (splats,) if self._blocks is None else (splats, self._blocks)
         return executor.map(
-            partial(score_view, rules=rules, threads=1 if by_view else threads), work, splats
+            partial(score_view, rules=rules, threads=1 if by_view else threads),
+            work,
+            *shared,
         )
 
     def _add(self, result: ViewScores, camera: Camera, phase: int, share: float) -> None:
@@ -323,6 +335,7 @@ class Scorer:
         if not share:
             sums[:, PEAK] *= COVERING_SHARE
             sums[:, SQUARE] *= COVERING_ENERGY
+        self._hidden[result.hidden] += 1
         self.sums.add(result.covered, result.seen, sums, camera.position, num_pixels, share)
         if phase >= 0:
             size = (camera.width, camera.height)
@@ -351,6 +364,9 @@ class Scorer:
                 f"none of {n} splats reaches a pixel of the {self._cameras} cameras, expected "
                 "cameras in the frame of the scene",
             )
+        if self._blocks is not None:
+            add_hidden(self._blocks, self._splats.opacities, self._hidden, totals.covered)
+            self._hidden[:] = 0
         basis_mean, basis_spread = totals.basis_mean(), totals.basis_spread()
         self._scale(totals.contribution, 1.0 / self._cameras)
         for sums in (totals.energy, totals.bases):

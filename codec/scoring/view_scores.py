@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.render.blend_weights import PEAK, add_weights
 from cogsplat.codec.render.cuda_views import CudaScene
-from cogsplat.codec.render.projection import Footprints, project
+from cogsplat.codec.render.front_to_back import FrontToBack
+from cogsplat.codec.render.projection import Footprints
 from cogsplat.codec.render.sensitivities import (
     COLUMNS,
     PAIRS_AT_ONCE,
@@ -18,10 +19,9 @@ from cogsplat.codec.render.sensitivities import (
     view_sensitivities,
 )
 from cogsplat.codec.render.shading import footprint_colours
-from cogsplat.codec.render.tiles import TileLists, sampled_tiles, tile_lists
+from cogsplat.codec.render.splat_blocks import SplatBlocks
+from cogsplat.codec.render.tiles import TileLists, join_lists, sampled_tiles, tile_lists
 from cogsplat.codec.splats import Splats
-
-from .view_sums import sort_by_row
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,10 @@ class ViewScores:
     Parameters
     ----------
     covered : (M,) int32
-        Rows of the splats whose footprints reach the view, hidden or not.
+        Rows of the splats whose footprints reach the view, hidden or not, but for those of
+        `hidden`.
+    hidden : (h,) int64
+        Blocks all of whose splats that can be drawn have footprints that nearer splats hide.
     seen : (S,) int32
         Rows of the splats that a pixel shows.
     weight_sums : (S, 3) float64
@@ -64,6 +67,7 @@ class ViewScores:
     """
 
     covered: NDArray[np.int32]
+    hidden: NDArray[np.int64]
     seen: NDArray[np.int32]
     weight_sums: NDArray[np.float64]
     measured: NDArray[np.int32]
@@ -72,7 +76,12 @@ class ViewScores:
 
 
 def score_view(
-    view: tuple[Camera, int], splats: Splats, *, rules: Weighing, threads: int
+    view: tuple[Camera, int],
+    splats: Splats,
+    blocks: SplatBlocks | None = None,
+    *,
+    rules: Weighing,
+    threads: int,
 ) -> ViewScores:
     """Score one view.
 
@@ -82,73 +91,101 @@ def score_view(
         Camera, and its phase in `sampled_tiles`; -1 to measure no sensitivities.
     splats : Splats
         Scene, drawn with the kernel of ``splats.info``.
+    blocks : SplatBlocks, optional
+        Blocks of the scene. With them, most splats that the view does not show take no time; the
+        scores are the same.
     rules : Weighing
         Settings of the scoring pass.
     threads : int
         Number of threads, at least 1; the scores do not depend on it.
     """
     camera, phase = view
-    footprints = project(splats, camera, near_plane=rules.near_plane)
-    sums = np.zeros((len(footprints), 3), np.float64)
+    walk = FrontToBack(splats, blocks, camera, near_plane=rules.near_plane, hides=rules.top_k == 0)
     size = (camera.width, camera.height)
-    if phase < 0:
-        for lists in tile_lists(footprints, *size):
-            _weigh(lists, footprints, camera, rules, threads, sums)
-        return _view_scores(footprints, sums, footprints.only(np.zeros(len(sums), np.bool_)))
-    tiles = sampled_tiles(*size, rules.sensitivity_every, phase)
-    measured: list[TileLists] = []
-    for lists in tile_lists(footprints, *size, PAIRS_AT_ONCE):
-        acts = _weigh(lists, footprints, camera, rules, threads, sums)
-        measured.append(lists.of_pairs(acts & lists.pairs_in(tiles)))
-    shown = np.zeros(len(footprints), np.bool_)
-    for lists in measured:
-        shown[lists.members] = True
-    few = footprints.only(shown)
-    places = np.cumsum(shown, dtype=np.int32) - np.int32(1)
+    is_measured = phase >= 0
+    tiles = sampled_tiles(*size, rules.sensitivity_every, phase) if is_measured else None
+    found = _Found()
+    for footprints in walk.slabs():
+        sums = np.zeros((len(footprints), 3), np.float64)
+        lists_of_slab: list[TileLists] = []
+        for lists in tile_lists(footprints, *size, PAIRS_AT_ONCE, walk.is_open):
+            acts = add_weights(
+                lists,
+                footprints,
+                camera,
+                rules.top_k,
+                threads,
+                sums,
+                least_weight=rules.least_weight,
+                lefts=walk.lefts,
+            )
+            if tiles is not None:
+                lists_of_slab.append(lists.of_pairs(acts & lists.pairs_in(tiles)))
+        found.add(footprints, sums, lists_of_slab)
+    few = found.measured()
+    if not len(few):
+        return found.scores(few, np.zeros((0, COLUMNS), np.float64), walk.hidden)
     colours = footprint_colours(splats, camera, few)
     moments = np.zeros((len(few), COLUMNS), np.float64)
-    for lists in measured:
-        add_moments(lists.renumbered(places), few, colours, camera, threads, moments)
+    for lists in join_lists(found.lists).bands(PAIRS_AT_ONCE):
+        add_moments(lists, few, colours, camera, threads, moments)
     columns = view_sensitivities(splats, camera, few, colours, moments)
-    return _view_scores(footprints, sums, few, columns)
+    return found.scores(few, columns, walk.hidden)
 
 
-def _weigh(
-    lists: TileLists,
-    footprints: Footprints,
-    camera: Camera,
-    rules: Weighing,
-    threads: int,
-    sums: NDArray[np.float64],
-) -> NDArray[np.bool_]:
-    """Add the weights of the footprints in some tiles; see `add_weights`."""
-    least = rules.least_weight
-    return add_weights(lists, footprints, camera, rules.top_k, threads, sums, least_weight=least)
+class _Found:
+    """What the slabs of a view have shown so far."""
 
+    def __init__(self) -> None:
+        self._covered: list[NDArray[np.int32]] = []
+        self._seen: list[NDArray[np.int32]] = []
+        self._sums: list[NDArray[np.float64]] = []
+        self._measured: list[Footprints] = []
+        self._count = 0
+        # Lists of the measured footprints, numbered from slab to slab.
+        self.lists: list[TileLists] = []
 
-def _view_scores(
-    footprints: Footprints,
-    weight_sums: NDArray[np.float64],
-    measured: Footprints,
-    sensitivities: NDArray[np.float64] | None = None,
-) -> ViewScores:
-    """Return the scores of a view with the weight sums sorted by row of the scene.
+    def add(
+        self, footprints: Footprints, sums: NDArray[np.float64], measured: list[TileLists]
+    ) -> None:
+        """Add a slab: its footprints, their weight sums, and the lists of the measured tiles."""
+        seen = sums[:, PEAK] > 0.0
+        self._covered.append(footprints.index)
+        self._seen.append(footprints.index[seen])
+        self._sums.append(sums[seen])
+        shown = np.zeros(len(footprints), np.bool_)
+        for lists in measured:
+            shown[lists.members] = True
+        few = footprints.only(shown)
+        places = np.cumsum(shown, dtype=np.int32) + np.int32(self._count - 1)
+        self.lists += [lists.renumbered(places) for lists in measured]
+        self._measured.append(few)
+        self._count += len(few)
 
-    The sensitivities, the widest array, stay in the order of the footprints, nearest first.
-    """
-    covered = footprints.sorted_rows()
-    by_row = sort_by_row(footprints, weight_sums)
-    seen = by_row[:, PEAK] > 0.0
-    if sensitivities is None:
-        sensitivities = np.zeros((0, COLUMNS), np.float64)
-    return ViewScores(
-        covered,
-        covered[seen],
-        by_row[seen],
-        measured.sorted_rows(),
-        measured.row_order(),
-        sensitivities,
-    )
+    def measured(self) -> Footprints:
+        """Return the footprints in the measured tiles, nearest first."""
+        return Footprints.joined(self._measured)
+
+    def scores(
+        self, measured: Footprints, sensitivities: NDArray[np.float64], hidden: NDArray[np.int64]
+    ) -> ViewScores:
+        """Return the scores of the view, those of single splats sorted by row of the scene.
+
+        The sensitivities, the widest array, stay in the order of the footprints, nearest first.
+        """
+        covered = np.concatenate(self._covered)
+        covered.sort()
+        seen = np.concatenate(self._seen)
+        ascending = np.argsort(seen)
+        return ViewScores(
+            covered,
+            hidden,
+            seen[ascending],
+            np.concatenate(self._sums)[ascending],
+            measured.sorted_rows(),
+            measured.row_order(),
+            sensitivities,
+        )
 
 
 def score_on_device(
@@ -158,9 +195,11 @@ def score_on_device(
     camera, phase = view
     drawn = scene.view(camera, near_plane=rules.near_plane)
     footprints, sums = drawn.footprints, drawn.weights(rules.top_k, rules.least_weight)
+    found, no_blocks = _Found(), np.empty(0, np.int64)
+    found.add(footprints, sums, [])
     if phase < 0:
-        return _view_scores(footprints, sums, footprints.only(np.zeros(len(sums), np.bool_)))
+        return found.scores(found.measured(), np.zeros((0, COLUMNS), np.float64), no_blocks)
     tiles = sampled_tiles(camera.width, camera.height, rules.sensitivity_every, phase)
     moments = drawn.moments(tiles)
     columns = view_sensitivities(splats, camera, footprints, drawn.colours, moments)
-    return _view_scores(footprints, sums, footprints, columns)
+    return found.scores(footprints, columns, no_blocks)

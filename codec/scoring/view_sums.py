@@ -9,7 +9,6 @@ from cogsplat.codec.compiling import called_with
 from cogsplat.codec.geometry import sh
 from cogsplat.codec.render.blend_weights import PEAK, SQUARE, WEIGHT
 from cogsplat.codec.render.jit import kernel
-from cogsplat.codec.render.projection import Footprints
 from cogsplat.codec.render.shading import sh_terms
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
 from cogsplat.codec.workspace import IN_MEMORY, Zeros
@@ -86,35 +85,6 @@ def _add_view(
                 for j in range(_BASES - 1):
                     for k in range(j + 1):
                         gram[j, k] += square * values[j] * values[k]
-
-
-@called_with("int32[::1], float64[:, ::1], float64[:, ::1]")
-@kernel
-def _scatter(order: NDArray[np.int32], values: NDArray[np.float64], by_row: F64) -> None:
-    """Copy row i of `values` to row ``order[i]`` of `by_row`."""
-    for row in range(len(order)):
-        for column in range(values.shape[1]):
-            by_row[order[row], column] = values[row, column]
-
-
-def sort_by_row(footprints: Footprints, values: F64) -> F64:
-    """Sort values of footprints by their row of the scene, ascending.
-
-    Parameters
-    ----------
-    footprints : Footprints
-        Footprints of M splats, by depth.
-    values : (M, K) float64
-        Values of each footprint, in the order of the footprints.
-
-    Returns
-    -------
-    (M, K) float64
-        Values in the order of `Footprints.sorted_rows`.
-    """
-    by_row = np.empty_like(values)
-    _scatter(footprints.order, values, by_row)
-    return by_row
 
 
 @called_with("int32[::1], int32[::1], float64[:, ::1], float64, float64[:, ::1]")

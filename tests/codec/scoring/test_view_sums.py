@@ -4,8 +4,7 @@ import numpy as np
 import oracle
 import pytest
 
-from cogsplat.codec.render.projection import project
-from cogsplat.codec.scoring.view_sums import ViewSums, add_rows, sort_by_row
+from cogsplat.codec.scoring.view_sums import ViewSums, add_rows
 
 SUMS = ("contribution", "energy", "largest_energy", "peak", "seen")
 
@@ -80,15 +79,6 @@ def test_without_views_all_sums_are_zero():
     assert not totals.basis_spread().any()
     assert not totals.basis_mean().any()
     assert not totals.seen.any()
-
-
-def test_values_of_footprints_are_sorted_by_row():
-    splats = oracle.scene(6, n=60)
-    footprints = project(splats, oracle.camera())
-    values = np.stack([footprints.index, -footprints.index], axis=1).astype(np.float64)
-    found = sort_by_row(footprints, values)
-    np.testing.assert_array_equal(found[:, 0], np.sort(footprints.index))
-    np.testing.assert_array_equal(found[:, 1], -np.sort(footprints.index))
 
 
 def test_rows_are_added_with_their_share():
