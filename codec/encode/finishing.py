@@ -191,7 +191,11 @@ class Finisher:
         encoded = compress_chunks(encoded, config, executor=self.executor, progress=progress)
         if self.table_views:
             encoded = add_view_table(
-                encoded, self.table_views, executor=self._view_executor, progress=progress
+                encoded,
+                self.table_views,
+                workspace=self.prepared.workspace,
+                executor=self._view_executor,
+                progress=progress,
             )
         if self.references is not None:
             if self.preview is not None:

@@ -221,6 +221,7 @@ def prepare(
             views,
             smallest=smallest,
             saving=_LEAST_SAVING_CHUNKS * smallest,
+            workspace=workspace,
             executor=executor or LocalThreads(config.threads),
             progress=progress,
         )

@@ -21,6 +21,7 @@ from cogsplat.codec.segments.view_shares import (
 )
 from cogsplat.codec.views.view_clusters import view_clusters
 from cogsplat.codec.views.view_sets import sample_evenly
+from cogsplat.codec.workspace import IN_MEMORY, Workspace
 
 from .encoded import EncodedScene
 
@@ -68,6 +69,7 @@ def add_view_table(
     encoded: EncodedScene,
     cameras: Sequence[Camera],
     *,
+    workspace: Workspace = IN_MEMORY,
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> EncodedScene:
@@ -80,6 +82,8 @@ def add_view_table(
     cameras : sequence of Camera
         Cameras in the frame of the means. Near cameras become one viewpoint with their mean
         position, direction and contributions.
+    workspace : Workspace
+        Allocator of long arrays.
     executor : Executor, optional
         Runs the work of single views; None for threads of this process.
     progress : Progress
@@ -95,9 +99,15 @@ def add_view_table(
     if not views:
         return encoded
     counts = np.array([chunk.splats for chunk in encoded.chunks], np.int64)
-    chunks = np.repeat(np.arange(len(counts)), counts)
+    chunks = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
     shares = chunk_contributions(
-        encoded.decoded, chunks, len(counts), cameras, executor=executor, progress=progress
+        encoded.decoded,
+        chunks,
+        len(counts),
+        cameras,
+        workspace=workspace,
+        executor=executor,
+        progress=progress,
     )
     clusters = view_clusters(cameras, views)
     positions = np.stack([camera.position for camera in cameras])

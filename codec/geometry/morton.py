@@ -75,9 +75,11 @@ def spatial_order(means: NDArray[np.float32]) -> NDArray[np.intp]:
     all remaining splats into one cell.
     """
     n = len(means)
-    codes = np.empty((n, 3), np.uint32)
+    morton = np.zeros(n, np.uint64)
     for axis in range(3):
-        rank = np.empty(n, np.int64)
-        rank[np.argsort(means[:, axis], kind="stable")] = np.arange(n)
-        codes[:, axis] = (rank << _ORDER_AXIS_BITS) // n
-    return np.argsort(interleave(codes), kind="stable")
+        code = np.empty(n, np.uint64)
+        levels = (np.arange(n, dtype=np.uint64) << np.uint64(_ORDER_AXIS_BITS)) // np.uint64(n)
+        code[np.argsort(means[:, axis], kind="stable")] = levels
+        del levels
+        morton |= _spread(code) << np.uint64(axis)
+    return np.argsort(morton, kind="stable")

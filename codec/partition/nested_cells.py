@@ -236,24 +236,28 @@ def _cut_region(
     Its chunks start at `layer`. `outer_splats` is the number of splats of the smallest region
     around it that has a coarse chunk.
     """
-    has_coarse = len(places) * _COARSENING <= outer_splats
-    coarse, rest = np.split(places, [sizes.first * has_coarse])
-    is_low = means[rest, region.axis] < region.plane
-    sides = rest[is_low], rest[~is_low]
-    # Pruning may have left few splats on one side. Numbers of deeper cells would exceed 32 bits.
-    is_split = min(map(len, sides)) >= sizes.smallest and number <= _MAX_HALVED
-    if region.halves is None or not is_split:
-        # Below a coarse chunk, the first layer has half of the splats, or of a chunk.
-        most = min(len(places), sizes.largest) // 2
-        first = max(sizes.first, most) if layer else sizes.first
-        _cut_layers(_Cell(number), places, layer, first, means, sizes, chunks)
-        return
-    if has_coarse:
-        outer_splats = len(places)
-        chunks.append(_Chunk(layer, number, coarse))
-        layer += 1
-    for side, half in enumerate(region.halves):
-        _cut_region(half, 2 * number + side, sides[side], layer, outer_splats, means, sizes, chunks)
+    # Numbers of deeper cells would exceed 32 bits.
+    if region.halves is not None and number <= _MAX_HALVED:
+        has_coarse = len(places) * _COARSENING <= outer_splats
+        coarse, rest = np.split(places, [sizes.first * has_coarse])
+        is_low = means[rest, region.axis] < region.plane
+        below = int(np.count_nonzero(is_low))
+        # Pruning may have left few splats on one side.
+        if min(below, len(rest) - below) >= sizes.smallest:
+            if has_coarse:
+                outer_splats = len(places)
+                chunks.append(_Chunk(layer, number, coarse))
+                layer += 1
+            for side, half in enumerate(region.halves):
+                inner = rest[is_low ^ bool(side)]
+                _cut_region(
+                    half, 2 * number + side, inner, layer, outer_splats, means, sizes, chunks
+                )
+            return
+    # Below a coarse chunk, the first layer has half of the splats, or of a chunk.
+    most = min(len(places), sizes.largest) // 2
+    first = max(sizes.first, most) if layer else sizes.first
+    _cut_layers(_Cell(number), places, layer, first, means, sizes, chunks)
 
 
 def _cut_layers(

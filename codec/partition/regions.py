@@ -20,6 +20,7 @@ from cogsplat.codec.geometry.morton import spatial_order
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.scoring.chunk_contributions import chunk_contributions
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.workspace import IN_MEMORY, Workspace
 
 from .nested_cells import WHOLE_SCENE, Region
 
@@ -30,6 +31,8 @@ I64 = NDArray[np.int64]
 # views have to fit into memory.
 _GROUP_SPLATS: Final = 256
 _MOST_GROUPS: Final = 16_384
+
+_GROUPS_PER_TRIM: Final = 16
 
 # Share of a picture from which a view is assumed to fetch a whole region; smaller shares count in
 # proportion.
@@ -48,6 +51,7 @@ def find_regions(
     *,
     smallest: int,
     saving: int,
+    workspace: Workspace = IN_MEMORY,
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> Region:
@@ -64,6 +68,8 @@ def find_regions(
     smallest, saving : int
         Least splats of a region, and least mean number of splats that a split must save a view
         that fetches the region.
+    workspace : Workspace
+        Allocator of long arrays.
     executor : Executor, optional
         Executor of the work on single views; by default threads of this process.
     progress : Progress
@@ -77,12 +83,15 @@ def find_regions(
     count = min(-(-len(splats) // _GROUP_SPLATS), _MOST_GROUPS)
     if is_stored.sum() < 2 * smallest or not cameras:
         return WHOLE_SCENE
-    order = spatial_order(splats.means)
+    order = workspace.zeros((len(splats),), np.int64)
+    order[:] = spatial_order(splats.means)
     bounds = np.linspace(0, len(order), count + 1).astype(np.int64)
-    group = np.empty(len(order), np.int64)
+    group = workspace.zeros((len(order),), np.int32)
     centres = np.empty((count, 3))
     for number, (start, stop) in enumerate(pairwise(bounds.tolist())):
         rows = order[start:stop]
+        if number % _GROUPS_PER_TRIM == 0:
+            workspace.trim()
         group[rows] = number
         centres[number] = splats.means[rows].mean(axis=0, dtype=np.float64)
     shares = chunk_contributions(
@@ -90,6 +99,7 @@ def find_regions(
         group,
         count,
         cameras,
+        workspace=workspace,
         executor=executor,
         progress=lambda _, done, views: progress("regions", done, views),
     )
@@ -118,9 +128,13 @@ def split_regions(centres: F64, splats: I64, shares: F64, *, smallest: int, savi
         order = np.argsort(centres[:, axis], kind="stable")
         below = np.cumsum(splats[order])[:-1]
         above = whole - below
-        low = np.cumsum(shares[:, order], axis=1)
-        high = np.maximum(low[:, -1:] - low[:, :-1], 0.0)
-        cost = _seen(low[:, :-1]).sum(axis=0) * below + _seen(high).sum(axis=0) * above
+        seen_low, seen_high = np.zeros(len(below)), np.zeros(len(below))
+        # View by view: arrays of all views and groups would take 0.1 GB each in a large scene.
+        for view in shares:
+            low = np.cumsum(view[order])
+            seen_low += _seen(low[:-1])
+            seen_high += _seen(np.maximum(low[-1:] - low[:-1], 0.0))
+        cost = seen_low * below + seen_high * above
         places = centres[order, axis]
         planes = 0.5 * (places[1:] + places[:-1])
         # A plane separates centres that differ.

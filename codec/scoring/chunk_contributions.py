@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.executor import Executor, LocalThreads
+from cogsplat.codec.geometry.frustum import NEAR
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.blend_weights import WEIGHT, add_weights
-from cogsplat.codec.render.projection import project
+from cogsplat.codec.render.front_to_back import FrontToBack
+from cogsplat.codec.render.splat_blocks import SplatBlocks, blocks_if_large
 from cogsplat.codec.render.tiles import tile_lists
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.workspace import IN_MEMORY, Workspace
 
 F64 = NDArray[np.float64]
 
@@ -25,10 +28,11 @@ MAX_PIXELS: Final = 20_000
 
 def chunk_contributions(
     splats: Splats,
-    chunks: NDArray[np.int64],
+    chunks: NDArray[np.integer],
     count: int,
     cameras: Sequence[Camera],
     *,
+    workspace: Workspace = IN_MEMORY,
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> F64:
@@ -38,12 +42,14 @@ def chunk_contributions(
     ----------
     splats : Splats
         Scene of N splats.
-    chunks : (N,) int64
+    chunks : (N,) integer
         Number of the chunk of each splat.
     count : int
         Number of chunks.
     cameras : sequence of Camera
         Cameras of the V views, in the frame of the means.
+    workspace : Workspace
+        Allocator of long arrays; it also decides whether several views are drawn at once.
     executor : Executor, optional
         Executor of the work on single views; by default threads of this process.
     progress : Progress
@@ -67,11 +73,15 @@ def chunk_contributions(
     (3, 2)
     """
     shares = np.zeros((len(cameras), count))
-    views = (executor or LocalThreads()).map(
+    if executor is None or not workspace.views_at_once:
+        executor = LocalThreads(0 if workspace.views_at_once else 1)
+    blocks = blocks_if_large(splats, workspace)
+    views = executor.map(
         partial(_shares_in_view, count=count),
         [_reduce(camera) for camera in cameras],
         splats,
         chunks,
+        *(() if blocks is None else (blocks,)),
     )
     progress("view table", 0, len(cameras))
     for view, found in enumerate(views):
@@ -81,15 +91,27 @@ def chunk_contributions(
 
 
 def _shares_in_view(
-    camera: Camera, splats: Splats, chunks: NDArray[np.int64], *, count: int
+    camera: Camera,
+    splats: Splats,
+    chunks: NDArray[np.integer],
+    blocks: SplatBlocks | None = None,
+    *,
+    count: int,
 ) -> F64:
     """Return each chunk's blending weights per pixel of one view, (count,)."""
-    footprints = project(splats, camera)
-    sums = np.zeros((len(footprints), 3), np.float64)
-    for lists in tile_lists(footprints, camera.width, camera.height):
-        # No top K and no minimum: every weight counts.
-        add_weights(lists, footprints, camera, 0, 1, sums)
-    weights = np.bincount(chunks[footprints.index], sums[:, WEIGHT], minlength=count)
+    walk = FrontToBack(splats, blocks, camera, near_plane=NEAR, hides=True)
+    size = (camera.width, camera.height)
+    numbers, found = [], []
+    for footprints in walk.slabs():
+        sums = np.zeros((len(footprints), 3), np.float64)
+        for lists in tile_lists(footprints, *size, is_open=walk.is_open):
+            # No top K and no minimum: every weight counts.
+            add_weights(lists, footprints, camera, 0, 1, sums, lefts=walk.lefts)
+        seen = sums[:, WEIGHT] > 0.0
+        numbers.append(chunks[footprints.index[seen]])
+        found.append(sums[seen, WEIGHT])
+    # Added up at once, nearest first, so that slabs do not change the sums.
+    weights = np.bincount(np.concatenate(numbers), np.concatenate(found), minlength=count)
     return weights / (camera.width * camera.height)
 
 

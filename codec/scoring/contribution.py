@@ -19,7 +19,7 @@ from cogsplat.codec.render.blend_weights import PEAK, SQUARE
 from cogsplat.codec.render.cuda_device import require_device
 from cogsplat.codec.render.cuda_views import CudaScene
 from cogsplat.codec.render.sensitivities import COLUMNS, Sensitivities, from_columns
-from cogsplat.codec.render.splat_blocks import SplatBlocks, add_hidden, splat_blocks
+from cogsplat.codec.render.splat_blocks import add_hidden, blocks_if_large
 from cogsplat.codec.render.tiles import sampled_pixels, sampled_tiles
 from cogsplat.codec.splats import MAX_SH_DEGREE, Splats, sh_coefficients
 from cogsplat.codec.threads import thread_count
@@ -58,9 +58,6 @@ MAX_VIEW_PARALLEL_SPLATS = 2_000_000
 
 The sums of one view take up to 0.4 kB for each splat in it.
 """
-
-LEAST_SPLATS_IN_BLOCKS = 100_000
-"""Splats of a scene from which blocks are worth their sort."""
 
 # Rows scaled at once.
 _BLOCK = 1 << 16
@@ -251,9 +248,7 @@ class Scorer:
         self._executor = executor
         self._progress = progress
         self._device = CudaScene(splats) if config.device == "cuda" else None
-        self._blocks: SplatBlocks | None = None
-        if n >= LEAST_SPLATS_IN_BLOCKS and self._device is None:
-            self._blocks = splat_blocks(splats, workspace)
+        self._blocks = None if self._device else blocks_if_large(splats, workspace)
         # Views in which each block was left out, because nearer splats hide it.
         self._hidden = np.zeros(0 if self._blocks is None else len(self._blocks), np.int32)
         # Views so far, and the cameras among them. Pixels: all, weighted by the share of their

@@ -20,17 +20,21 @@ import cogsplat
 from cogsplat.codec.compiling import kernels_in
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.needed_kernels import needed_kernels
+from cogsplat.codec.render import splat_blocks
 from cogsplat.codec.streams import decoding_tiers
 from cogsplat.codec.streams.decoding_tiers import KERNEL_MODULES
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 # Otherwise numpy decodes until the kernels are loaded in the background.
 decoding_tiers.use_compiled(True)
+# As if the scene were large.
+splat_blocks.LEAST_SPLATS_IN_BLOCKS = 0
 config = EncodeConfig(chunk_splats=300, threads=1)
 for cameras in (synth_cameras(4, 64, 48), None):
     splats = synth(3000)
     cogsplat.encode(splats, sys.argv[1], cameras=cameras, config=config, force=True)
 cogsplat.decode(sys.argv[1])
+cogsplat.encode(splats, sys.argv[1], cameras=synth_cameras(4, 64, 48), preset="fast", force=True)
 vq = EncodeConfig(chunk_splats=300, threads=1, profile="vq", order="contribution")
 cogsplat.encode(splats, sys.argv[1], cameras=synth_cameras(4, 64, 48), config=vq, force=True)
 cogsplat.decode(sys.argv[1])

@@ -2,6 +2,7 @@ import numpy as np
 import oracle
 
 from cogsplat.codec.executor import LocalThreads
+from cogsplat.codec.render import front_to_back, splat_blocks
 from cogsplat.codec.scoring.chunk_contributions import MAX_PIXELS, chunk_contributions
 
 CAMERAS = [
@@ -36,3 +37,13 @@ def test_large_pictures_are_reduced_without_changing_the_shares():
     expected = [weights[chunks == chunk].sum() for chunk in range(4)]
     assert max(expected) > 0.1
     np.testing.assert_allclose(found[0], expected, atol=0.01)
+
+
+def test_shares_are_the_same_with_blocks(monkeypatch):
+    splats = oracle.scene(7, n=4000)
+    chunks = np.arange(4000, dtype=np.int32) // 500
+    whole = chunk_contributions(splats, chunks, 8, CAMERAS)
+    monkeypatch.setattr(splat_blocks, "LEAST_SPLATS_IN_BLOCKS", 1)
+    monkeypatch.setattr(front_to_back, "_FIRST", 512)
+    np.testing.assert_array_equal(chunk_contributions(splats, chunks, 8, CAMERAS), whole)
+    assert whole.any()
