@@ -32,8 +32,8 @@ from .projection import (
 F64 = NDArray[np.float64]
 
 BLOCK_SPLATS: Final = 256
-"""Splats of a block. A city of three million splats is scored as fast with 64, in 0.9 of the time
-with 256 that it takes with 1,024."""
+"""Splats of a block. Scoring a view of a city of three million splats takes 0.58 of the time of all
+splats at once with blocks of 64, 0.59 with 256, and 0.66 with 1,024."""
 
 LEAST_SPLATS_IN_BLOCKS = 100_000
 """Splats of a scene from which blocks are worth their sort."""
