@@ -369,33 +369,3 @@ def join_lists(parts: Sequence[TileLists]) -> TileLists:
     for part in parts:
         _append(part.starts, part.members, part.first, cursors, members)
     return TileLists(0, num_tiles, starts, members)
-
-
-@called_with("int32[::1], float32[:, ::1], float64[:, ::1], int64")
-@kernel
-def add_pair_sums(
-    members: NDArray[np.int32],
-    pair_sums: NDArray[np.float32],
-    sums: NDArray[np.float64],
-    peaks: int,
-) -> None:
-    """Add the sums of each pair of a tile and a footprint to the footprint's sums.
-
-    Parameters
-    ----------
-    members : (P,) int32
-        Row of each pair's footprint, from `TileLists`.
-    pair_sums : (P, K) float32
-        Sums of each pair.
-    sums : (M, K) float64
-        Sums of each footprint, changed in place.
-    peaks : int
-        Number of the last columns that hold maxima instead of sums.
-    """
-    columns = pair_sums.shape[1]
-    for pair in range(len(members)):
-        i = members[pair]
-        for column in range(columns - peaks):
-            sums[i, column] += pair_sums[pair, column]
-        for column in range(columns - peaks, columns):
-            sums[i, column] = max(sums[i, column], pair_sums[pair, column])
