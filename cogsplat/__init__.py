@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from .codec.encode.request import EncodeRequest as EncodeRequest
     from .codec.fit.train_config import LevelsConfig as LevelsConfig
     from .codec.fit.tune_config import TuneConfig as TuneConfig
-    from .codec.scoring.contribution import ScoreConfig as ScoreConfig
+    from .codec.scoring.score_config import ScoreConfig as ScoreConfig
 
     compare, encode, layers = encoder_api.compare, encoder_api.encode, encoder_api.layers
     render, score, tune = encoder_api.render, encoder_api.score, encoder_api.tune
@@ -118,7 +118,7 @@ _LATE = {
     "EncodeReport": ".codec.encode.encoded",
     "EncodeRequest": ".codec.encode.request",
     "LevelsConfig": ".codec.fit.train_config",
-    "ScoreConfig": ".codec.scoring.contribution",
+    "ScoreConfig": ".codec.scoring.score_config",
     "Target": ".codec.encode.config",
     "TuneConfig": ".codec.fit.tune_config",
     **dict.fromkeys(("compare", "encode", "layers", "render", "score", "tune"), ".encoder_api"),

@@ -37,7 +37,8 @@ if TYPE_CHECKING:
     from .codec.encode.preview_chunks import PreviewMaker
     from .codec.fit.train_config import LevelsConfig
     from .codec.fit.tune_config import TuneConfig
-    from .codec.scoring.contribution import ScoreConfig, Scores
+    from .codec.scoring.contribution import Scores
+    from .codec.scoring.score_config import ScoreConfig
     from .codec.scoring.view_quality import Comparison
 
 _Path = str | os.PathLike[str]
@@ -402,10 +403,11 @@ def score(
     >>> scores.contribution.shape == (len(cogsplat.read("scene.ply")),)
     True
     """
-    from .codec.scoring import contribution
+    from .codec.scoring.contribution import score as score_in
+    from .codec.scoring.score_config import ScoreConfig
 
-    config = config or contribution.ScoreConfig()
-    return contribution.score(_splats(scene), _views(cameras), config, progress=progress)
+    config = config or ScoreConfig()
+    return score_in(_splats(scene), _views(cameras), config, progress=progress)
 
 
 def _first_view(scene: Splats | _Path, splats: Splats, threads: int) -> Camera:

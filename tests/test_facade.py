@@ -18,7 +18,8 @@ from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.errors import Cancelled, DataError, FormatError, StorageError, TruncatedError
 from cogsplat.codec.geometry import rotations
-from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.scoring.contribution import score
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.codec.splats import Splats, empty
 from cogsplat.codec.streams.grid import MAX_VALUE
 from cogsplat.formats.cameras.inria import write_cameras_json
@@ -352,7 +353,7 @@ from test_facade import ring, scene
 import cogsplat
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.request import EncodeRequest
-from cogsplat.codec.scoring.contribution import ScoreConfig
+from cogsplat.codec.scoring.score_config import ScoreConfig
 threads = int(sys.argv[2])
 for profile in ("transform", "vq"):
     config = EncodeConfig(profile=profile, chunk_splats=200, threads=threads)

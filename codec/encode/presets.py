@@ -12,7 +12,7 @@ from cogsplat.codec.order.gain_effort import GainEffort
 from cogsplat.codec.views.view_sets import sample_evenly
 
 if TYPE_CHECKING:
-    from cogsplat.codec.scoring.contribution import ScoreConfig
+    from cogsplat.codec.scoring.score_config import ScoreConfig
     from cogsplat.codec.views.planner import ViewPlanConfig
 
     from .shift_optimiser import FitConfig
@@ -141,7 +141,7 @@ class Preset:
         colour_sensitivity : bool
             `ScoreConfig.colour_sensitivity`; unused by the profiles.
         """
-        from cogsplat.codec.scoring.contribution import LEAST_WEIGHT, ScoreConfig
+        from cogsplat.codec.scoring.score_config import LEAST_WEIGHT, ScoreConfig
 
         every = self.sensitivity_every if profile != "near-lossless" else 0
         return ScoreConfig(

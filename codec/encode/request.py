@@ -21,7 +21,8 @@ from .config import EncodeConfig, Target
 from .presets import DEFAULT_PRESET, PRESETS, Preset
 
 if TYPE_CHECKING:
-    from cogsplat.codec.scoring.contribution import ScoreConfig, Scores
+    from cogsplat.codec.scoring.contribution import Scores
+    from cogsplat.codec.scoring.score_config import ScoreConfig
 
 
 @dataclass(frozen=True, eq=False)

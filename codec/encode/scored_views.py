@@ -11,7 +11,8 @@ import numpy as np
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.codec.scoring.contribution import ScoreConfig, Scorer, Scores
+from cogsplat.codec.scoring.contribution import Scorer, Scores
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.codec.scoring.view_sums import ViewSums
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.planner import ViewPlan, plan

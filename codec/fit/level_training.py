@@ -27,7 +27,8 @@ from cogsplat.codec.order.prefix_inflation import (
 )
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import RenderConfig, render
-from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.scoring.contribution import score
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import ordered_map, thread_count
 from cogsplat.codec.trained_arrays import opacities_from_logits

@@ -356,7 +356,8 @@ def order_rows(
 
 def _score_in_view(scene: OrderInputs, camera: Camera) -> OrderInputs:
     """Return the inputs with scores from a single camera."""
-    from cogsplat.codec.scoring.contribution import ScoreConfig, score
+    from cogsplat.codec.scoring.contribution import score
+    from cogsplat.codec.scoring.score_config import ScoreConfig
 
     # No top K: a splat covered in this view has no other view to count in, and in a short prefix
     # the splats that cover it are missing.

@@ -17,6 +17,9 @@ I64 = NDArray[np.int64]
 # better than with rounded codes in equal bytes. At 0.35 they lose up to 0.05 dB of that; at 1 two
 # of them lose 0.07 and 0.16 dB.
 _PRICE: Final = 0.5
+# Least cost of an error, relative to the mean of the chunk. Views other than those that a scene was
+# scored in may show a splat of no cost, and without this limit all of its coordinates are zero.
+_LEAST_COST: Final = 1 / 16
 # Added to each count, so that unused codes have a finite cost (Krichevsky and Trofimov 1981).
 _PRIOR_COUNT: Final = 0.5
 # Symbols beyond this one are counted as this one.
@@ -58,6 +61,7 @@ def choose_codes(positions: F64, costs: F64, bit_price: float, shrink: float, ro
     if not count or not width:
         return rounded
     price = _PRICE * bit_price
+    costs = np.maximum(costs, _LEAST_COST * costs.mean())
     groups = coordinate_groups(width)
     group_of = np.repeat(np.arange(len(groups)), [len(group) for group in groups])
     inner_bits, last_bits, end_bits = _bits(rounded, group_of)

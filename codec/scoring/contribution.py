@@ -12,11 +12,8 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.executor import Executor, LocalThreads
-from cogsplat.codec.finite_fields import require_finite
-from cogsplat.codec.geometry.frustum import NEAR
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.blend_weights import PEAK, SQUARE
-from cogsplat.codec.render.cuda_device import require_device
 from cogsplat.codec.render.cuda_views import CudaScene
 from cogsplat.codec.render.sensitivities import COLUMNS, Sensitivities, from_columns
 from cogsplat.codec.render.splat_blocks import add_hidden, blocks_if_large
@@ -26,20 +23,11 @@ from cogsplat.codec.threads import thread_count
 from cogsplat.codec.views.roam_views import jitter
 from cogsplat.codec.workspace import IN_MEMORY, Gather, Workspace
 
-from .view_scores import ViewScores, Weighing, score_on_device, score_view
+from .score_config import ScoreConfig
+from .view_scores import ViewScores, score_on_device, score_view
 from .view_sums import ViewSums, add_rows
 
 _BASES = sh_coefficients(MAX_SH_DEGREE)
-
-TOP_K = 20
-"""Number of a pixel's largest weights that count (PRoGS, section 3.1, Zoomers et al. 2024)."""
-
-LEAST_WEIGHT = 0.01
-"""`ScoreConfig.least_weight` for scoring without top K; the 20th weight is at most 1/20.
-
-Ordered by either contribution, a captured room differs by less than 0.2 dB in its first 16 to 256
-KiB, and files of three scenes by less than 0.5 % in bytes at equal PSNR.
-"""
 
 COVERING_SHARE = 1 / 4
 """Factor on the weights of covering views in `Scores.peak`."""
@@ -61,65 +49,6 @@ The sums of one view take up to 0.4 kB for each splat in it.
 
 # Rows scaled at once.
 _BLOCK = 1 << 16
-
-
-@dataclass(frozen=True)
-class ScoreConfig:
-    """Settings of `score`.
-
-    Parameters
-    ----------
-    top_k : int
-        Number of the largest weights of each pixel that count in the contribution. 0 counts all
-        weights of at least `least_weight`, which is faster.
-    least_weight : float
-        Minimum of the weights that count in the contribution, 0 to 1; ignored unless `top_k` is 0.
-    jitter : bool
-        Whether to score jittered copies of the cameras too (`roam_views.jitter`), so that splats
-        hidden from the capture path do not score 0.
-    jitter_copies : int
-        Jittered copies of each camera: 2 for both kinds, 1 for alternating kinds.
-    near_plane : float
-        Camera-space depth up to which nothing is drawn, scene units.
-    threads : int
-        Number of threads; 0 for every core this process may use. Scores do not depend on it.
-    sensitivity_every : int
-        Interval of the tiles of each view in which `Sensitivities` are measured: one in n tiles,
-        others in the next view; 0 for none. At 1 they double the run time.
-    colour_sensitivity : bool
-        Whether to compute `Scores.colour_sensitivity`, which takes 128 bytes per splat.
-    device : str
-        ``cpu``, or ``cuda`` to draw the views with gsplat on a CUDA device (extra ``train``). CUDA
-        scores differ by rounding, from run to run too, and so does the order of splats with nearly
-        equal scores.
-    """
-
-    top_k: int = TOP_K
-    least_weight: float = 0.0
-    jitter: bool = True
-    jitter_copies: int = 2
-    near_plane: float = NEAR
-    threads: int = 0
-    sensitivity_every: int = 0
-    colour_sensitivity: bool = True
-    device: str = "cpu"
-
-    def __post_init__(self) -> None:
-        require_finite(self)
-        if self.top_k < 0:
-            raise ValueError(f"top_k {self.top_k}, expected 0 (all) or more")
-        if not 0.0 <= self.least_weight <= 1.0:
-            raise ValueError(f"least_weight {self.least_weight}, expected 0 to 1")
-        if self.jitter_copies not in (1, 2):
-            raise ValueError(f"jitter_copies {self.jitter_copies}, expected 1 or 2")
-        if not self.near_plane > 0.0:
-            raise ValueError(f"near_plane {self.near_plane}, expected more than 0")
-        thread_count(self.threads)
-        require_device(self.device)
-        if self.sensitivity_every < 0:
-            raise ValueError(
-                f"sensitivity_every {self.sensitivity_every}, expected 0 (none) or more"
-            )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -302,11 +231,8 @@ class Scorer:
     def _results(self, work: Sequence[tuple[Camera, int]]) -> Iterator[ViewScores]:
         """Yield the scores of each view, in their order."""
         config, splats = self._config, self._splats
-        rules = Weighing(
-            config.top_k, config.least_weight, config.near_plane, config.sensitivity_every
-        )
         if self._device is not None:
-            return (score_on_device(view, splats, self._device, rules) for view in work)
+            return (score_on_device(view, splats, self._device, config) for view in work)
         threads = thread_count(config.threads)
         by_view = self._executor is not None or (
             self._workspace.views_at_once
@@ -316,7 +242,7 @@ class Scorer:
         executor = self._executor or LocalThreads(threads if by_view else 1)
         shared = (splats,) if self._blocks is None else (splats, self._blocks)
         return executor.map(
-            partial(score_view, rules=rules, threads=1 if by_view else threads),
+            partial(score_view, config=config, threads=1 if by_view else threads),
             work,
             *shared,
         )
@@ -443,7 +369,8 @@ def score(
 
     Examples
     --------
-    >>> from cogsplat.codec.scoring.contribution import ScoreConfig, score
+    >>> from cogsplat.codec.scoring.contribution import score
+    >>> from cogsplat.codec.scoring.score_config import ScoreConfig
     >>> import cogsplat
     >>> splats = cogsplat.read("scene.ply")
     >>> cameras = cogsplat.read_cameras("cameras.json")[:2]

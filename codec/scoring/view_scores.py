@@ -23,21 +23,7 @@ from cogsplat.codec.render.splat_blocks import SplatBlocks
 from cogsplat.codec.render.tiles import TileLists, join_lists, sampled_tiles, tile_lists
 from cogsplat.codec.splats import Splats
 
-
-@dataclass(frozen=True)
-class Weighing:
-    """Settings of a scoring pass that apply to each view.
-
-    Parameters
-    ----------
-    top_k, least_weight, near_plane, sensitivity_every
-        See `contribution.ScoreConfig`.
-    """
-
-    top_k: int
-    least_weight: float
-    near_plane: float
-    sensitivity_every: int
+from .score_config import ScoreConfig
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +66,7 @@ def score_view(
     splats: Splats,
     blocks: SplatBlocks | None = None,
     *,
-    rules: Weighing,
+    config: ScoreConfig,
     threads: int,
 ) -> ViewScores:
     """Score one view.
@@ -94,16 +80,18 @@ def score_view(
     blocks : SplatBlocks, optional
         Blocks of the scene. With them, most splats that the view does not show take no time; the
         scores are the same.
-    rules : Weighing
+    config : ScoreConfig
         Settings of the scoring pass.
     threads : int
         Number of threads, at least 1; the scores do not depend on it.
     """
     camera, phase = view
-    walk = FrontToBack(splats, blocks, camera, near_plane=rules.near_plane, hides=rules.top_k == 0)
+    walk = FrontToBack(
+        splats, blocks, camera, near_plane=config.near_plane, hides=config.top_k == 0
+    )
     size = (camera.width, camera.height)
     is_measured = phase >= 0
-    tiles = sampled_tiles(*size, rules.sensitivity_every, phase) if is_measured else None
+    tiles = sampled_tiles(*size, config.sensitivity_every, phase) if is_measured else None
     found = _Found()
     for footprints in walk.slabs():
         sums = np.zeros((len(footprints), 3), np.float64)
@@ -113,10 +101,10 @@ def score_view(
                 lists,
                 footprints,
                 camera,
-                rules.top_k,
+                config.top_k,
                 threads,
                 sums,
-                least_weight=rules.least_weight,
+                least_weight=config.least_weight,
                 lefts=walk.lefts,
             )
             if tiles is not None:
@@ -189,17 +177,17 @@ class _Found:
 
 
 def score_on_device(
-    view: tuple[Camera, int], splats: Splats, scene: CudaScene, rules: Weighing
+    view: tuple[Camera, int], splats: Splats, scene: CudaScene, config: ScoreConfig
 ) -> ViewScores:
     """Score one view on a CUDA device; see `score_view`."""
     camera, phase = view
-    drawn = scene.view(camera, near_plane=rules.near_plane)
-    footprints, sums = drawn.footprints, drawn.weights(rules.top_k, rules.least_weight)
+    drawn = scene.view(camera, near_plane=config.near_plane)
+    footprints, sums = drawn.footprints, drawn.weights(config.top_k, config.least_weight)
     found, no_blocks = _Found(), np.empty(0, np.int64)
     found.add(footprints, sums, [])
     if phase < 0:
         return found.scores(found.measured(), np.zeros((0, COLUMNS), np.float64), no_blocks)
-    tiles = sampled_tiles(camera.width, camera.height, rules.sensitivity_every, phase)
+    tiles = sampled_tiles(camera.width, camera.height, config.sensitivity_every, phase)
     moments = drawn.moments(tiles)
     columns = view_sensitivities(splats, camera, footprints, drawn.colours, moments)
     return found.scores(footprints, columns, no_blocks)

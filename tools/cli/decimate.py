@@ -146,7 +146,8 @@ def decimate(
                 stacklevel=1,
             )
         if by == _CONTRIBUTION and target < len(usable):
-            from cogsplat.codec.scoring.contribution import ScoreConfig, score
+            from cogsplat.codec.scoring.contribution import score
+            from cogsplat.codec.scoring.score_config import ScoreConfig
 
             scored_in = views or plan_cameras(usable, threads=threads, progress=stages)
             scores = score(usable, scored_in, ScoreConfig(threads=threads), progress=stages)

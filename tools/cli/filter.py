@@ -206,7 +206,8 @@ def _floaters(
 ) -> NDArray[np.bool_]:
     """Return a mask of floaters: isolated splats of low contribution."""
     from cogsplat.codec.geometry import floaters
-    from cogsplat.codec.scoring.contribution import ScoreConfig, score
+    from cogsplat.codec.scoring.contribution import score
+    from cogsplat.codec.scoring.score_config import ScoreConfig
 
     scored_in = views or plan_cameras(splats, threads=threads, progress=stages)
     scores = score(splats, scored_in, ScoreConfig(threads=threads), progress=stages)

@@ -19,8 +19,9 @@ from cogsplat.codec.metrics import psnr
 from cogsplat.codec.order import prefix_inflation
 from cogsplat.codec.order.marginal_gain import GainConfig, gain_order
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.scoring.contribution import score
 from cogsplat.codec.scoring.reference_views import render_references
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.codec.segments.prefix_compensation import Compensation
 
 _COUNTS = (40, 50, 60, 90, 130, 130)

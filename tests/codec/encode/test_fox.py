@@ -9,7 +9,8 @@ from PIL import Image
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.order.orders import OrderConfig, OrderInputs, order_rows
 from cogsplat.codec.render.rasteriser import RenderConfig, render_views
-from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.scoring.contribution import score
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.formats.scenes.registry import read_scene

@@ -11,7 +11,8 @@ from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.errors import CogsplatWarning, DataError
-from cogsplat.codec.scoring.contribution import ScoreConfig, score, zero_scores
+from cogsplat.codec.scoring.contribution import score, zero_scores
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.codec.views.close_views import view_distances
 from cogsplat.codec.views.view_sets import TEST_VIEWS
 

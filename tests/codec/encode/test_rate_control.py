@@ -21,7 +21,8 @@ from cogsplat.codec.encode.rate_control import (
     search_size,
 )
 from cogsplat.codec.errors import Cancelled, DataError
-from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.scoring.contribution import score
+from cogsplat.codec.scoring.score_config import ScoreConfig
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,8 @@ from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.encode.scored_views import score_given, score_scene, single_camera_share
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.progress import silent
-from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.scoring.contribution import score
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import CLOSE_VIEWS
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras

@@ -18,8 +18,9 @@ from cogsplat.codec.order.marginal_gain import (
 )
 from cogsplat.codec.order.orders import OrderInputs, order_rows
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.codec.scoring.contribution import ScoreConfig, score, zero_scores
+from cogsplat.codec.scoring.contribution import score, zero_scores
 from cogsplat.codec.scoring.reference_views import render_references
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.codec.splats import concatenate
 
 

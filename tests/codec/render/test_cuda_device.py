@@ -7,7 +7,7 @@ import pytest
 from cogsplat.codec.errors import MissingExtraError
 from cogsplat.codec.render.cuda_device import cuda_device
 from cogsplat.codec.render.rasteriser import RenderConfig, render
-from cogsplat.codec.scoring.contribution import ScoreConfig
+from cogsplat.codec.scoring.score_config import ScoreConfig
 
 ON_DEVICE = RenderConfig(device="cuda")
 

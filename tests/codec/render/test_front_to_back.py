@@ -7,7 +7,8 @@ import pytest
 from cogsplat.codec.render import front_to_back
 from cogsplat.codec.render.front_to_back import FrontToBack
 from cogsplat.codec.render.splat_blocks import BLOCK_SPLATS, splat_blocks
-from cogsplat.codec.scoring.contribution import ScoreConfig, Scorer
+from cogsplat.codec.scoring.contribution import Scorer
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.codec.splats import Splats
 
 CAMERAS = [

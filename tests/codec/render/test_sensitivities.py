@@ -7,7 +7,8 @@ import pytest
 from cogsplat.codec.geometry.sh import C0
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.scoring import view_scores
-from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.scoring.contribution import score
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.codec.splats import SceneInfo, empty
 from cogsplat.codec.views.roam_views import jitter
 

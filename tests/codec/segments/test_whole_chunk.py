@@ -7,7 +7,8 @@ import pytest
 from encoding import encode, unseen
 
 from cogsplat.codec.errors import CogsplatError
-from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.scoring.contribution import score
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.codec.segments.codebooks import decode_colour_codebook, decode_shape_codebook
 from cogsplat.codec.segments.whole_chunk import decode_chunk
 from cogsplat.codec.splats import empty

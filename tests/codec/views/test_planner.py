@@ -12,7 +12,8 @@ from shapes import balls, box, sphere
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import Cancelled, DataError
-from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.scoring.contribution import score
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.codec.splats import SceneInfo, Splats, concatenate, empty
 from cogsplat.codec.views.planner import ViewPlanConfig, plan, plan_views
 from cogsplat.codec.views.pose import Pose

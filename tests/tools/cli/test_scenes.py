@@ -50,7 +50,7 @@ def test_choices_and_defaults_are_the_encoder_s_own() -> None:
         EncodeConfig,
     )
     from cogsplat.codec.rate.pruning import PruneConfig
-    from cogsplat.codec.scoring.contribution import LEAST_WEIGHT, ScoreConfig
+    from cogsplat.codec.scoring.score_config import LEAST_WEIGHT, ScoreConfig
 
     config = EncodeConfig()
     profile, order = option(encode, "profile"), option(encode, "order")

@@ -243,7 +243,7 @@ def encode_synth(path: Path, splats: int, sh_degree: int, views: int) -> None:
     """
     from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.request import EncodeRequest
-    from cogsplat.codec.scoring.contribution import ScoreConfig
+    from cogsplat.codec.scoring.score_config import ScoreConfig
 
     cogsplat.encode(
         synth(splats, sh_degree=sh_degree),

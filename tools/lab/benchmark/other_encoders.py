@@ -215,7 +215,8 @@ def compare(
 
 def _write_npz(scene: Path, cameras: Path, target: Path) -> None:
     """Score a scene and write it as `c3dgs_npz`; runs in the process of `_npz_command`."""
-    from cogsplat.codec.scoring.contribution import ScoreConfig, score
+    from cogsplat.codec.scoring.contribution import score
+    from cogsplat.codec.scoring.score_config import ScoreConfig
 
     from . import c3dgs_npz
 

@@ -116,7 +116,8 @@ def order(
 
     OUT.npy holds the row numbers of all splats, int64, first splat first. No splat is pruned.
     """
-    from cogsplat.codec.scoring.contribution import ScoreConfig, score, zero_scores
+    from cogsplat.codec.scoring.contribution import score, zero_scores
+    from cogsplat.codec.scoring.score_config import ScoreConfig
 
     check_name(out, NPY)
     check_outputs(out, force=force)

@@ -74,8 +74,8 @@ def score(
     over the pixels of a view, averaged over the cameras, plus the average over their jittered
     copies.
     """
-    from cogsplat.codec.scoring.contribution import ScoreConfig
     from cogsplat.codec.scoring.contribution import score as score_splats
+    from cogsplat.codec.scoring.score_config import ScoreConfig
 
     check_name(out, NPY)
     check_outputs(out, force=force)

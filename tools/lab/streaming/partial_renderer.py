@@ -67,7 +67,8 @@ class PartialRenderer:
     def splat_contributions(self, camera: Camera, splats: Splats | None = None) -> F64:
         """Return the contribution of each splat to a view, (N,); by default of the full scene."""
         # Imported late: commands that only decode need no compiler.
-        from cogsplat.codec.scoring.contribution import ScoreConfig, score
+        from cogsplat.codec.scoring.contribution import score
+        from cogsplat.codec.scoring.score_config import ScoreConfig
 
         config = ScoreConfig(jitter=False, threads=self._threads)
         return score(self._fine if splats is None else splats, [camera], config).contribution

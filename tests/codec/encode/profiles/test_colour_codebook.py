@@ -13,7 +13,8 @@ from cogsplat.codec.encode.profiles import colour_codebook
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.rate import allocation
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.scoring.contribution import score
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.codec.splats import concatenate
 from cogsplat.codec.streams import codebook_index, records
 from cogsplat.codec.streams.records import Attribute, Kind

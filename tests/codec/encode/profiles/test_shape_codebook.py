@@ -14,7 +14,8 @@ from cogsplat.codec.geometry import rotations
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.rate.costs import Costs
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.scoring.contribution import score
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.codec.segments.codebooks import ShapeCodebook
 from cogsplat.codec.segments.stream_set import StreamSet
 from cogsplat.codec.splats import concatenate

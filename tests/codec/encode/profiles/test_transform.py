@@ -12,7 +12,8 @@ from cogsplat.codec.geometry.sh import C0
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.rate import costs
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.codec.scoring.contribution import ScoreConfig, score, zero_scores
+from cogsplat.codec.scoring.contribution import score, zero_scores
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.codec.splats import concatenate
 from cogsplat.codec.streams import records
 from cogsplat.codec.streams.records import Attribute, Kind

@@ -29,7 +29,8 @@ from cogsplat.codec.fit.tune_config import TuneConfig, TuneRequest
 from cogsplat.codec.fit.tuning_views import choose_tuning_views
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.scoring import view_quality
-from cogsplat.codec.scoring.contribution import ScoreConfig, Scores, score
+from cogsplat.codec.scoring.contribution import Scores, score
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.inria import write_cameras_json

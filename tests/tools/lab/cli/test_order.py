@@ -10,7 +10,8 @@ from running import SPLATS, VIEWS, Run, SmallScene
 import cogsplat
 from cogsplat.codec.order.objects import with_labels
 from cogsplat.codec.order.orders import ORDERS, OrderConfig, OrderInputs, needs_scores, order_rows
-from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.scoring.contribution import score
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.tools.lab.synthetic.object_masks import synth_masks
 from cogsplat.tools.lab.synthetic.terrace import OBJECTS, synth, synth_cameras, synth_objects
 from cogsplat.tools.workflow.order_options import parse_budgets, parse_order

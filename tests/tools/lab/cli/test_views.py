@@ -12,8 +12,8 @@ from running import SPLATS, VIEWS, Run, SmallScene
 import cogsplat
 from cogsplat.codec.render.rasteriser import RenderConfig
 from cogsplat.codec.render.rasteriser import render as draw
-from cogsplat.codec.scoring.contribution import ScoreConfig
 from cogsplat.codec.scoring.contribution import score as score_splats
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.tools.cli.render import fitted
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.codec.scoring.contribution import ScoreConfig, score
+from cogsplat.codec.scoring.contribution import score
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, rooms_walk, synth_rooms
 
 ARRAYS = ("means", "scales", "quats", "opacities", "sh0", "shN")
