@@ -17,6 +17,8 @@ from cogsplat.codec.errors import CogsplatError, TruncatedError
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.formats.cogs.description_json import to_json
 from cogsplat.formats.cogs.folder_source import FolderSource
+from cogsplat.formats.cogs.index import read_index
+from cogsplat.formats.cogs.known_chunks import known_chunks
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import BytesSource
 from cogsplat.tools.lab import make_vectors
@@ -202,12 +204,20 @@ def test_attributes_and_cameras_come_to_the_bit(entry):
 @pytest.mark.parametrize("entry", VALID, ids=name_of)
 def test_view_tables_come_to_the_bit(entry):
     with open_cogs(BytesSource(data_of("valid", entry))) as file:
-        table = file.view_table()
-    expected = entry.get("view_table")
-    assert (table is None) == (expected is None)
-    if table is not None:
+        tables = [(path, file.view_table(path)) for path in file.view_table_rows]
+    found = []
+    for path, table in tables:
+        assert table is not None
         columns = (table.positions.tolist(), table.directions.tolist(), table.shares.tolist())
-        assert [list(row) for row in zip(*columns, strict=True)] == expected
+        found.append([list(path), [list(row) for row in zip(*columns, strict=True)]])
+    assert found == entry.get("view_tables", [])
+
+
+@pytest.mark.parametrize("entry", [x for x in VALID if "parents" in x], ids=name_of)
+def test_parents_are_in_indices_above(entry):
+    index = read_index(BytesSource(data_of("valid", entry)), partial=False)
+    expected = [-1 if parent is None else parent for parent in entry["parents"]]
+    assert known_chunks(index).parents.tolist() == expected
 
 
 @pytest.mark.parametrize("entry", VALID, ids=name_of)

@@ -9,6 +9,8 @@ own: a view in one room fetches few coarse splats of the others.
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -16,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.finite_fields import require_finite
+
+from .chunk_tree import chunk_tree
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -88,7 +92,7 @@ class NestedCells:
     slices : list of slice
         Consecutive ranges of `order`, one per chunk.
     layers : (c,) int64
-        Layer of each chunk, ascending.
+        Layer of each chunk; ascending in an index of the file (`chunk_tree`).
     cells : (c,) int64
         Number of each chunk's cell.
     """
@@ -99,13 +103,16 @@ class NestedCells:
     cells: I64
 
 
-def parents(cells: NDArray[np.integer]) -> I64:
+def parents(cells: NDArray[np.integer], subtrees: Sequence[tuple[int, int]] = ()) -> I64:
     """Return each chunk's parent: the chunk that it adds detail to (SPEC 5.4).
 
     Parameters
     ----------
     cells : (c,) integer
         Cell number of each chunk, in the order of the chunks; 0 if chunks are not cut by cell.
+    subtrees : sequence of (int, int)
+        First and end number of the chunks below each page of the index, ascending by the first and
+        then outer before inner. They are no parents of chunks behind.
 
     Returns
     -------
@@ -117,10 +124,22 @@ def parents(cells: NDArray[np.integer]) -> I64:
     >>> from cogsplat.codec.partition.nested_cells import parents
     >>> parents(np.array([1, 1, 3, 2, 5])).tolist()
     [-1, 0, 1, 1, 3]
+
+    Chunk 4 is below another page than its cell's chunk 3.
+
+    >>> parents(np.array([1, 1, 3, 2, 2]), [(2, 4), (4, 5)]).tolist()
+    [-1, 0, 1, 1, 1]
     """
     last: dict[int, int] = {}
     found = []
+    # Ends of the subtrees around the chunk, each with the last chunks before it.
+    outer: list[tuple[int, dict[int, int]]] = []
+    coming = deque(each for each in subtrees if each[0] < each[1])
     for chunk, cell in enumerate(cells.tolist()):
+        while outer and outer[-1][0] <= chunk:
+            last = outer.pop()[1]
+        while coming and coming[0][0] <= chunk:
+            outer.append((coming.popleft()[1], dict(last)))
         around = (cell >> k for k in range(cell.bit_length()))
         found.append(max((last.get(above, -1) for above in around), default=-1))
         last[cell] = chunk
@@ -212,6 +231,8 @@ def nested_cells(
     for chunk in chunks:
         chunk.places.sort()
     chunks.sort(key=lambda chunk: (chunk.layer, -float(weights[chunk.places].mean()), chunk.cell))
+    tree = chunk_tree(np.array([chunk.cell for chunk in chunks], np.int64))
+    chunks = [chunks[at] for at in tree.order()]
     stops = np.cumsum([len(chunk.places) for chunk in chunks]).tolist()
     return NestedCells(
         np.concatenate([np.zeros(0, np.int64), *(chunk.places for chunk in chunks)]),

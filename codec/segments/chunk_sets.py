@@ -72,6 +72,52 @@ def equivalent_prefixes(chunks: Sequence[int], parents: I64, chunk_splats: I64) 
     return found[np.asarray(chunks, np.int64)]
 
 
+def descendant_parts(
+    chunks: Sequence[int], parents: I64, chunk_splats: I64, first: int
+) -> NDArray[np.float64]:
+    """Return the share that a set has of each chunk's later descendants (SPEC 8.5).
+
+    Parameters
+    ----------
+    chunks : sequence of int
+        Chunk numbers of the set, ascending, including all parents.
+    parents, chunk_splats
+        See `equivalent_prefixes`.
+    first : int
+        Number of first chunks that do not count.
+
+    Returns
+    -------
+    (k,) float64
+        Splats of the descendants in the set less those among the first chunks, divided by those of
+        all descendants less those; 1 where the set has all descendants.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cogsplat.codec.segments.chunk_sets import descendant_parts
+    >>> above = np.array([-1, 0, 0, 1, 2])
+    >>> descendant_parts([0, 1, 3], above, np.full(5, 10), 1).tolist()
+    [0.5, 1.0, 1.0]
+    """
+    every = np.arange(len(parents))
+    held = _descendant_splats(np.isin(every, np.asarray(chunks, np.int64)), parents, chunk_splats)
+    before = _descendant_splats(every < first, parents, chunk_splats)
+    whole = _descendant_splats(every >= 0, parents, chunk_splats)
+    parts = (held - before) / np.where(held == whole, 1, whole - before)
+    shares: NDArray[np.float64] = np.where(held == whole, 1.0, parts)
+    return shares[np.asarray(chunks, np.int64)]
+
+
+def _descendant_splats(counts_in: NDArray[np.bool_], parents: I64, chunk_splats: I64) -> I64:
+    """Return the splats of each chunk's descendants, of those that count."""
+    sums = np.where(counts_in, chunk_splats, 0).astype(np.int64)
+    for chunk in range(len(parents) - 1, 0, -1):
+        if parents[chunk] >= 0:
+            sums[parents[chunk]] += sums[chunk]
+    return sums
+
+
 def _ancestor_lines(chunks: int, parents: I64) -> list[tuple[int, ...]]:
     """Return the numbers of each chunk and all its ancestors, for the first `chunks` chunks."""
     lines: list[tuple[int, ...]] = []

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.splats import Splats
 
 F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 MAX_CODE_BITS: Final = 8
@@ -114,7 +115,14 @@ class Compensation:
         held = np.arange(chunks) if drawn is None else np.asarray(drawn, np.int64)
         return self.apply_per_chunk(splats, held, np.full(len(held), chunks, np.int64))
 
-    def apply_per_chunk(self, splats: Splats, chunks: I64, prefixes: I64) -> Splats:
+    @property
+    def last_chunks(self) -> int:
+        """Number of chunks of the last layer; 0 without layers."""
+        return self.layers[-1].chunks if self.layers else 0
+
+    def apply_per_chunk(
+        self, splats: Splats, chunks: I64, prefixes: I64, parts: F64 | None = None
+    ) -> Splats:
         """Return the splats of some chunks, each chunk shifted as in its own prefix.
 
         Parameters
@@ -126,6 +134,10 @@ class Compensation:
         prefixes : (k,) int64
             Length in chunks of the prefix that each chunk is shifted for; the prefix must include
             the chunk. A chunk whose prefix is the whole scene is unchanged.
+        parts : (k,) float64, optional
+            Position of each chunk, 0 to 1, between the last layer and the whole scene, where its
+            prefix is longer than that of the last layer (`chunk_sets.descendant_parts`); a chunk
+            at 1 is unchanged. By default the position of its prefix.
 
         Returns
         -------
@@ -144,9 +156,12 @@ class Compensation:
                 "that these hold"
             )
         is_part = prefixes < len(self.chunk_splats)
+        if parts is not None:
+            is_part &= (prefixes <= self.last_chunks) | (parts < 1.0)
         if not self.layers or not is_part.any():
             return splats
-        shifts = self.shifts_of(chunks[is_part], prefixes[is_part])
+        own_parts = None if parts is None else parts[is_part]
+        shifts = self.shifts_of(chunks[is_part], prefixes[is_part], own_parts)
         if is_part.all():
             scales: F32 = splats.scales + shifts[:, :1]
             opacities: F32 = splats.opacities + shifts[:, 1]
@@ -158,7 +173,7 @@ class Compensation:
         opacities[rows] += shifts[:, 1]
         return replace(splats, scales=scales, opacities=opacities)
 
-    def shifts_of(self, chunks: I64, prefixes: I64) -> F32:
+    def shifts_of(self, chunks: I64, prefixes: I64, parts: F64 | None = None) -> F32:
         """Return the shifts of log scales and logits of chunks, each chunk for its own prefix.
 
         Parameters
@@ -168,6 +183,8 @@ class Compensation:
         prefixes : (k,) int64
             Length in chunks of the prefix that each chunk is shifted for. It includes the chunk,
             and is not the whole scene.
+        parts : (k,) float64, optional
+            See `apply_per_chunk`.
 
         Returns
         -------
@@ -176,16 +193,22 @@ class Compensation:
         """
         counts = self.chunk_splats[chunks]
         entries = self._entries(chunks)
+        if parts is not None:
+            # Behind the last layer the parts say all.
+            prefixes = np.minimum(prefixes, self.last_chunks + 1)
         if len(prefixes) and (prefixes == prefixes[0]).all():
-            return self._prefix_shifts(int(prefixes[0]), chunks, entries)
+            return self._prefix_shifts(int(prefixes[0]), chunks, entries, parts)
         out = np.zeros((int(counts.sum()), 2), np.float32)
         for prefix in np.unique(prefixes).tolist():
             are_of = prefixes == prefix
             rows = np.repeat(are_of, counts)
-            out[rows] = self._prefix_shifts(prefix, chunks[are_of], entries[rows])
+            own_parts = None if parts is None else parts[are_of]
+            out[rows] = self._prefix_shifts(prefix, chunks[are_of], entries[rows], own_parts)
         return out
 
-    def _prefix_shifts(self, prefix: int, chunks: I64, entries: NDArray[np.int8]) -> F32:
+    def _prefix_shifts(
+        self, prefix: int, chunks: I64, entries: NDArray[np.int8], parts: F64 | None
+    ) -> F32:
         """Return each splat's shifts of log scales and logit for one prefix, (n, 2) float32.
 
         Shifts are interpolated between layers.
@@ -198,6 +221,8 @@ class Compensation:
             Numbers of the chunks.
         entries : (n, 2) int8
             Book entry of each splat of the chunks, concatenated (`_entries`).
+        parts : (k,) float64, optional
+            See `apply_per_chunk`.
         """
         ends = np.concatenate([[0], np.cumsum(self.chunk_splats)])
         above = next(
@@ -210,11 +235,14 @@ class Compensation:
         # with shifts of 0, follows the last layer.
         below = self.layers[above - 1].chunks
         stop = self.layers[above].chunks if above < len(self.layers) else len(self.chunk_splats)
+        in_both = chunks < below
+        rows = np.repeat(in_both, self.chunk_splats[chunks])
         part = np.float32(
             float(ends[prefix] - ends[below]) / max(float(ends[stop] - ends[below]), 1.0)
         )
-        in_both = chunks < below
-        rows = np.repeat(in_both, self.chunk_splats[chunks])
+        if parts is not None and above == len(self.layers):
+            own = parts[in_both].astype(np.float32)
+            part = np.repeat(own, self.chunk_splats[chunks[in_both]])[:, None]
         lower = self._layer_shifts(above - 1, chunks[in_both], entries[rows])
         upper[rows] = lower + (upper[rows] - lower) * part
         return upper

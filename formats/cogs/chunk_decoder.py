@@ -9,15 +9,17 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import LimitError
-from cogsplat.codec.partition.nested_cells import parents
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.segments import codebooks
 from cogsplat.codec.segments.attributes import unpack_attributes
-from cogsplat.codec.segments.chunk_sets import equivalent_prefixes, has_all_parents
+from cogsplat.codec.segments.chunk_sets import (
+    descendant_parts,
+    equivalent_prefixes,
+    has_all_parents,
+)
 from cogsplat.codec.segments.codebooks import Codebook
 from cogsplat.codec.segments.opacities import decode_opacities
 from cogsplat.codec.segments.prefix_compensation import Compensation, Layer
@@ -45,6 +47,7 @@ from .description import Description, Picture
 from .drawn_chunks import drawn_chunks
 from .fetch_order import opacity_rows, ranges_to_decode
 from .index import Index
+from .known_chunks import known_chunks
 from .lazy_index import LazyIndex
 from .stored_file import StoredFile
 
@@ -96,12 +99,11 @@ class ChunkDecoder(StoredFile):
         LimitError
             ``decoded-size``: the cameras exceed the memory of `Limits`.
         """
-        row = self.camera_row
-        if row is None:
+        index = self._pages.for_path(())
+        if index.cameras < 0:
             return []
-        if not self.is_present(row):
-            raise self._missing_error("the segment of cameras")
-        payload = bytes(self.read_segment(row))
+        root = ChunkDecoder(self._source, index, self._limits)
+        payload = bytes(root._read_present(index.cameras, "the segment of cameras"))
         return camera_segment.unpack_cameras(payload, f"{self.name}: cameras", self._allowed)
 
     def description(self, *, pictures: bool = False) -> Description | None:
@@ -135,7 +137,7 @@ class ChunkDecoder(StoredFile):
         index = self._pages.for_description(pictures=True)
         last = ChunkDecoder(self._source, index, self._limits)
         # A partial file may lack the page that lists the pictures.
-        if last.has_all_pages:
+        if any(node.lists_pictures for node in index.nodes):
             description_segment.require_pictures(found, index.pictures, self.name)
         filled: dict[str, Picture] = {}
         for name, picture in found.pictures().items():
@@ -152,8 +154,20 @@ class ChunkDecoder(StoredFile):
             raise self._missing_error(what)
         return self.read_segment(row)
 
-    def view_table(self) -> ViewTable | None:
-        """Return the view table, the contribution of each chunk to some views; None for none.
+    def view_table(self, path: tuple[int, ...] = ()) -> ViewTable | None:
+        """Return the view table of an index, the contribution of each chunk to some views.
+
+        Its columns are the chunks and then the pages that the index lists.
+
+        Parameters
+        ----------
+        path : tuple of int
+            Rows of the pages on the way from the root to the index; by default the root.
+
+        Returns
+        -------
+        ViewTable or None
+            None where the index lists no table.
 
         Raises
         ------
@@ -164,14 +178,15 @@ class ChunkDecoder(StoredFile):
         LimitError
             ``decoded-size``: the codes exceed the memory of `Limits`.
         """
-        row = self.view_table_row
-        if row is None:
+        index = self._pages.for_path(path)
+        row, node = index.view_tables.get(path), index.node(path)
+        if row is None or node is None:
             return None
-        if not self.is_present(row):
-            raise self._missing_error("the view table")
-        payload = bytes(self.read_segment(row))
+        file = ChunkDecoder(self._source, index, self._limits)
+        payload = bytes(file._read_present(row, "the view table"))
+        columns = len(node.tables.chunks) + len(node.tables.pages)
         return view_table_segment.unpack_view_table(
-            payload, f"{self.name}: view table", self._pages.all_chunks, self._allowed
+            payload, f"{self.name}: view table", columns, self._allowed
         )
 
     def compensation(self) -> Compensation:
@@ -262,10 +277,7 @@ class ChunkDecoder(StoredFile):
             raise ValueError(f"level {level}, expected one of {len(self.root.levels)}")
         count = self.complete_chunks() if level is None else self.root.levels[level].chunks
         wanted = self._chunk_list(chunks, count)
-        prefixes = np.full(len(wanted), count, np.int64)
-        if compensate and chunks is not None:
-            prefixes = self._equivalent_prefixes(wanted)
-        file = self if compensate else self._with_pages_for(wanted, sh_degree, refine, extras)
+        file = self if compensate else self._with_pages_above(wanted)
         decoding_tiers.load_if_worthwhile(int(file.chunks.splats[wanted].sum()))
         shifted = int(self.chunks.splats[wanted].sum()) if compensate else 0
         out = file._decode(
@@ -273,33 +285,49 @@ class ChunkDecoder(StoredFile):
         )
         if not compensate:
             return out
-        return self.compensation().apply_per_chunk(out, np.array(wanted, np.int64), prefixes)
+        return self._compensated(out, wanted, count if chunks is None else None)
 
-    def _equivalent_prefixes(self, wanted: Sequence[int]) -> NDArray[np.int64]:
-        """Return the length of the prefix whose compensation applies to each chunk (SPEC 8.5)."""
-        count = wanted[-1] + 1 if wanted else 0
-        if list(wanted) in (list(range(count)), drawn_chunks(self.chunks, count)):
-            return np.full(len(wanted), count, np.int64)
-        above = parents(self.chunks.cell)
-        ascend = all(one < other for one, other in pairwise(wanted))
-        if not ascend or not self.chunks.cell.all() or not has_all_parents(wanted, above):
-            raise ValueError(
-                f"chunks {wanted[:8]} with compensation, expected a prefix of the file or, in a "
-                "file cut into cells, ascending chunks that include their parents"
-            )
-        return equivalent_prefixes(wanted, above, self.chunks.splats.astype(np.int64))
+    def _compensated(self, splats: Splats, wanted: Sequence[int], prefix: int | None) -> Splats:
+        """Return the splats of chunks compensated for the missing ones (SPEC 8.5).
 
-    def _with_pages_for(
-        self, chunks: Sequence[int], sh_degree: int | None, refine: bool, extras: bool
-    ) -> ChunkDecoder:
+        Parameters
+        ----------
+        splats : Splats
+            Decoded splats.
+        wanted : sequence of int
+            Their chunks.
+        prefix : int, optional
+            Length of the prefix that they are, in chunks; found if it is not given.
+        """
+        compensation, numbers = self.compensation(), np.array(wanted, np.int64)
+        count = (wanted[-1] + 1 if wanted else 0) if prefix is None else prefix
+        if prefix is None and list(wanted) in (
+            list(range(count)),
+            drawn_chunks(self.chunks, count),
+        ):
+            prefix = count
+        if prefix is None or (self.chunks.cell.all() and len(self.chunks)):
+            known = known_chunks(self._index)
+            held = list(range(prefix)) if prefix is not None else list(wanted)
+            ascend = all(one < other for one, other in pairwise(held))
+            if not ascend or not self.chunks.cell.all() or not has_all_parents(held, known.parents):
+                raise ValueError(
+                    f"chunks {wanted[:8]} with compensation, expected a prefix of the file or, in "
+                    "a file cut into cells, ascending chunks that include their parents"
+                )
+            rows = np.searchsorted(held, numbers)
+            prefixes = equivalent_prefixes(held, known.parents, known.splats)[rows]
+            parts = descendant_parts(held, known.parents, known.splats, compensation.last_chunks)[
+                rows
+            ]
+            return compensation.apply_per_chunk(splats, numbers, prefixes, parts)
+        return compensation.apply_per_chunk(splats, numbers, np.full(len(numbers), prefix))
+
+    def _with_pages_above(self, chunks: Sequence[int]) -> ChunkDecoder:
         """Return the file with an index that covers some chunks, without reading all pages."""
         if not isinstance(self._pages, LazyIndex):
             return self
-        degree = MAX_SH_DEGREE if sh_degree is None else sh_degree
-        index = self._pages.for_chunks(
-            chunks, sh_degree=min(self.root.sh_degree, degree), refine=refine, extras=extras
-        )
-        file = ChunkDecoder(self._source, index, self._limits)
+        file = ChunkDecoder(self._source, self._pages.for_chunks(chunks), self._limits)
         file._codebooks = self._codebooks
         return file
 
@@ -384,7 +412,7 @@ class ChunkDecoder(StoredFile):
             The errors of `decode`; limits apply to all parts together, before the first.
         """
         wanted = self._chunk_list(chunks, self.complete_chunks())
-        file = self._with_pages_for(wanted, sh_degree, refine, extras)
+        file = self._with_pages_above(wanted)
         extras = extras and all(map(file.has_extras, wanted))
         degree = min(self.root.sh_degree, MAX_SH_DEGREE if sh_degree is None else sh_degree)
         counts = [int(file.chunks.splats[chunk]) for chunk in wanted]

@@ -26,12 +26,13 @@ from .description_segment import description_map, pack_segments, parse_descripti
 from .folder_map import MANIFEST_NAME, MANIFEST_SUFFIX
 from .folder_source import names_folder
 from .folder_writer import copy_cogs, unpack_cogs
+from .index_tables import SegmentTable
 from .layout import SegmentKind
 from .open_file import open_source
 from .packing import folder_files
 from .reader import CogsFile, open_cogs
-from .root import SegmentTable, parse_root, root_map
-from .writer import lay_out_index, segment_table
+from .root import parse_root, root_map
+from .writer import lay_out_index, plan_of_file, segment_table
 
 _DESCRIPTION_KEYS: Final = frozenset(field.name for field in fields(Description))
 
@@ -196,7 +197,9 @@ def described_source(
         first_view=file.first_view(view=view, up=up),
     )
     pieces: list[_Piece] = []
-    for part in lay_out_index(root, _concatenate_tables(file.segments, kept, segment_table(new))):
+    added = segment_table(new)
+    plan = plan_of_file(file.nodes, kept, added.kind)
+    for part in lay_out_index(root, _concatenate_tables(file.segments, kept, added), plan):
         pieces.append(_Piece(BytesSource(part.index), 0, len(part.index)))
         for row in part.rows:
             if row < len(kept):

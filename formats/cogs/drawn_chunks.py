@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .root import ChunkTable, Level
+from .index_tables import ChunkTable
+from .root import Level
 
 I64 = NDArray[np.int64]
 
@@ -31,14 +32,23 @@ def first_level(levels: Sequence[Level], chunk: int) -> int:
     return sum(level.chunks <= chunk for level in levels)
 
 
-def later_levels(levels: Sequence[Level], chunks: ChunkTable) -> I64:
+def later_levels(levels: Sequence[Level], chunks: ChunkTable, first: int) -> I64:
     """Return the number of levels that draw each chunk, not counting its first level.
 
     A chunk has at most this number of opacity segments.
+
+    Parameters
+    ----------
+    levels : sequence of Level
+        Levels of the scene.
+    chunks : ChunkTable
+        Chunks of an index.
+    first : int
+        Number of the first of these chunks.
     """
     ends = [level.chunks for level in levels]
     stops = np.searchsorted(ends, chunks.until, side="left")
     stops[chunks.until == 0] = len(ends)
-    firsts = np.searchsorted(ends, np.arange(len(chunks)), side="right")
+    firsts = np.searchsorted(ends, first + np.arange(len(chunks)), side="right")
     later: I64 = np.maximum(stops - firsts - 1, 0)
     return later

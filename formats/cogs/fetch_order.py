@@ -12,7 +12,7 @@ from .index import Index
 from .segment_rows import codebook_kinds
 
 if TYPE_CHECKING:
-    from .root import SegmentTable
+    from .index_tables import SegmentTable
 
 # Segments of consecutive chunks are fetched in file order within groups of this size: few requests,
 # and few bytes that wait in memory.

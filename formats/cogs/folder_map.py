@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -20,7 +20,8 @@ from cogsplat.formats.storage.magic import MANIFEST_MAGIC, describe
 from . import canonical_msgpack, layout
 from . import root as cogs_root
 from .folder_places import PlaceTable, object_name, places_bytes, unpack_places
-from .root import Root, SegmentTable
+from .index_tables import SegmentTable
+from .page_tree import IndexNode, PagePlace, page_name, read_node, root_node
 
 MANIFEST_NAME: Final = "manifest.cogsm"
 """Default file name of a manifest."""
@@ -79,39 +80,9 @@ class PlacedSegments:
     places: PlaceTable
 
 
-@dataclass(frozen=True)
-class IndexExtent:
-    """Byte offsets, in the file, of one index (root or page) and of the segments that it lists.
-
-    Parameters
-    ----------
-    start : int
-        Byte offset of the index; 0 for the root, which includes the preamble.
-    index_end : int
-        Byte offset of the end of the index, where its first segment begins.
-    end : int
-        Byte offset behind its last segment.
-    """
-
-    start: int
-    index_end: int
-    end: int
-
-
 def is_manifest(head: bytes) -> bool:
     """Whether a file with the first bytes `head` is a manifest."""
     return head.startswith(MANIFEST_MAGIC)
-
-
-def index_extents(root_end: int, root: Root) -> list[IndexExtent]:
-    """Return the extents of the root and of each page in the file (SPEC 5.1, 5.6)."""
-    end = root_end + int(root.segments.length.sum(dtype=np.uint64))
-    found = [IndexExtent(0, root_end, end)]
-    for page in root.pages:
-        start = end
-        end = start + page.length + page.span
-        found.append(IndexExtent(start, start + page.length, end))
-    return found
 
 
 def with_magic(preamble: bytes, magic: bytes) -> bytes:
@@ -215,17 +186,16 @@ class FolderMap:
                 offset=layout.PREAMBLE_BYTES,
             )
         where = f"{name}: root"
-        self._root = cogs_root.parse_root(canonical_msgpack.unpack(data, where), where)
-        table, pages = self._root.segments, self._root.pages
-        places_end = self.root_end + places_bytes(len(table) + len(pages))
+        root = cogs_root.parse_root(canonical_msgpack.unpack(data, where), where)
+        node = root_node(root.tables, self.root_end)
+        own = len(root.segments)
+        places_end = self.root_end + places_bytes(own + len(root.pages))
         if len(manifest) < places_end:
             raise self._truncated_error(len(manifest), places_end)
-        # The table of the root also has the places of the pages, each with its own table behind it.
-        page_lengths = [page.length + places_bytes(page.segments) for page in pages]
-        lengths = np.concatenate([table.length.astype(np.int64), np.array(page_lengths, np.int64)])
-        places = unpack_places(manifest[self.root_end : places_end], lengths, where, len(table))
-        inside = places.sizes[: len(table)] == 0
-        self.manifest_bytes = places_end + int(lengths[: len(table)][inside].sum())
+        lengths = _lengths(node)
+        places = unpack_places(manifest[self.root_end : places_end], lengths, where, own)
+        inside = places.sizes[:own] == 0
+        self.manifest_bytes = places_end + int(lengths[:own][inside].sum())
         if self.manifest_bytes > MAX_MANIFEST_BYTES:
             raise FormatError(
                 "places-range",
@@ -236,20 +206,26 @@ class FolderMap:
             )
         if len(manifest) < self.manifest_bytes:
             raise self._truncated_error(len(manifest), self.manifest_bytes)
-        self._extents = index_extents(self.root_end, self._root)
-        self._starts = [extent.start for extent in self._extents]
         whole = preamble + manifest[layout.PREAMBLE_BYTES : self.manifest_bytes]
         self._manifest = ObjectRange("", 0, len(whole), len(whole), whole)
-        self._page_places = places.rows(slice(len(table), None))
-        self._page_lengths = page_lengths
-        # Each index that is known, with its segments: the root has number 0, page i number i + 1.
-        first = _Segments(
-            table,
-            places.rows(slice(len(table))),
-            self._extents[0].index_end,
+        # Parts of the file, in its order: indices that are known, and pages that are not.
+        self._parts: list[_KnownIndex | _UnknownPage] = []
+        self._page_objects: dict[str, int] = {}
+        self._sizes: dict[str, int] = {}
+        self._add_index(
+            0,
+            node,
+            self._manifest.part(0, self.root_end),
+            places,
             self._manifest.part(places_end, len(whole)),
         )
-        self._indexes = {0: (self._manifest.part(0, self.root_end), first)}
+        if self._parts[-1].end != self.file_length:
+            raise FormatError(
+                "segments-length",
+                f"{name}: index and segments end at byte {self._parts[-1].end}, expected "
+                f"{self.file_length}",
+                clause="5.1",
+            )
 
     def check_manifest_size(self, size: int) -> None:
         """Refuse a manifest whose length contradicts its root.
@@ -271,23 +247,33 @@ class FolderMap:
                 offset=self.manifest_bytes,
             )
 
-    def pages_for(self, offset: int, length: int) -> list[int]:
-        """Return the pages to add before `object_ranges` can map a range of the file."""
-        return [
-            number - 1 for number, _ in self._within(offset, length) if number not in self._indexes
-        ]
+    def pages_for(self, offset: int, length: int) -> list[PagePlace]:
+        """Return the pages to add before `object_ranges` can map a range of the file.
 
-    def page_range(self, page: int) -> ObjectRange:
-        """Return the range of a page and its table of places."""
-        return _placed_range(self._page_places, page, 0, self._page_lengths[page])
+        Pages below them are not known yet: the list is empty when all were added.
+        """
+        parts = self._within(offset, length)
+        return [part.page for part in parts if isinstance(part, _UnknownPage)]
 
-    def add_page(self, page: int, data: bytes) -> None:
-        """Add an index page and its table of places, which gives each segment's object and offset.
+    def page_range(self, page: PagePlace) -> ObjectRange:
+        """Return a range of the object of an unknown page with the page and its table of places.
+
+        How long the table is the page says: the range has room for the longest, as far as the
+        object goes.
+        """
+        at = self._number_of(page)
+        part = self._parts[at]
+        assert isinstance(part, _UnknownPage)
+        most = page.length + places_bytes(page.extent.segments + layout.MAX_PAGES)
+        return part.stored.part(0, min(most, part.stored.object_bytes - part.stored.offset))
+
+    def add_page(self, page: PagePlace, data: bytes) -> None:
+        """Add a page and its table of places, which gives each segment's object and offset.
 
         Parameters
         ----------
-        page : int
-            Page number.
+        page : PagePlace
+            Page of `pages_for`.
         data : bytes
             Bytes of `page_range`.
 
@@ -297,41 +283,67 @@ class FolderMap:
             ``page-crc``, ``page-entry``, ``places-crc``, ``places-range``; the codes of SPEC 5 for
             a page.
         """
-        where = f"{self.name}: index page {page}"
-        entry = self._root.pages[page]
-        index = data[: entry.length]
-        extent = self._extents[page + 1]
-        if zlib.crc32(index) != entry.crc:
+        where = f"{self.name}: {page_name(page)}"
+        node = read_node(page, data[: page.length], self.name)
+        at = self._number_of(page)
+        lengths = _lengths(node)
+        end = page.length + places_bytes(len(lengths))
+        if len(data) < end:
             raise FormatError(
-                "page-crc", f"{where}: its CRC does not match", clause="5.6", offset=extent.start
+                "places-range",
+                f"{where}: its table of places ends {end - len(data)} bytes behind its object",
+                clause="3.4",
             )
-        table, _ = cogs_root.parse_page(canonical_msgpack.unpack(index, where), entry, where)
-        places = unpack_places(data[entry.length :], table.length.astype(np.int64), where)
-        stored = replace(self.page_range(page), data=data).part(0, entry.length)
-        self._indexes[page + 1] = stored, _Segments(table, places, extent.index_end)
+        places = unpack_places(data[page.length : end], lengths, where)
+        part = self._parts[at]
+        assert isinstance(part, _UnknownPage)
+        stored = replace(part.stored, length=len(data), data=data).part(0, page.length)
+        self._add_index(at, node, stored, places)
+
+    def _add_index(
+        self,
+        at: int,
+        node: IndexNode,
+        stored: ObjectRange,
+        places: PlaceTable,
+        inside: ObjectRange | None = None,
+    ) -> None:
+        """Put an index, and the pages that it lists, in the place of its part."""
+        own = len(node.tables.segments)
+        segments = _Segments(node.tables.segments, places.rows(slice(own)), node.end, inside)
+        pages = [
+            _UnknownPage(page, _placed_range(places, own + row, 0, page.length))
+            for row, page in enumerate(node.pages())
+        ]
+        self._parts[at : at + 1] = [_KnownIndex(node, stored, segments), *pages]
+        self._starts = [part.start for part in self._parts]
+        for page in pages:
+            first = self._page_objects.setdefault(page.stored.name, page.start)
+            self._page_objects[page.stored.name] = min(first, page.start)
+            self._sizes[page.stored.name] = page.stored.object_bytes
+
+    def _number_of(self, page: PagePlace) -> int:
+        """Return the number of a page's part."""
+        return bisect_right(self._starts, page.start) - 1
 
     def placed_segments(self) -> list[PlacedSegments]:
         """Return the segments of the root, then of each page, that objects hold.
 
         All pages must have been added.
         """
-        return [self._indexes[number][1].placed() for number in range(len(self._extents))]
+        return [part.segments.placed() for part in self._parts if isinstance(part, _KnownIndex)]
 
     def page_objects(self) -> dict[str, int]:
         """Return the offset in the file of the first page in each object of pages, by name."""
-        found: dict[str, int] = {}
-        for page, extent in enumerate(self._extents[1:]):
-            found.setdefault(self.page_range(page).name, extent.start)
-        return found
+        return self._page_objects
 
     def objects(self) -> dict[str, int]:
         """Return the length of each object by name, bytes, after all pages were added."""
-        tables = [self._page_places, *(segments.places for segments in self.placed_segments())]
-        return {
-            object_name(key.tobytes()): int(size)
-            for table in tables
-            for key, size in zip(table.objects, table.sizes, strict=True)
-        }
+        found = dict(self._sizes)
+        for segments in self.placed_segments():
+            for key, size in zip(segments.places.objects, segments.places.sizes, strict=True):
+                found[object_name(key.tobytes())] = int(size)
+        return found
 
     def object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
         """Return the ranges of manifest and objects that make up a range of the file, in order.
@@ -345,29 +357,18 @@ class FolderMap:
         -------
         list of ObjectRange
             Ranges with a total length of `length`.
-
-        Raises
-        ------
-        FormatError
-            ``segments-length``: the segments end before the file does.
         """
         found: list[ObjectRange] = []
         end = offset + length
-        if end > self._extents[-1].end:
-            raise FormatError(
-                "segments-length",
-                f"{self.name}: index and segments end at byte {self._extents[-1].end}, expected "
-                f"{self.file_length}",
-                clause="5.1",
-            )
-        for number, extent in self._within(offset, length):
-            index, segments = self._indexes[number]
-            first, last = max(offset, extent.start), min(end, extent.index_end)
+        for part in self._within(offset, length):
+            assert isinstance(part, _KnownIndex)
+            node = part.node
+            first, last = max(offset, node.start), min(end, node.end)
             if first < last:
-                found.append(index.part(first - extent.start, last - extent.start))
-            first, last = max(offset, extent.index_end), min(end, extent.end)
+                found.append(part.stored.part(first - node.start, last - node.start))
+            first, last = max(offset, node.end), min(end, part.end)
             if first < last:
-                found += segments.object_ranges(first, last)
+                found += part.segments.object_ranges(first, last)
         return found
 
     def _truncated_error(self, size: int, expected: int) -> TruncatedError:
@@ -380,15 +381,72 @@ class FolderMap:
             needed=expected,
         )
 
-    def _within(self, offset: int, length: int) -> list[tuple[int, IndexExtent]]:
-        """Return number and extent of each index that, with its segments, overlaps a range."""
+    def _within(self, offset: int, length: int) -> list[_KnownIndex | _UnknownPage]:
+        """Return the parts that overlap a range of the file, in order."""
         first = max(0, bisect_right(self._starts, offset) - 1)
-        end = offset + length
-        return [
-            (number, extent)
-            for number, extent in enumerate(self._extents[first:], start=first)
-            if extent.start < end and extent.end > offset
-        ]
+        last = bisect_left(self._starts, offset + length)
+        return [part for part in self._parts[first:last] if part.end > offset]
+
+
+@dataclass(frozen=True, eq=False)
+class _UnknownPage:
+    """Part of a file: a page that was not added, with all that is below it.
+
+    Parameters
+    ----------
+    page : PagePlace
+        Place of the page in the file.
+    stored : ObjectRange
+        Range of the page in its object.
+    """
+
+    page: PagePlace
+    stored: ObjectRange
+
+    @property
+    def start(self) -> int:
+        """Byte offset of the page in the file."""
+        return self.page.start
+
+    @property
+    def end(self) -> int:
+        """Byte offset behind all that is below the page."""
+        return self.page.end
+
+
+@dataclass(frozen=True, eq=False)
+class _KnownIndex:
+    """Part of a file: an index and the segments that it lists.
+
+    Parameters
+    ----------
+    node : IndexNode
+        Index in its place in the file.
+    stored : ObjectRange
+        Range of the index in the manifest or its object, with its bytes.
+    segments : _Segments
+        Places of its segments.
+    """
+
+    node: IndexNode
+    stored: ObjectRange
+    segments: _Segments
+
+    @property
+    def start(self) -> int:
+        """Byte offset of the index in the file."""
+        return self.node.start
+
+    @property
+    def end(self) -> int:
+        """Byte offset behind the segments of the index."""
+        return self.node.segments_end
+
+
+def _lengths(node: IndexNode) -> NDArray[np.int64]:
+    """Return the lengths of the segments and then of the pages of an index, bytes."""
+    tables = node.tables
+    return np.concatenate([tables.segments.length, tables.pages.length]).astype(np.int64)
 
 
 class _Segments:

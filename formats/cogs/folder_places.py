@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.errors import FormatError
 
-from .root import HASH_BYTES
+from .index_tables import HASH_BYTES
 
 SEGMENT_FOLDER: Final = "segments"
 

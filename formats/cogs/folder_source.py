@@ -99,8 +99,13 @@ class FolderSource(ObjectSource):
 
     def holds(self, offset: int, length: int) -> bool:
         """Whether all objects of a range exist; the folder is listed once, at the first call."""
-        pages = (self._map.page_range(page) for page in self._map.pages_for(offset, length))
-        return self._has_objects(pages) and self._has_objects(self._object_ranges(offset, length))
+        with self._lock:
+            while pages := self._map.pages_for(offset, length):
+                first = self._map.page_range(pages[0])
+                if not self._has_objects([first]):
+                    return False
+                self._map.add_page(pages[0], self._object_bytes(first))
+        return self._has_objects(self._object_ranges(offset, length))
 
     def close(self) -> None:
         """Do nothing: no file stays open between reads."""

@@ -15,8 +15,9 @@ from cogsplat.formats.storage.atomic import atomic_write, check_output, storage_
 from cogsplat.formats.storage.magic import MANIFEST_MAGIC
 
 from . import layout
-from .folder_map import MANIFEST_NAME, MANIFEST_SUFFIX, index_extents, with_magic
+from .folder_map import MANIFEST_NAME, MANIFEST_SUFFIX, with_magic
 from .folder_places import SEGMENT_FOLDER, PlaceTable, key_of, object_name, pack_places
+from .index_tables import HASH_BYTES
 from .layout import SegmentKind
 from .object_groups import (
     IN_MANIFEST,
@@ -26,7 +27,6 @@ from .object_groups import (
     has_object,
 )
 from .reader import CogsFile
-from .root import HASH_BYTES
 from .verification import read_verified
 
 # Longest description that the manifest holds, bytes.
@@ -95,19 +95,25 @@ def build_index(file: CogsFile, found: Sequence[SegmentPlace]) -> FolderIndex:
     """
     first = file.read_bytes(0, layout.PREAMBLE_BYTES)
     root_end = layout.PREAMBLE_BYTES + layout.unpack_preamble(first, file.name).root_length
-    counts = [page.segments for page in file.root.pages]
-    row = len(file.root.segments)
-    rest, pages, places = found[row:], [], list(found[:row])
-    for extent, count in zip(index_extents(root_end, file.root)[1:], counts, strict=True):
-        index = _read_exactly(file, extent.start, extent.index_end - extent.start)
-        data = index + _packed(rest[:count])
-        places.append(SegmentPlace(key_of(data), len(data), 0))
-        pages.append(data)
-        rest = rest[count:]
-    inside = [bytes(read_verified(file, at)) for at in range(row) if places[at] == IN_MANIFEST]
+    pages: list[bytes] = []
+    # Places of the pages that each index lists, by its path: last pages first, below their index.
+    places: dict[tuple[int, ...], list[SegmentPlace]] = {node.path: [] for node in file.nodes}
+    for node in reversed(file.nodes):
+        rows = slice(node.first_segment, node.first_segment + len(node.tables.segments))
+        places[node.path] = [*found[rows], *reversed(places[node.path])]
+        if node.path:
+            index = _read_exactly(file, node.start, node.end - node.start)
+            pages.append(index + _packed(places[node.path]))
+            key = key_of(pages[-1])
+            places[node.path[:-1]].append(SegmentPlace(key, len(pages[-1]), 0))
+    missing = file.first_missing_page
+    if missing is not None:
+        _read_exactly(file, missing.start, missing.length)
+    own = range(len(file.root.segments))
+    inside = [bytes(read_verified(file, at)) for at in own if found[at] == IN_MANIFEST]
     root = _read_exactly(file, layout.PREAMBLE_BYTES, root_end - layout.PREAMBLE_BYTES)
     head = with_magic(first, MANIFEST_MAGIC)
-    return FolderIndex(b"".join([head, root, _packed(places), *inside]), pages)
+    return FolderIndex(b"".join([head, root, _packed(places[()]), *inside]), pages[::-1])
 
 
 def _packed(places: Sequence[SegmentPlace]) -> bytes:
@@ -239,7 +245,7 @@ def _belongs_in_manifest(file: CogsFile, row: int) -> bool:
     """Whether a segment is stored in the manifest: the description, so that a title changes alone.
 
     With the limit the manifest stays below `MAX_MANIFEST_BYTES`: a root of 16 KiB lists at most 494
-    segments and 128 pages, so its table of places takes at most 15 KB.
+    segments and pages, so its table of places takes at most 12 KB.
     """
     return (
         row < len(file.root.segments)

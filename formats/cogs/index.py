@@ -1,4 +1,4 @@
-"""Read the index of a file: root and pages, checked together, with the offset of each segment.
+"""Read the index of a file: root and pages, each checked alone, with the offset of each segment.
 
 SPEC 3 to 5 list the checks, SPEC 8.1 their order.
 """
@@ -6,13 +6,12 @@ SPEC 3 to 5 list the checks, SPEC 8.1 their order.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from cogsplat.codec.errors import FormatError, TruncatedError
+from cogsplat.codec.errors import CogsplatError, FormatError, TruncatedError
 from cogsplat.formats.storage.source import (
     RemoteSource,
     Source,
@@ -23,22 +22,11 @@ from cogsplat.formats.storage.source import (
 
 from . import canonical_msgpack, layout
 from . import root as cogs_root
+from .index_tables import HASH_BYTES, ChunkTable, SegmentTable
 from .layout import SegmentKind
-from .root import ChunkTable, PageEntry, Root, SegmentTable
-from .segment_rows import (
-    I64,
-    attribute_rows,
-    camera_row,
-    codebook_rows_by_kind,
-    description_row,
-    head_rows,
-    layer_rows,
-    opacity_rows,
-    picture_rows,
-    refinement_rows,
-    tail_rows,
-    view_table_row,
-)
+from .page_tree import IndexNode, PagePlace, in_file_order, read_node, root_node
+from .root import Root
+from .segment_rows import I64, IndexRows, find_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +42,10 @@ class Index:
         Root of the file.
     file_length : int
         Length of the file according to the preamble, bytes.
+    nodes : sequence of IndexNode
+        Root and pages that were read, in file order.
+    gap : PagePlace or None
+        First page in file order that was not read.
     segments : SegmentTable
         Segments of the root and of all pages that were read.
     chunks : ChunkTable
@@ -70,8 +62,8 @@ class Index:
         Row of the cameras.
     layers : sequence of int
         Rows of the compensation layers, in order.
-    view_table : int
-        Row of the view table.
+    view_tables : mapping of tuple of int to int
+        Row of the view table of each index that lists one, by the path of the index.
     description : int
         Row of the description.
     pictures : mapping of str to int
@@ -84,6 +76,8 @@ class Index:
 
     root: Root
     file_length: int
+    nodes: Sequence[IndexNode]
+    gap: PagePlace | None
     segments: SegmentTable
     chunks: ChunkTable
     offsets: I64
@@ -94,7 +88,7 @@ class Index:
     attributes: I64
     cameras: int
     layers: Sequence[int]
-    view_table: int
+    view_tables: Mapping[tuple[int, ...], int]
     description: int
     pictures: Mapping[str, int]
     codebooks: Sequence[Mapping[SegmentKind, int]]
@@ -105,8 +99,25 @@ class Index:
         """Number of chunks in the tables."""
         return len(self.chunks)
 
+    @property
+    def subtrees(self) -> list[tuple[int, int]]:
+        """First and end number of the chunks below each page that was read, in file order."""
+        return [
+            (node.first_chunk, node.first_chunk + node.tables.extent.chunks)
+            for node in self.nodes
+            if node.path
+        ]
+
+    def node(self, path: tuple[int, ...]) -> IndexNode | None:
+        """Return the index with a path; None where it was not read, or is not in the file."""
+        return next((node for node in self.nodes if node.path == path), None)
+
     def whole(self) -> Index:
         """Return this index; `LazyIndex.whole` reads the missing pages first."""
+        return self
+
+    def for_path(self, path: tuple[int, ...]) -> Index:
+        """Return this index; `LazyIndex.for_path` reads the pages of the path first."""
         return self
 
     def for_description(self, *, pictures: bool) -> Index:
@@ -123,14 +134,6 @@ class RootExtent:
     file_length: int
 
 
-@dataclass(frozen=True)
-class Page:
-    """Tables of an index page."""
-
-    segments: SegmentTable
-    chunks: ChunkTable
-
-
 def read_index(source: Source, *, partial: bool) -> Index:
     """Read and check preamble, root and all pages; raises as `reader.open_cogs`.
 
@@ -139,24 +142,15 @@ def read_index(source: Source, *, partial: bool) -> Index:
     source : Source
         Source of the file.
     partial : bool
-        Whether to accept a source that ends before the file does.
+        Whether to accept a source that ends before the file does. The index then ends before the
+        first page that is not there.
     """
-    extent = read_root(source, partial=partial)
-    positions = page_positions(extent)
-    entries = list(enumerate(zip(extent.root.pages, positions, strict=True)))
-    there = [number for number, (e, at) in entries if at + e.length <= source.size]
-    pages: dict[int, Page] = {}
-    # Errors are reported in file order (SPEC 8.1): each page's position, then its content.
-    with prefetching(source, page_ranges(extent, positions, there)):
-        for number, (entry, position) in entries:
-            if position + entry.length > extent.file_length:
-                raise _end_error(source, position + entry.length, extent.file_length)
-            if partial and not has_range(source, position, entry.length):
-                break
-            pages[number] = read_page(source, extent.root, number, position)
-    if len(pages) == len(positions):
-        require_end(source, extent, positions)
-    return join_pages(source, extent, positions, pages)
+    tree = IndexTree(source, read_root(source, partial=partial))
+    if partial:
+        tree.read(lambda page: has_range(source, page.start, page.length), up_to_gap=True)
+        return tree.up_to_first_gap()
+    tree.read(lambda page: True)
+    return tree.index()
 
 
 def read_root(source: Source, *, partial: bool) -> RootExtent:
@@ -195,290 +189,207 @@ def read_root(source: Source, *, partial: bool) -> RootExtent:
             clause="3.3",
             offset=preamble.file_length,
         )
-    rows = len(root.segments) + sum(page.segments for page in root.pages)
-    if rows > layout.MAX_SEGMENTS:
-        raise FormatError(
-            "segment-count",
-            f"{name}: {rows} segments, expected at most {layout.MAX_SEGMENTS}",
-            clause="9.1",
-        )
-    _check_levels(source, root, _all_chunks(root))
-    _check_own_heads(root.segments, root.chunks, f"{name}: root")
+    _check_extent(name, root, root_end, preamble.file_length)
     return RootExtent(root, root_end, preamble.file_length)
 
 
-def page_positions(extent: RootExtent) -> list[int]:
-    """Return the byte offset of each index page according to the root (SPEC 5.6)."""
-    position = _root_segments_end(extent)
-    positions = []
-    for entry in extent.root.pages:
-        positions.append(position)
-        position += entry.length + entry.span
-    return positions
+def _check_extent(name: str, root: Root, root_end: int, file_length: int) -> None:
+    """Check what the root states of the whole file (SPEC 8.1, step 6)."""
+    extent = root.tables.extent
+    if extent.segments > layout.MAX_SEGMENTS:
+        raise FormatError(
+            "segment-count",
+            f"{name}: {extent.segments} segments, expected at most {layout.MAX_SEGMENTS}",
+            clause="9.1",
+        )
+    if root_end + extent.span != file_length:
+        raise FormatError(
+            "segments-length",
+            f"{name}: index and segments end at byte {root_end + extent.span}, expected "
+            f"{file_length}",
+            clause="5.1",
+        )
+    if extent.splats != root.splats:
+        raise FormatError(
+            "splat-count",
+            f"{name}: chunks and pages of {extent.splats} splats, expected {root.splats} as in "
+            "the root",
+            clause="5.4",
+        )
+    if root.levels and root.levels[-1].chunks != extent.chunks:
+        raise FormatError(
+            "level-chunks",
+            f"{name}: the last level has {root.levels[-1].chunks} chunks, expected all "
+            f"{extent.chunks}",
+            clause="5.11",
+        )
 
 
-def require_end(source: Source, extent: RootExtent, positions: Sequence[int]) -> None:
-    """Refuse a root whose pages and segments end before or behind the end of the file.
-
-    Parameters
-    ----------
-    source : Source
-        Source of the file, for messages.
-    extent : RootExtent
-        Root of the file.
-    positions : sequence of int
-        Byte offsets of all pages.
-
-    Raises
-    ------
-    FormatError
-        ``segments-length``.
-    """
-    end = _root_segments_end(extent)
-    if positions:
-        last = extent.root.pages[-1]
-        end = positions[-1] + last.length + last.span
-    if end != extent.file_length:
-        raise _end_error(source, end, extent.file_length)
+# Kind of the placeholder rows of pages that were not read: a kind that readers skip.
+_UNREAD_KIND = 255
 
 
-def _root_segments_end(extent: RootExtent) -> int:
-    """Return the byte offset behind the segments of the root."""
-    return extent.root_end + int(extent.root.segments.length.sum(dtype=np.uint64))
+class IndexTree:
+    """Root and pages of a file that were read so far, with placeholder rows for the others.
 
-
-def page_ranges(
-    extent: RootExtent, positions: Sequence[int], pages: Iterable[int]
-) -> list[tuple[int, int]]:
-    """Return offset and length of index pages by their numbers, bytes."""
-    return [(positions[number], extent.root.pages[number].length) for number in pages]
-
-
-def read_page(source: Source, root: Root, number: int, position: int) -> Page:
-    """Read and check one index page.
+    Segments and chunks have their numbers of the whole file from the beginning.
 
     Parameters
     ----------
     source : Source
         Source of the file.
-    root : Root
+    extent : RootExtent
         Root of the file.
-    number : int
-        Page number.
-    position : int
-        Byte offset of the page.
 
     Raises
     ------
-    FormatError, UnsupportedError
-        The page breaks SPEC 5.6, or its tables 5.3 and 5.4.
+    FormatError
+        The segments or chunks of the root break SPEC 5.
     """
-    entry = root.pages[number]
-    where = f"{source.name}: index page {number}"
-    data = source.read(position, entry.length)
-    if zlib.crc32(data) != entry.crc and isinstance(source, RemoteSource):
-        # A cache may hold bytes of another version of the file (SPEC 8.8).
-        data = source.reread(position, entry.length)
-    if zlib.crc32(data) != entry.crc:
-        raise FormatError(
-            "page-crc",
-            f"{where}: its CRC does not match, expected {entry.crc:#010x}",
-            clause="5.6",
-            offset=position,
-        )
-    page = Page(*cogs_root.parse_page(canonical_msgpack.unpack(data, where), entry, where))
-    _check_own_heads(page.segments, page.chunks, where)
-    return page
 
-
-_SEGMENT_COLUMNS: Final = ("kind", "owner", "length", "crc", "hash", "needs")
-_CHUNK_COLUMNS: Final = (
-    "splats",
-    "box",
-    "contribution",
-    "layer",
-    "cell",
-    "object",
-    "quality",
-    "until",
-)
-
-# Kind of the placeholder rows of pages that were not read: a kind that readers skip.
-_UNREAD_KIND: Final = 255
-
-
-def join_pages(
-    source: Source,
-    extent: RootExtent,
-    positions: Sequence[int],
-    pages: Mapping[int, Page],
-    *,
-    keep_numbers: bool = False,
-) -> Index:
-    """Join the tables of root and pages into a checked index.
-
-    Parameters
-    ----------
-    source : Source
-        Source of the file, for messages.
-    extent : RootExtent
-        Root of the file.
-    positions : sequence of int
-        Byte offsets of all pages.
-    pages : mapping of int to Page
-        Pages that were read, by number.
-    keep_numbers : bool
-        Whether to insert placeholder rows for pages that were not read, so that segments and chunks
-        keep their numbers. Otherwise the index ends before the first page that was not read.
-    """
-    root = extent.root
-    tables = [Page(root.segments, root.chunks)]
-    offsets = [_offsets(root.segments, extent.root_end)]
-    known = [np.ones(len(root.chunks), bool)]
-    for number, entry in enumerate(root.pages):
-        page = pages.get(number)
-        if page is None and not keep_numbers:
-            break
-        tables.append(_unread(entry) if page is None else page)
-        own = np.zeros(entry.segments, np.int64)
-        offsets.append(
-            own if page is None else _offsets(page.segments, positions[number] + entry.length)
-        )
-        known.append(np.full(entry.chunks, page is not None))
-    whole = len(pages) == len(root.pages)
-    table = SegmentTable(
-        *(np.concatenate([getattr(t.segments, n) for t in tables]) for n in _SEGMENT_COLUMNS)
-    )
-    chunk_table = ChunkTable(
-        *(np.concatenate([getattr(t.chunks, n) for t in tables]) for n in _CHUNK_COLUMNS)
-    )
-    heads = head_rows(source, table, np.concatenate(known))
-    tails = tail_rows(source, root, table, heads)
-    refinements = refinement_rows(source, table, heads)
-    opacities = opacity_rows(source, root, table, chunk_table, heads)
-    _check_ends(source, chunk_table, _all_chunks(root))
-    _check_counts(source, root, table, chunk_table, whole=whole)
-    return Index(
-        root=root,
-        file_length=extent.file_length,
-        segments=table,
-        chunks=chunk_table,
-        offsets=np.concatenate(offsets),
-        heads=heads,
-        tails=tails,
-        refinements=refinements,
-        opacities=opacities,
-        codebooks=codebook_rows_by_kind(source, root, table, whole=whole),
-        attributes=attribute_rows(source, root, table, heads),
-        cameras=camera_row(source, table),
-        layers=layer_rows(source, table) if whole or not keep_numbers else [],
-        view_table=view_table_row(source, table),
-        description=description_row(source, root, table),
-        pictures=picture_rows(source, root, table),
-        all_chunks=_all_chunks(root),
-    )
-
-
-def _all_chunks(root: Root) -> int:
-    """Return the number of chunks in the root and all pages."""
-    return len(root.chunks) + sum(page.chunks for page in root.pages)
-
-
-def _unread(entry: PageEntry) -> Page:
-    """Return placeholder tables with the row counts of a page."""
-    segments, chunks = entry.segments, entry.chunks
-    nothing = np.zeros(segments, np.uint32)
-    zeros = np.zeros(chunks, np.uint32)
-    return Page(
-        SegmentTable(
+    def __init__(self, source: Source, extent: RootExtent) -> None:
+        self._source = source
+        self._extent = extent
+        sums = extent.root.tables.extent
+        segments, chunks = sums.segments, sums.chunks
+        self._segments = SegmentTable(
             np.full(segments, _UNREAD_KIND, np.uint8),
-            nothing,
-            nothing,
-            nothing,
-            np.zeros((segments, cogs_root.HASH_BYTES), np.uint8),
-            nothing,
-        ),
-        ChunkTable(
-            zeros,
+            *(np.zeros(segments, np.uint32) for _ in range(3)),
+            np.zeros((segments, HASH_BYTES), np.uint8),
+            np.zeros(segments, np.uint32),
+        )
+        self._chunks = ChunkTable(
+            np.zeros(chunks, np.uint32),
             np.zeros((chunks, 6), np.float32),
             np.zeros(chunks),
-            zeros,
-            zeros,
-            zeros,
+            *(np.zeros(chunks, np.uint32) for _ in range(3)),
             np.zeros(chunks, np.float32),
-            zeros,
-        ),
-    )
+            np.zeros(chunks, np.uint32),
+        )
+        self._offsets = np.zeros(segments, np.int64)
+        self._rows = {
+            name: np.full(chunks, -1, np.int64)
+            for name in ("heads", "tails", "refinements", "attributes")
+        }
+        self._opacities: dict[int, Sequence[int]] = {}
+        self._view_tables: dict[tuple[int, ...], int] = {}
+        self._pictures: Mapping[str, int] = {}
+        self._nodes: list[IndexNode] = []
+        self._unread: dict[tuple[int, ...], PagePlace] = {}
+        self._root_rows = self._add(root_node(extent.root.tables, extent.root_end))
 
+    @property
+    def unread(self) -> list[PagePlace]:
+        """Pages that were not read while the index above was, in file order."""
+        return sorted(self._unread.values(), key=lambda page: page.start)
 
-def _offsets(table: SegmentTable, start: int) -> I64:
-    """Return the byte offsets of consecutive segments, the first at `start`."""
-    lengths = table.length.astype(np.int64)
-    offsets: I64 = start + np.cumsum(lengths) - lengths
-    return offsets
+    @property
+    def nodes(self) -> Sequence[IndexNode]:
+        """Root and pages that were read, in file order."""
+        return in_file_order(self._nodes)
 
+    def read(self, is_wanted: Callable[[PagePlace], bool], *, up_to_gap: bool = False) -> None:
+        """Read the unread pages that are wanted, and then those below.
 
-def _end_error(source: Source, end: int, file_length: int) -> FormatError:
-    """Return the error for segments that end elsewhere than the file."""
-    return FormatError(
-        "segments-length",
-        f"{source.name}: index and segments end at byte {end}, expected {file_length}",
-        clause="5.1",
-    )
+        Pages of one depth are requested together.
 
+        Parameters
+        ----------
+        is_wanted : callable
+            Function that tells whether to read a page.
+        up_to_gap : bool
+            Whether to overlook faults of pages behind the first that is not wanted.
 
-def _check_own_heads(table: SegmentTable, chunks: ChunkTable, where: str) -> None:
-    """Refuse a root or page whose numbers of heads and chunks differ (SPEC 5.4)."""
-    heads = int((table.kind == SegmentKind.HEAD).sum())
-    if heads != len(chunks):
-        raise FormatError(
-            "chunk-heads",
-            f"{where}: {heads} heads, expected {len(chunks)}, one per chunk",
-            clause="5.4",
+        Raises
+        ------
+        CogsplatError
+            The fault of the first page in file order that cannot be read or breaks SPEC 5.
+        """
+        faults: dict[tuple[int, ...], CogsplatError] = {}
+        while pages := [x for x in self.unread if x.path not in faults and is_wanted(x)]:
+            with prefetching(self._source, [(page.start, page.length) for page in pages]):
+                for page in pages:
+                    try:
+                        self._add(_read_page(self._source, page))
+                    except CogsplatError as error:
+                        faults[page.path] = error
+        for page in self.unread:
+            if page.path in faults:
+                raise faults[page.path]
+            if up_to_gap:
+                return
+
+    def _add(self, node: IndexNode) -> IndexRows:
+        """Add an index after a check of its segments and chunks."""
+        rows = find_rows(self._source.name, self._extent.root, node)
+        tables = node.tables
+        own = slice(node.first_segment, node.first_segment + len(tables.segments))
+        for field in fields(SegmentTable):
+            getattr(self._segments, field.name)[own] = getattr(tables.segments, field.name)
+        lengths = tables.segments.length.astype(np.int64)
+        self._offsets[own] = node.end + np.cumsum(lengths) - lengths
+        chunks = slice(node.first_chunk, node.first_chunk + len(tables.chunks))
+        for field in fields(ChunkTable):
+            getattr(self._chunks, field.name)[chunks] = getattr(tables.chunks, field.name)
+        for name, column in self._rows.items():
+            column[chunks] = getattr(rows, name)
+        self._opacities.update(rows.opacities)
+        self._pictures = rows.pictures or self._pictures
+        if rows.view_table >= 0:
+            self._view_tables[node.path] = rows.view_table
+        self._nodes.append(node)
+        self._unread.pop(node.path, None)
+        self._unread.update({page.path: page for page in node.pages()})
+        return rows
+
+    def index(self) -> Index:
+        """Return an index of all that was read; other rows are placeholders."""
+        return self._index(self.nodes, len(self._segments), len(self._chunks))
+
+    def up_to_first_gap(self) -> Index:
+        """Return an index of all that was read and stands before the first page that was not."""
+        if not self._unread:
+            return self.index()
+        first = self.unread[0]
+        nodes = [node for node in self.nodes if node.start < first.start]
+        return self._index(nodes, first.first_segment, first.first_chunk)
+
+    def _index(self, nodes: Sequence[IndexNode], segments: int, chunks: int) -> Index:
+        """Return an index of some indices and of the first rows of the tables."""
+        table = SegmentTable(
+            *(getattr(self._segments, f.name)[:segments] for f in fields(SegmentTable))
+        )
+        chunk_table = ChunkTable(
+            *(getattr(self._chunks, f.name)[:chunks] for f in fields(ChunkTable))
+        )
+        unread, rows, found = self.unread, self._root_rows, self._rows
+        return Index(
+            root=self._extent.root,
+            file_length=self._extent.file_length,
+            nodes=nodes,
+            gap=unread[0] if unread else None,
+            segments=table,
+            chunks=chunk_table,
+            offsets=self._offsets[:segments],
+            heads=found["heads"][:chunks],
+            tails=found["tails"][:chunks],
+            refinements=found["refinements"][:chunks],
+            attributes=found["attributes"][:chunks],
+            opacities={k: v for k, v in self._opacities.items() if k < chunks},
+            codebooks=rows.codebooks,
+            cameras=rows.cameras,
+            layers=rows.layers,
+            view_tables={k: v for k, v in self._view_tables.items() if v < segments},
+            description=rows.description,
+            pictures={k: v for k, v in self._pictures.items() if v < segments},
+            all_chunks=len(self._chunks),
         )
 
 
-def _check_levels(source: Source, root: Root, all_chunks: int) -> None:
-    """Refuse levels whose last one does not have all chunks of the file (SPEC 5.11)."""
-    if root.levels and root.levels[-1].chunks != all_chunks:
-        raise FormatError(
-            "level-chunks",
-            f"{source.name}: the last level has {root.levels[-1].chunks} chunks, expected all "
-            f"{all_chunks}",
-            clause="5.11",
-        )
-
-
-def _check_ends(source: Source, chunks: ChunkTable, all_chunks: int) -> None:
-    """Refuse a nonzero `until` outside the chunks behind its own (SPEC 5.10)."""
-    until = chunks.until.astype(np.int64)
-    wrong = (until > 0) & ((until < np.arange(len(until)) + 2) | (until > all_chunks))
-    if wrong.any():
-        chunk = int(np.argmax(wrong))
-        raise FormatError(
-            "chunk-until",
-            f"{source.name}: chunk {chunk}: until is {until[chunk]}, expected 0 or {chunk + 2} to "
-            f"{all_chunks}",
-            clause="5.10",
-        )
-
-
-def _check_counts(
-    source: Source, root: Root, table: SegmentTable, chunks: ChunkTable, *, whole: bool
-) -> None:
-    """Check the number of splats (SPEC 5.4) and the codebook numbers (SPEC 5.3)."""
-    total = int(chunks.splats.sum(dtype=np.uint64))
-    if total > root.splats or (whole and total != root.splats):
-        raise FormatError(
-            "splat-count",
-            f"{source.name}: chunks of {total} splats, expected {root.splats} as in the root",
-            clause="5.4",
-        )
-    books = len(root.codebooks)
-    if len(table) and int(table.needs.max()) >> books:
-        raise FormatError(
-            "needs-range",
-            f"{source.name}: a segment needs codebook {int(table.needs.max()).bit_length() - 1}, "
-            f"expected a number below {books}",
-            clause="5.3",
-        )
+def _read_page(source: Source, page: PagePlace) -> IndexNode:
+    """Read and check a page."""
+    data = source.read(page.start, page.length)
+    if zlib.crc32(data) != page.crc and isinstance(source, RemoteSource):
+        # A cache may hold bytes of another version of the file (SPEC 8.8).
+        data = source.reread(page.start, page.length)
+    return read_node(page, data, source.name)

@@ -29,6 +29,7 @@ MAX_FILE_BYTES: Final = (1 << 53) - 1
 
 MAX_PAGE_BYTES: Final = 1 << 20
 MAX_PAGES: Final = 128
+MAX_PAGE_DEPTH: Final = 3
 MAX_SEGMENTS: Final = 1 << 20
 MAX_CODEBOOKS: Final = 32
 MAX_LEVELS: Final = 16

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from cogsplat.codec.errors import TruncatedError
-from cogsplat.formats.storage.source import Source, first_request_bytes, has_range
+from cogsplat.formats.storage.source import Source, has_range
 
 from .index import Index
 from .lazy_index import LazyIndex
@@ -25,18 +25,10 @@ def _bytes_from_missing_page(source: Source, index: Index | LazyIndex) -> int:
     """Return the bytes of a source from its first missing index page on; 0 if none is missing."""
     if not hasattr(source, "holds"):
         return 0
-    tables = index.whole()
-    known, rows = len(tables.segments), len(index.root.segments)
-    start = first_request_bytes(source, 0)
-    if known:
-        start = int(tables.offsets[-1]) + int(tables.segments.length[-1])
-    for page in index.root.pages:
-        rows += page.segments
-        if known < rows:
-            is_gap = start + page.length <= source.size
-            is_gap = is_gap and not has_range(source, start, page.length)
-            return source.size - start if is_gap else 0
-    return 0
+    page = index.whole().gap
+    if page is None or page.start + page.length > source.size:
+        return 0
+    return source.size - page.start
 
 
 def require_all_segments(source: Source, index: Index | LazyIndex) -> None:

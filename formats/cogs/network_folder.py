@@ -159,15 +159,13 @@ class NetworkFolder(ObjectSource):
         self._ranges.close()
 
     def _object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
-        """Return the ranges of objects that make up a range of the file.
-
-        First requests those index pages of the range that are not yet in the map.
-        """
+        """Return the ranges of objects that make up a range of the file."""
         require_within(self, offset, length)
-        with self._lock:
-            pages = [self._map.page_range(page) for page in self._map.pages_for(offset, length)]
-            with self._ranges.prefetch([self._range_of(page) for page in pages]):
-                return super()._object_ranges(offset, length)
+        return super()._object_ranges(offset, length)
+
+    def _prefetched(self, pieces: Sequence[ObjectRange]) -> AbstractContextManager[object]:
+        """Return a context in which some ranges of objects are requested together."""
+        return self._ranges.prefetch([self._range_of(piece) for piece in pieces])
 
     def _object_bytes(self, piece: ObjectRange) -> bytes:
         """Read a range of an object."""

@@ -14,17 +14,9 @@ from cogsplat.formats.storage.atomic import storage_errors
 from .folder_map import MANIFEST_SUFFIX
 from .folder_places import key_of, object_name
 from .folder_source import FolderSource
-from .layout import CODEBOOK_KINDS, SegmentKind
-from .root import HASH_BYTES, SegmentTable
-
-# Segment kinds that belong to one chunk.
-_CHUNK_KINDS: Final = (
-    SegmentKind.HEAD,
-    SegmentKind.REFINEMENT,
-    SegmentKind.TAIL,
-    SegmentKind.OPACITIES,
-    SegmentKind.ATTRIBUTES,
-)
+from .index_tables import HASH_BYTES, SegmentTable
+from .layout import CODEBOOK_KINDS
+from .segment_rows import CHUNK_KINDS
 
 
 @dataclass(frozen=True)
@@ -66,7 +58,7 @@ def group_segments(table: SegmentTable) -> list[list[int]]:
         Rows of each object's segments, in file order.
     """
     groups: dict[object, list[int]] = {}
-    books, chunks = set(CODEBOOK_KINDS), set(_CHUNK_KINDS)
+    books, chunks = set(CODEBOOK_KINDS), set(CHUNK_KINDS)
     for row, (kind, owner) in enumerate(
         zip(table.kind.tolist(), table.owner.tolist(), strict=True)
     ):

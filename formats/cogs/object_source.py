@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from functools import cached_property
 
 from .folder_map import FolderMap, ObjectRange, PlacedSegments
@@ -63,9 +64,17 @@ class ObjectSource(ABC):
         First reads those index pages of the range that are not yet in the map.
         """
         with self._lock:
-            for page in self._map.pages_for(offset, length):
-                self._map.add_page(page, self._object_bytes(self._map.page_range(page)))
+            while pages := self._map.pages_for(offset, length):
+                ranges = [self._map.page_range(page) for page in pages]
+                with self._prefetched(ranges):
+                    for page, stored in zip(pages, ranges, strict=True):
+                        self._map.add_page(page, self._object_bytes(stored))
             return self._map.object_ranges(offset, length)
+
+    def _prefetched(self, pieces: Sequence[ObjectRange]) -> AbstractContextManager[object]:
+        """Return a context in which some ranges of objects are requested together."""
+        del pieces
+        return nullcontext()
 
     def _bytes_of(self, piece: ObjectRange) -> bytes:
         """Return the bytes of a range, from the map or from its object."""

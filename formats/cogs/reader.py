@@ -12,7 +12,7 @@ from cogsplat.formats.storage.source import PrefixSource, RemoteSource, Source
 from .chunk_decoder import ChunkDecoder
 from .chunk_stream import ChunkStream
 from .drawn_chunks import drawn_chunks
-from .index import Index, join_pages, read_index, read_root
+from .index import Index, read_index, read_root
 from .lazy_index import LazyIndex
 from .missing_segments import require_all_segments
 from .verification import checks
@@ -143,9 +143,7 @@ def open_cogs(
         source, partial = PrefixSource(source, size_bytes), True
     index: Index | LazyIndex
     if isinstance(source, RemoteSource) and not partial:
-        extent = read_root(source, partial=False)
-        pages = extent.root.pages
-        index = LazyIndex(source, extent) if pages else join_pages(source, extent, [], {})
+        index = LazyIndex(source, read_root(source, partial=False))
     else:
         index = read_index(source, partial=partial)
     if not partial:

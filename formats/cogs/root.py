@@ -1,4 +1,4 @@
-"""Root and index pages of a file: their tables, encoding and parsing (SPEC 4, 5)."""
+"""Root of a file: what it states of the scene, encoding and parsing (SPEC 4, 5)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.capture import MAX_VIEWPOINTS, Capture
-from cogsplat.codec.errors import DataError, FormatError, UnsupportedError
-from cogsplat.codec.metrics import PSNR_CAP_DB
+from cogsplat.codec.errors import DataError, UnsupportedError
 from cogsplat.codec.segments.attributes import AttributeType
 from cogsplat.codec.splats import (
     EXTRA_DTYPES,
@@ -21,18 +20,28 @@ from cogsplat.codec.splats import (
     MAX_SH_DEGREE,
     SceneInfo,
 )
-from cogsplat.codec.streams.payload_limits import MAX_CHUNK_SPLATS, MAX_CODEBOOK_ROWS
+from cogsplat.codec.streams.payload_limits import MAX_CODEBOOK_ROWS
 from cogsplat.codec.views.pose import down_direction
 
 from . import layout
 from .canonical_msgpack import Value
+from .index_tables import (
+    ChunkTable,
+    IndexTables,
+    PageTable,
+    SegmentTable,
+    chunk_columns,
+    column_bytes,
+    no_pages,
+    page_columns,
+    parse_chunks,
+    parse_pages,
+    parse_segments,
+    segment_columns,
+)
 from .msgpack_map import CheckedMap
 
-U32 = NDArray[np.uint32]
 F64 = NDArray[np.float64]
-
-HASH_BYTES: Final = 16
-"""Bytes of a segment's SHA-256 that are stored (SPEC 5.3)."""
 
 # Largest difference between the squared length of a direction and 1 (SPEC 4.2).
 _UNIT_TOLERANCE: Final = 1e-3
@@ -44,107 +53,12 @@ CODEBOOK_ATTRIBUTES: Final = ("shape", "colour")
 COLOUR_SPACES: Final = ("srgb", "linear")
 
 
-@dataclass(frozen=True, eq=False)
-class SegmentTable:
-    """Segments of an index in file order, one row each (SPEC 5.3).
-
-    Parameters
-    ----------
-    kind : (s,) uint8
-        `SegmentKind`, or an unknown kind from 128 on.
-    owner : (s,) uint32
-        Number of the chunk or codebook that the segment belongs to.
-    length : (s,) uint32
-        Length of the segment, bytes.
-    crc : (s,) uint32
-        CRC-32 of the segment.
-    hash : (s, 16) uint8
-        First 16 bytes of the segment's SHA-256.
-    needs : (s,) uint32
-        Bit mask of the codebooks needed to decode the segment.
-    """
-
-    kind: NDArray[np.uint8]
-    owner: U32
-    length: U32
-    crc: U32
-    hash: NDArray[np.uint8]
-    needs: U32
-
-    def __len__(self) -> int:
-        return len(self.kind)
-
-
-def no_segments() -> SegmentTable:
-    """Return a segment table without rows."""
-    none = np.zeros(0, np.uint32)
-    kinds = np.zeros(0, np.uint8)
-    return SegmentTable(kinds, none, none, none, np.zeros((0, HASH_BYTES), np.uint8), none)
-
-
-@dataclass(frozen=True, eq=False)
-class ChunkTable:
-    """Chunks of an index in order, one row each (SPEC 5.4).
-
-    Parameters
-    ----------
-    splats : (c,) uint32
-        Number of splats.
-    box : (c, 6) float32
-        Bounding box of the splats with their extents: minimum corner, maximum corner; scene units.
-    contribution : (c,) float64
-        Sum of the splats' contributions; 0 in a scene without scores.
-    layer, cell, object : (c,) uint32
-        Layer, cell and object number; 0 in a scene without them.
-    quality : (c,) float32
-        Predicted PSNR of the prefix that ends with the chunk, dB; 0 for no prediction.
-    until : (c,) uint32
-        Prefixes of this number of chunks or more do not draw the chunk; 0 if all prefixes draw it
-        (SPEC 5.10).
-    """
-
-    splats: U32
-    box: NDArray[np.float32]
-    contribution: NDArray[np.float64]
-    layer: U32
-    cell: U32
-    object: U32
-    quality: NDArray[np.float32]
-    until: U32
-
-    def __len__(self) -> int:
-        return len(self.splats)
-
-
 @dataclass(frozen=True)
 class CodebookEntry:
     """Codebook: attribute of its rows (``shape`` or ``colour``) and their number (SPEC 5.5)."""
 
     attribute: str
     rows: int
-
-
-@dataclass(frozen=True)
-class PageEntry:
-    """Root's entry of an index page (SPEC 5.6).
-
-    Parameters
-    ----------
-    length : int
-        Length of the page, bytes.
-    crc : int
-        CRC-32 of the page.
-    segments, chunks : int
-        Numbers of segments and chunks in the page.
-    span : int
-        Total length of the page's segments, which follow the page, bytes.
-    """
-
-    length: int
-    crc: int
-    segments: int
-    chunks: int
-    span: int
 
 
 @dataclass(frozen=True)
@@ -187,8 +101,8 @@ class Root:
         Segments listed in the root; pages list the others.
     chunks : ChunkTable
         Chunks listed in the root; pages list the others.
-    pages : sequence of PageEntry
-        Index pages.
+    pages : PageTable
+        Pages listed in the root.
     attributes : sequence of AttributeType
         Types of the splats' extra attributes.
     levels : sequence of Level
@@ -210,7 +124,7 @@ class Root:
     first_view: Camera | None
     segments: SegmentTable
     chunks: ChunkTable
-    pages: Sequence[PageEntry] = field(default=())
+    pages: PageTable = field(default_factory=no_pages)
     attributes: Sequence[AttributeType] = field(default=())
     levels: Sequence[Level] = field(default=())
     up: NDArray[np.float64] | None = None
@@ -218,44 +132,14 @@ class Root:
     unknown: Mapping[str, Value] = field(default_factory=dict)
 
     @property
+    def tables(self) -> IndexTables:
+        """Tables of the root as of any index."""
+        return IndexTables(self.segments, self.chunks, self.pages)
+
+    @property
     def upward(self) -> NDArray[np.float64]:
         """Unit vector against gravity, (3,) float64: `up`, or the ``U`` of the axes."""
         return -down_direction(self.info.axes) + 0.0 if self.up is None else self.up
-
-
-def _column(values: NDArray[np.generic], dtype: str) -> bytes:
-    """Return a table column as little-endian bytes."""
-    return np.ascontiguousarray(values).astype(dtype).tobytes()
-
-
-def segment_columns(table: SegmentTable) -> dict[str, Value]:
-    """Return a segment table as msgpack columns."""
-    return {
-        "kind": _column(table.kind, "u1"),
-        "owner": _column(table.owner, "<u4"),
-        "length": _column(table.length, "<u4"),
-        "crc": _column(table.crc, "<u4"),
-        "hash": _column(table.hash, "u1"),
-        "needs": _column(table.needs, "<u4"),
-    }
-
-
-def chunk_columns(table: ChunkTable) -> dict[str, Value]:
-    """Return a chunk table as msgpack columns; optional columns of zeros are left out."""
-    value: dict[str, Value] = {
-        "splats": _column(table.splats, "<u4"),
-        "box": _column(table.box, "<f4"),
-        "contribution": _column(table.contribution, "<f8"),
-    }
-    for name in ("layer", "cell", "object"):
-        column = getattr(table, name)
-        if column.any():
-            value[name] = _column(column, "<u4")
-    if table.quality.any():
-        value["quality"] = _column(table.quality, "<f4")
-    if table.until.any():
-        value["until"] = _column(table.until, "<u4")
-    return value
 
 
 def root_map(root: Root) -> dict[str, Value]:
@@ -282,24 +166,15 @@ def root_map(root: Root) -> dict[str, Value]:
     if root.core_box is not None:
         value["core_box"] = [float(x) for x in root.core_box]
     if info.capture:
-        value["capture"] = _column(np.array(info.capture), "<f4")
+        value["capture"] = column_bytes(np.array(info.capture), "<f4")
     if root.attributes:
         value["attributes"] = [_attribute_value(kind) for kind in root.attributes]
     if root.levels:
         value["levels"] = [
             {"chunks": level.chunks, "scale": float(level.scale)} for level in root.levels
         ]
-    if root.pages:
-        value["pages"] = [
-            {
-                "length": page.length,
-                "crc": page.crc,
-                "segments": page.segments,
-                "chunks": page.chunks,
-                "span": page.span,
-            }
-            for page in root.pages
-        ]
+    if len(root.pages):
+        value["pages"] = page_columns(root.pages)
     return {**value, **root.unknown}
 
 
@@ -326,89 +201,6 @@ def camera_map(camera: Camera) -> dict[str, Value]:
     if camera.target is not None:
         value["target"] = [float(x) for x in camera.target]
     return value
-
-
-def parse_segments(value: Value, where: str) -> SegmentTable:
-    """Parse and check a segment table.
-
-    Parameters
-    ----------
-    value : Value
-        Unpacked msgpack map.
-    where : str
-        Name of the root or page in messages.
-
-    Raises
-    ------
-    FormatError
-        ``root-missing``, ``root-type``, ``root-columns``, ``root-value``.
-    UnsupportedError
-        ``segment-kind-unknown``, ``root-must-understand``.
-    """
-    table = CheckedMap(value, f"{where}, segments", "5.3")
-    kind = table.column("kind", "u1", None).astype(np.uint8)
-    rows = len(kind)
-    owner = table.column("owner", "<u4", rows)
-    length = table.column("length", "<u4", rows)
-    crc = table.column("crc", "<u4", rows)
-    digest = table.column("hash", "u1", rows, HASH_BYTES)
-    needs = table.column("needs", "<u4", rows)
-    table.finish()
-    known = [int(k) for k in layout.SegmentKind]
-    unknown = np.flatnonzero((kind < layout.SKIPPABLE_KIND) & ~np.isin(kind, known))
-    if len(unknown):
-        raise UnsupportedError(
-            "segment-kind-unknown",
-            f"{where}, segment {unknown[0]}: kind {kind[unknown[0]]}, expected {known} or "
-            f"{layout.SKIPPABLE_KIND} and above (SPEC 5.2)",
-        )
-    if rows and int(length.min()) == 0:
-        raise table.error("length", "a segment of 0 bytes, expected at least 1")
-    return SegmentTable(
-        kind,
-        owner.astype(np.uint32),
-        length.astype(np.uint32),
-        crc.astype(np.uint32),
-        digest.astype(np.uint8).reshape(rows, HASH_BYTES),
-        needs.astype(np.uint32),
-    )
-
-
-def parse_chunks(value: Value, where: str) -> ChunkTable:
-    """Parse and check a chunk table; raises as `parse_segments`."""
-    table = CheckedMap(value, f"{where}, chunks", "5.4")
-    splats = table.column("splats", "<u4", None).astype(np.uint32)
-    rows = len(splats)
-    box = table.column("box", "<f4", rows, 6).astype(np.float32).reshape(rows, 6)
-    contribution = table.column("contribution", "<f8", rows).astype(np.float64)
-    optional = {
-        name: (
-            table.column(name, "<u4", rows).astype(np.uint32)
-            if table.has(name)
-            else np.zeros(rows, np.uint32)
-        )
-        for name in ("layer", "cell", "object")
-    }
-    quality = np.zeros(rows, np.float32)
-    if table.has("quality"):
-        quality = table.column("quality", "<f4", rows).astype(np.float32)
-    until = np.zeros(rows, np.uint32)
-    if table.has("until"):
-        until = table.column("until", "<u4", rows).astype(np.uint32)
-    table.finish()
-    if rows and not 1 <= int(splats.min()) <= int(splats.max()) <= MAX_CHUNK_SPLATS:
-        raise table.error(
-            "splats",
-            f"{int(splats.min())} to {int(splats.max())} in a chunk, "
-            f"expected 1 to {MAX_CHUNK_SPLATS}",
-        )
-    if not (np.isfinite(box).all() and (box[:, :3] <= box[:, 3:]).all()):
-        raise table.error("box", "corners not finite or not ordered, expected minimum, maximum")
-    if not (np.isfinite(contribution).all() and (contribution >= 0).all()):
-        raise table.error("contribution", "not finite or negative, expected 0 or more")
-    if not ((quality >= 0) & (quality <= PSNR_CAP_DB)).all():
-        raise table.error("quality", f"out of range, expected 0 to {PSNR_CAP_DB:g} dB")
-    return ChunkTable(splats, box, contribution, **optional, quality=quality, until=until)
 
 
 def parse_root(value: Value, where: str) -> Root:
@@ -438,8 +230,7 @@ def parse_root(value: Value, where: str) -> Root:
         info = replace(info, capture=_capture(root))
     attributes = _attributes(root, where)
     levels = _levels(root, where)
-    entries = root.array("pages", layout.MAX_PAGES) if root.has("pages") else []
-    pages = [_page(value, where) for value in entries]
+    pages = parse_pages(root, where, layout.MAX_PAGES)
     segments = parse_segments(root.pop("segments", dict), where)
     chunks = parse_chunks(root.pop("chunks", dict), where)
     return Root(
@@ -459,24 +250,6 @@ def parse_root(value: Value, where: str) -> Root:
         core_box=core_box,
         unknown=root.finish(),
     )
-
-
-def parse_page(value: Value, entry: PageEntry, where: str) -> tuple[SegmentTable, ChunkTable]:
-    """Parse an index page and check it against the root's entry (SPEC 5.6)."""
-    page = CheckedMap(value, where, "5.6")
-    segments = parse_segments(page.pop("segments", dict), where)
-    chunks = parse_chunks(page.pop("chunks", dict), where)
-    page.finish()
-    span = int(segments.length.sum(dtype=np.uint64))
-    found = (len(segments), len(chunks), span)
-    expected = (entry.segments, entry.chunks, entry.span)
-    if found != expected:
-        raise FormatError(
-            "page-entry",
-            f"{where}: segments, chunks and span {found}, expected {expected}",
-            clause="5.6",
-        )
-    return segments, chunks
 
 
 def _box(root: CheckedMap, name: str, *, within: F64 | None = None) -> F64:
@@ -605,20 +378,6 @@ def _levels(root: CheckedMap, where: str) -> list[Level]:
         entry.finish()
         found.append(Level(chunks, scale))
     return found
-
-
-def _page(value: Value, where: str) -> PageEntry:
-    """Parse the entry of an index page (SPEC 5.6)."""
-    page = CheckedMap(value, f"{where}, pages", "5.6")
-    entry = PageEntry(
-        length=page.integer("length", 1, layout.MAX_PAGE_BYTES),
-        crc=page.integer("crc", 0, (1 << 32) - 1),
-        segments=page.integer("segments", 1, layout.MAX_SEGMENTS),
-        chunks=page.integer("chunks", 0, layout.MAX_SEGMENTS),
-        span=page.integer("span", 1, layout.MAX_FILE_BYTES),
-    )
-    page.finish()
-    return entry
 
 
 def parse_camera(view: CheckedMap, name: str) -> Camera:

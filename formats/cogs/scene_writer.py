@@ -22,8 +22,9 @@ from .camera_segment import pack_cameras
 from .compensation_segment import pack_layer
 from .description import Description
 from .description_segment import pack_segments
+from .index_tables import ChunkTable, no_segments
 from .layout import SegmentKind
-from .root import ChunkTable, CodebookEntry, Level, Root, no_segments
+from .root import CodebookEntry, Level, Root
 from .view_table_segment import pack_view_table
 from .writer import Segment, lay_out, write_cogs
 

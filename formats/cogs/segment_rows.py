@@ -1,27 +1,71 @@
-"""Rows of each chunk's and codebook's segments in the segment table, with the checks of SPEC 5.
+"""Rows of the segments of one index, by chunk and by kind, with the checks of SPEC 5.
 
-In all functions `source` is the file, named in messages; `table` holds the segments of the root and
-of the pages that were read; `heads` holds the row of each chunk's head, -1 where its page was not
-read.
+In all functions `name` is the file, named in messages, and `node` the index. Rows are numbers of
+segments in the whole file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.errors import FormatError
-from cogsplat.formats.storage.source import Source
 
 from . import layout
 from .description import PICTURES
 from .drawn_chunks import later_levels
+from .index_tables import SegmentTable
 from .layout import SegmentKind
-from .root import ChunkTable, Root, SegmentTable
+from .page_tree import IndexNode
+from .root import Root
 
 I64 = NDArray[np.int64]
+
+CHUNK_KINDS: Final = (
+    SegmentKind.HEAD,
+    SegmentKind.REFINEMENT,
+    SegmentKind.TAIL,
+    SegmentKind.OPACITIES,
+    SegmentKind.ATTRIBUTES,
+)
+"""Kinds of segments that belong to one chunk (SPEC 5.2)."""
+
+
+@dataclass(frozen=True, eq=False)
+class IndexRows:
+    """Rows of the segments of one index; -1 stands for a segment that the index does not list.
+
+    Parameters
+    ----------
+    heads, tails, refinements, attributes : (c,) int64
+        Row of each chunk's head, tail, refinement and extra attributes, for the index's own chunks.
+    opacities : mapping of int to sequence of int
+        Rows of the opacity segments by chunk number, in level order.
+    codebooks : sequence of mapping of SegmentKind to int
+        Rows of each codebook's segments, by kind; empty in a page.
+    cameras, view_table, description : int
+        Row of the cameras, of the view table and of the description.
+    layers : sequence of int
+        Rows of the compensation layers, in order.
+    pictures : mapping of str to int
+        Rows of the pictures, by name.
+    """
+
+    heads: I64
+    tails: I64
+    refinements: I64
+    attributes: I64
+    opacities: Mapping[int, Sequence[int]]
+    codebooks: Sequence[Mapping[SegmentKind, int]]
+    cameras: int
+    layers: Sequence[int]
+    view_table: int
+    description: int
+    pictures: Mapping[str, int]
 
 
 def codebook_kinds(attribute: str, degree: int) -> tuple[SegmentKind, ...]:
@@ -37,211 +81,179 @@ def codebook_kinds(attribute: str, degree: int) -> tuple[SegmentKind, ...]:
     return (SegmentKind.SHAPE_CODEBOOK,) if attribute == "shape" else layout.COLOUR_BANDS[:degree]
 
 
-def head_rows(source: Source, table: SegmentTable, known: NDArray[np.bool_]) -> I64:
-    """Return the segment row of each chunk's head (SPEC 5.4); -1 if its page was not read."""
-    heads = np.flatnonzero(table.kind == SegmentKind.HEAD).astype(np.int64)
-    if not np.array_equal(table.owner[heads], np.flatnonzero(known)):
+def find_rows(name: str, root: Root, node: IndexNode) -> IndexRows:
+    """Check the segments and chunks of an index in the order of SPEC 8.1, and return their rows.
+
+    Raises
+    ------
+    FormatError
+        ``chunk-heads``, ``chunk-tails``, ``chunk-refinements``, ``chunk-opacities``,
+        ``chunk-until``, ``needs-range``, ``codebook-segments``, ``attribute-segments``,
+        ``camera-segments``, ``compensation-segments``, ``view-table-segments``,
+        ``description-segments``.
+    """
+    heads = _head_rows(name, node)
+    tails = _tail_rows(name, root, node, heads)
+    refinements = _rows_by_chunk(name, node, heads, SegmentKind.REFINEMENT, "chunk-refinements")
+    opacities = _opacity_rows(name, root, node, heads)
+    _check_ends(name, root, node)
+    _check_needs(name, root, node)
+    return IndexRows(
+        heads=heads,
+        tails=tails,
+        refinements=refinements,
+        opacities=opacities,
+        codebooks=_codebook_rows(name, root, node),
+        attributes=_attribute_rows(name, root, node, heads),
+        cameras=_root_row(name, node, SegmentKind.CAMERAS, "camera-segments", "5.8"),
+        layers=_layer_rows(name, node),
+        view_table=_view_table_row(name, node),
+        description=_description_row(name, node),
+        pictures=_picture_rows(name, root, node),
+    )
+
+
+def _rows_of(node: IndexNode, kind: SegmentKind) -> I64:
+    """Return the rows of a kind within the segment table of the index."""
+    return np.flatnonzero(node.tables.segments.kind == kind).astype(np.int64)
+
+
+def _head_rows(name: str, node: IndexNode) -> I64:
+    """Return the row of each chunk's head (SPEC 5.4)."""
+    rows = _rows_of(node, SegmentKind.HEAD)
+    owners = node.tables.segments.owner[rows].astype(np.int64)
+    chunks = len(node.tables.chunks)
+    if not np.array_equal(owners, node.first_chunk + np.arange(chunks)):
         raise FormatError(
             "chunk-heads",
-            f"{source.name}: heads of chunks {table.owner[heads].tolist()[:8]} …, expected those "
-            "of all chunks in order",
+            f"{name}: an index with heads of chunks {owners.tolist()[:8]} …, expected those of its "
+            f"{chunks} chunks from chunk {node.first_chunk} on, in order",
             clause="5.4",
         )
-    found = np.full(len(known), -1, np.int64)
-    found[known] = heads
-    return found
+    heads: I64 = rows + node.first_segment
+    return heads
 
 
-def tail_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I64:
-    """Return the segment row of each chunk's tail (SPEC 5.4); -1 for none."""
-    if root.sh_degree == 0 and bool((table.kind == SegmentKind.TAIL).any()):
+def _tail_rows(name: str, root: Root, node: IndexNode, heads: I64) -> I64:
+    """Return the row of each chunk's tail (SPEC 5.4); -1 for none."""
+    if root.sh_degree == 0 and len(_rows_of(node, SegmentKind.TAIL)):
         raise FormatError(
             "chunk-tails",
-            f"{source.name}: a tail in a scene of SH degree 0, expected none",
+            f"{name}: a tail in a scene of SH degree 0, expected none",
             clause="5.4",
         )
-    return _rows_by_chunk(
-        source,
-        table,
-        heads,
-        SegmentKind.TAIL,
-        lambda message: FormatError("chunk-tails", message, clause="5.4"),
-    )
+    return _rows_by_chunk(name, node, heads, SegmentKind.TAIL, "chunk-tails")
 
 
-def refinement_rows(source: Source, table: SegmentTable, heads: I64) -> I64:
-    """Return the segment row of each chunk's refinement (SPEC 5.4); -1 for none."""
-    return _rows_by_chunk(
-        source,
-        table,
-        heads,
-        SegmentKind.REFINEMENT,
-        lambda message: FormatError("chunk-refinements", message, clause="5.4"),
-    )
-
-
-def opacity_rows(
-    source: Source, root: Root, table: SegmentTable, chunks: ChunkTable, heads: I64
-) -> dict[int, list[int]]:
+def _opacity_rows(name: str, root: Root, node: IndexNode, heads: I64) -> dict[int, list[int]]:
     """Return the rows of each chunk's opacity segments (SPEC 5.11)."""
-    rows = np.flatnonzero(table.kind == SegmentKind.OPACITIES)
-    owners = table.owner[rows].astype(np.int64)
-    known = bool((owners < len(heads)).all()) and bool((heads[owners] < rows).all())
+    rows = _rows_of(node, SegmentKind.OPACITIES)
+    own = _own_chunks(node, rows)
+    known = _are_behind_heads(node, rows, own, heads)
     if known and len(rows):
-        later = later_levels(root.levels, chunks)
-        known = bool((np.bincount(owners, minlength=len(heads)) <= later).all())
+        later = later_levels(root.levels, node.tables.chunks, node.first_chunk)
+        known = bool((np.bincount(own, minlength=len(heads)) <= later).all())
     if not known:
         raise FormatError(
             "chunk-opacities",
-            f"{source.name}: opacity segments of chunks {owners.tolist()[:8]}, expected at most "
-            f"one per later level that draws one of {len(heads)} chunks, behind its head",
+            f"{name}: opacity segments of chunks {(own + node.first_chunk).tolist()[:8]}, expected "
+            f"at most one per later level that draws one of {len(heads)} chunks of the index, "
+            "behind its head",
             clause="5.11",
         )
     found: dict[int, list[int]] = {}
-    for row, owner in zip(rows.tolist(), owners.tolist(), strict=True):
-        found.setdefault(owner, []).append(row)
+    for row, chunk in zip(rows.tolist(), own.tolist(), strict=True):
+        found.setdefault(chunk + node.first_chunk, []).append(row + node.first_segment)
     return found
 
 
-def attribute_rows(source: Source, root: Root, table: SegmentTable, heads: I64) -> I64:
-    """Return the segment row of each chunk's extra attributes (SPEC 5.7); -1 for none."""
-    if not root.attributes and bool((table.kind == SegmentKind.ATTRIBUTES).any()):
+def _attribute_rows(name: str, root: Root, node: IndexNode, heads: I64) -> I64:
+    """Return the row of each chunk's extra attributes (SPEC 5.7); -1 for none."""
+    if not root.attributes and len(_rows_of(node, SegmentKind.ATTRIBUTES)):
         raise FormatError(
             "attribute-segments",
-            f"{source.name}: a segment of attributes, expected none: the root lists no attributes",
+            f"{name}: a segment of attributes, expected none: the root lists no attributes",
             clause="5.7",
         )
-    return _rows_by_chunk(
-        source,
-        table,
-        heads,
-        SegmentKind.ATTRIBUTES,
-        lambda message: FormatError("attribute-segments", message, clause="5.7"),
-    )
+    return _rows_by_chunk(name, node, heads, SegmentKind.ATTRIBUTES, "attribute-segments", "5.7")
+
+
+def _own_chunks(node: IndexNode, rows: I64) -> I64:
+    """Return the owner of each row, counted from the first chunk of the index."""
+    own: I64 = node.tables.segments.owner[rows].astype(np.int64) - node.first_chunk
+    return own
+
+
+def _are_behind_heads(node: IndexNode, rows: I64, own: I64, heads: I64) -> bool:
+    """Whether each row is one of a chunk of the index, behind the chunk's head."""
+    if not ((own >= 0) & (own < len(heads))).all():
+        return False
+    return bool((heads[own] - node.first_segment < rows).all())
 
 
 def _rows_by_chunk(
-    source: Source,
-    table: SegmentTable,
-    heads: I64,
-    kind: SegmentKind,
-    refusal: Callable[[str], FormatError],
+    name: str, node: IndexNode, heads: I64, kind: SegmentKind, code: str, clause: str = "5.4"
 ) -> I64:
-    """Return the row of each chunk's segment of a kind, -1 for none; raise the error if misplaced.
-
-    `refusal` returns the error to raise, from a description.
-    """
-    rows = np.flatnonzero(table.kind == kind)
-    owners = table.owner[rows]
-    # The head comes first, so a chunk whose page was not read has no segment before that page.
-    once = len(np.unique(owners)) == len(owners) and bool((owners < len(heads)).all())
-    if not once or bool((heads[owners] > rows).any()):
-        raise refusal(
-            f"{source.name}: {kind.name.lower()} segments of chunks {owners.tolist()[:8]}, "
-            f"expected at most one for each of {len(heads)} chunks, behind its head"
+    """Return the row of each chunk's segment of a kind, -1 for none; refuse a misplaced one."""
+    rows = _rows_of(node, kind)
+    own = _own_chunks(node, rows)
+    if len(np.unique(own)) != len(own) or not _are_behind_heads(node, rows, own, heads):
+        raise FormatError(
+            code,
+            f"{name}: {kind.name.lower()} segments of chunks "
+            f"{(own + node.first_chunk).tolist()[:8]}, expected at most one for each of "
+            f"{len(heads)} chunks of the index, behind its head",
+            clause=clause,
         )
     found = np.full(len(heads), -1, np.int64)
-    found[owners] = rows
+    found[own] = rows + node.first_segment
     return found
 
 
-def camera_row(source: Source, table: SegmentTable) -> int:
-    """Return the row of the cameras' segment (SPEC 5.8); -1 for none."""
-    row, owners = _single_row(table, SegmentKind.CAMERAS)
-    if owners:
+def _check_ends(name: str, root: Root, node: IndexNode) -> None:
+    """Refuse a nonzero `until` outside the chunks behind its own (SPEC 5.10)."""
+    all_chunks = root.tables.extent.chunks
+    until = node.tables.chunks.until.astype(np.int64)
+    numbers = np.arange(len(until)) + node.first_chunk
+    wrong = np.flatnonzero((until > 0) & ((until < numbers + 2) | (until > all_chunks)))
+    if len(wrong):
+        chunk = int(numbers[wrong[0]])
         raise FormatError(
-            "camera-segments",
-            f"{source.name}: cameras with owners {owners}, expected at most one segment, with "
-            "owner 0",
-            clause="5.8",
+            "chunk-until",
+            f"{name}: chunk {chunk}: until is {until[wrong[0]]}, expected 0 or {chunk + 2} to "
+            f"{all_chunks}",
+            clause="5.10",
         )
-    return row
 
 
-def view_table_row(source: Source, table: SegmentTable) -> int:
-    """Return the row of the view table's segment (SPEC 5.12); -1 for none."""
-    row, owners = _single_row(table, SegmentKind.VIEW_TABLE)
-    if owners:
+def _check_needs(name: str, root: Root, node: IndexNode) -> None:
+    """Refuse a segment that needs a codebook which the root does not list (SPEC 5.3)."""
+    books = len(root.codebooks)
+    needs = node.tables.segments.needs
+    if len(needs) and int(needs.max()) >> books:
         raise FormatError(
-            "view-table-segments",
-            f"{source.name}: view tables with owners {owners}, expected at most one segment, with "
-            "owner 0",
-            clause="5.12",
+            "needs-range",
+            f"{name}: a segment needs codebook {int(needs.max()).bit_length() - 1}, expected a "
+            f"number below {books}",
+            clause="5.3",
         )
-    return row
 
 
-def _single_row(table: SegmentTable, kind: SegmentKind) -> tuple[int, list[int]]:
-    """Return the row of the only segment of a kind, -1 for none, and its owners if misplaced.
-
-    The list of owners is empty if there is at most one such segment, with owner 0.
-    """
-    rows = np.flatnonzero(table.kind == kind)
-    owners = table.owner[rows]
-    strange = owners.tolist()[:8] if len(rows) > 1 or owners.any() else []
-    return (int(rows[0]) if len(rows) else -1), strange
-
-
-def description_row(source: Source, root: Root, table: SegmentTable) -> int:
-    """Return the row of the description's segment (SPEC 5.13); -1 for none."""
-    row, owners = _single_row(table, SegmentKind.DESCRIPTION)
-    if owners or row >= len(root.segments):
-        raise _description_error(source, f"descriptions with owners {owners}, in a page or twice")
-    if row >= 0 and table.length[row] > layout.MAX_DESCRIPTION_BYTES:
-        raise _description_error(source, f"a description of {table.length[row]} bytes")
-    return row
-
-
-def picture_rows(source: Source, root: Root, table: SegmentTable) -> dict[str, int]:
-    """Return the rows of the pictures' segments by name (SPEC 5.14)."""
-    rows = np.flatnonzero(table.kind == SegmentKind.PICTURE)
-    owners = table.owner[rows].tolist()
-    # Rows of the last index, of which a partial file may lack all.
-    earlier = [len(root.segments), *(page.segments for page in root.pages)][:-1]
-    described = SegmentKind.DESCRIPTION in root.segments.kind
-    strange = len(set(owners)) < len(owners) or any(x >= len(PICTURES) for x in owners)
-    if strange or (len(rows) and (int(rows[0]) < sum(earlier) or not described)):
-        raise _description_error(source, f"pictures with owners {owners[:8]}")
-    if len(rows) and int(table.length[rows].max()) > layout.MAX_PICTURE_BYTES:
-        raise _description_error(source, f"a picture of {table.length[rows].max()} bytes")
-    return {PICTURES[owner]: row for row, owner in sorted(zip(rows.tolist(), owners, strict=True))}
-
-
-def _description_error(source: Source, found: str) -> FormatError:
-    """Return the error for a misplaced description or picture."""
-    return FormatError(
-        "description-segments",
-        f"{source.name}: {found}, expected at most one description of owner 0 in the root, of at "
-        f"most {layout.MAX_DESCRIPTION_BYTES} bytes, and with it one poster and one sky in the "
-        f"last index, of at most {layout.MAX_PICTURE_BYTES} bytes",
-        clause="5.13",
-    )
-
-
-def layer_rows(source: Source, table: SegmentTable) -> list[int]:
-    """Return the rows of the compensation layers' segments (SPEC 5.9)."""
-    rows = np.flatnonzero(table.kind == SegmentKind.COMPENSATION)
-    owners = table.owner[rows]
-    if not np.array_equal(owners, np.arange(len(rows))):
-        raise FormatError(
-            "compensation-segments",
-            f"{source.name}: layers {owners.tolist()[:8]}, expected each once, in order",
-            clause="5.9",
-        )
-    return [int(row) for row in rows]
-
-
-def codebook_rows_by_kind(
-    source: Source, root: Root, table: SegmentTable, *, whole: bool
-) -> list[dict[SegmentKind, int]]:
-    """Return the rows of each codebook's segments by kind (SPEC 5.5)."""
-    found: list[dict[SegmentKind, int]] = [{} for _ in root.codebooks]
+def _codebook_rows(name: str, root: Root, node: IndexNode) -> list[dict[SegmentKind, int]]:
+    """Return the rows of each codebook's segments by kind, which the root lists (SPEC 5.5)."""
+    table = node.tables.segments
 
     def refuse(message: str) -> FormatError:
-        return FormatError("codebook-segments", f"{source.name}: {message}", clause="5.5")
+        return FormatError("codebook-segments", f"{name}: {message}", clause="5.5")
 
+    rows = np.flatnonzero(np.isin(table.kind, layout.CODEBOOK_KINDS)).tolist()
+    if node.path:
+        if rows:
+            raise refuse("a codebook in a page, expected it in the root")
+        return []
+    found: list[dict[SegmentKind, int]] = [{} for _ in root.codebooks]
     expected = [codebook_kinds(entry.attribute, root.sh_degree) for entry in root.codebooks]
-    for row in np.flatnonzero(np.isin(table.kind, layout.CODEBOOK_KINDS)).tolist():
+    for row in rows:
         kind, owner = SegmentKind(int(table.kind[row])), int(table.owner[row])
         label = f"segment {row}, {kind.name.lower()} of codebook {owner}"
         if owner >= len(found):
@@ -256,6 +268,97 @@ def codebook_rows_by_kind(
         found[owner][kind] = row
     for number, kinds in enumerate(expected):
         missing = [kind.name.lower() for kind in kinds if kind not in found[number]]
-        if whole and missing:
+        if missing:
             raise refuse(f"codebook {number}: no {missing}, expected one each")
     return found
+
+
+def _root_row(name: str, node: IndexNode, kind: SegmentKind, code: str, clause: str) -> int:
+    """Return the row of the only segment of a kind, which the root lists; -1 for none."""
+    row, owners = _single_row(node, kind)
+    if owners or (row >= 0 and node.path):
+        raise FormatError(
+            code,
+            f"{name}: {kind.name.lower()} with owners {owners}, in a page or twice, expected at "
+            "most one segment, with owner 0, in the root",
+            clause=clause,
+        )
+    return row
+
+
+def _view_table_row(name: str, node: IndexNode) -> int:
+    """Return the row of the view table of the index (SPEC 5.12); -1 for none."""
+    row, owners = _single_row(node, SegmentKind.VIEW_TABLE)
+    if owners:
+        raise FormatError(
+            "view-table-segments",
+            f"{name}: view tables with owners {owners}, expected at most one segment in an index, "
+            "with owner 0",
+            clause="5.12",
+        )
+    return row
+
+
+def _single_row(node: IndexNode, kind: SegmentKind) -> tuple[int, list[int]]:
+    """Return the row of the only segment of a kind, -1 for none, and its owners if misplaced.
+
+    The list of owners is empty if there is at most one such segment, with owner 0.
+    """
+    rows = _rows_of(node, kind)
+    owners = node.tables.segments.owner[rows]
+    strange = owners.tolist()[:8] if len(rows) > 1 or owners.any() else []
+    return (int(rows[0]) + node.first_segment if len(rows) else -1), strange
+
+
+def _description_row(name: str, node: IndexNode) -> int:
+    """Return the row of the description's segment (SPEC 5.13); -1 for none."""
+    row, owners = _single_row(node, SegmentKind.DESCRIPTION)
+    if owners or (row >= 0 and node.path):
+        raise _description_error(name, f"descriptions with owners {owners}, in a page or twice")
+    if row >= 0 and _largest(node.tables.segments, row) > layout.MAX_DESCRIPTION_BYTES:
+        raise _description_error(name, "a longer description")
+    return row
+
+
+def _picture_rows(name: str, root: Root, node: IndexNode) -> dict[str, int]:
+    """Return the rows of the pictures' segments by name (SPEC 5.14)."""
+    table = node.tables.segments
+    rows = _rows_of(node, SegmentKind.PICTURE)
+    owners = table.owner[rows].tolist()
+    described = SegmentKind.DESCRIPTION in root.segments.kind
+    strange = len(set(owners)) < len(owners) or any(x >= len(PICTURES) for x in owners)
+    if strange or (len(rows) and not (node.lists_pictures and described)):
+        raise _description_error(name, f"pictures with owners {owners[:8]}")
+    if len(rows) and _largest(table, rows) > layout.MAX_PICTURE_BYTES:
+        raise _description_error(name, "a longer picture")
+    pairs = sorted(zip(owners, rows.tolist(), strict=True))
+    return {PICTURES[owner]: row + node.first_segment for owner, row in pairs}
+
+
+def _largest(table: SegmentTable, rows: I64 | int) -> int:
+    """Return the length of the longest of some segments, bytes."""
+    return int(np.max(table.length[rows]))
+
+
+def _description_error(name: str, found: str) -> FormatError:
+    """Return the error for a misplaced description or picture."""
+    return FormatError(
+        "description-segments",
+        f"{name}: {found}, expected at most one description of owner 0 in the root, of at "
+        f"most {layout.MAX_DESCRIPTION_BYTES} bytes, and with it one poster and one sky in the "
+        f"last page of the root, of at most {layout.MAX_PICTURE_BYTES} bytes",
+        clause="5.13",
+    )
+
+
+def _layer_rows(name: str, node: IndexNode) -> list[int]:
+    """Return the rows of the compensation layers' segments, which the root lists (SPEC 5.9)."""
+    rows = _rows_of(node, SegmentKind.COMPENSATION)
+    owners = node.tables.segments.owner[rows]
+    if not np.array_equal(owners, np.arange(len(rows))) or (len(rows) and node.path):
+        raise FormatError(
+            "compensation-segments",
+            f"{name}: layers {owners.tolist()[:8]}, expected each once, in order, in the root",
+            clause="5.9",
+        )
+    return [int(row) for row in rows]

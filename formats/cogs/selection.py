@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from .drawn_chunks import drawn_chunks
-from .root import ChunkTable
+from .index_tables import ChunkTable
 
 # Maximum number of labels in a message.
 _MAX_NAMED: Final = 12

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -23,11 +23,12 @@ from cogsplat.formats.storage.source import RemoteSource, Source, has_range
 from .fetch_order import needed_codebooks
 from .folder_places import object_name
 from .index import Index
+from .index_tables import ChunkTable, SegmentTable
 from .layout import SegmentKind
 from .lazy_index import LazyIndex
 from .missing_segments import missing_segment_bytes
 from .object_source import ObjectSource
-from .root import ChunkTable, SegmentTable
+from .page_tree import IndexNode, PagePlace
 from .segment_rows import I64, codebook_kinds
 from .selection import select_chunks
 
@@ -117,6 +118,11 @@ class StoredFile:
         return self._index.chunks
 
     @property
+    def nodes(self) -> Sequence[IndexNode]:
+        """Root and pages in the source, in file order; reads pages not yet read."""
+        return self._index.nodes
+
+    @property
     def offsets(self) -> I64:
         """Byte offset of each segment, by row of `segments`."""
         return self._index.offsets
@@ -139,8 +145,12 @@ class StoredFile:
     @property
     def has_all_pages(self) -> bool:
         """Whether the tables have the segments of all pages; a partial file may lack its last."""
-        stated = len(self.root.segments) + sum(page.segments for page in self.root.pages)
-        return len(self._index.segments) == stated
+        return self._index.gap is None
+
+    @property
+    def first_missing_page(self) -> PagePlace | None:
+        """First page in file order that the source lacks; None if it has all pages."""
+        return self._index.gap
 
     @property
     def source_bytes(self) -> int:
@@ -168,9 +178,9 @@ class StoredFile:
         return found if isinstance(found, Traffic) else None
 
     @property
-    def page_bytes(self) -> int:
-        """Total size of all index pages, bytes."""
-        return sum(page.length for page in self.root.pages)
+    def page_bytes(self) -> list[int]:
+        """Length of each page in the source, in file order, bytes; reads pages not yet read."""
+        return [node.end - node.start for node in self._index.nodes if node.path]
 
     def complete_chunks(self) -> int:
         """Return the number of leading chunks whose heads can be decoded."""
@@ -206,9 +216,12 @@ class StoredFile:
         return self._index.cameras if self._index.cameras >= 0 else None
 
     @property
-    def view_table_row(self) -> int | None:
-        """Row of the view table's segment in `segments`; None if the file has no view table."""
-        return self._index.view_table if self._index.view_table >= 0 else None
+    def view_table_rows(self) -> Mapping[tuple[int, ...], int]:
+        """Row of each view table's segment in `segments`, by the path of its index.
+
+        The root has the path ``()``, its page 3 the path ``(3,)``.
+        """
+        return self._index.view_tables
 
     @property
     def description_row(self) -> int | None:

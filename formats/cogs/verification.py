@@ -75,8 +75,9 @@ def _checks(file: ChunkDecoder) -> Iterator[Check]:
     layers = np.flatnonzero(file.segments.kind == SegmentKind.COMPENSATION)
     if len(layers):
         yield Check("compensation", int(file.offsets[layers[0]]), file.compensation)
-    if file.view_table_row is not None:
-        yield Check("view table", int(file.offsets[file.view_table_row]), file.view_table)
+    for path, row in file.view_table_rows.items():
+        at = int(file.offsets[row])
+        yield Check(f"view table of index {path}", at, partial(file.view_table, path))
     described = file.description_row
     if described is not None:
         offset = int(file.offsets[described])

@@ -4,23 +4,42 @@ from __future__ import annotations
 
 import hashlib
 import zlib
-from collections.abc import Sequence
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cogsplat.codec.errors import DataError, FormatError, UnsupportedError
+from cogsplat.codec.partition.chunk_tree import ChunkTree, chunk_tree, common_cell
+from cogsplat.codec.segments.view_shares import ViewTable, encode_shares
 from cogsplat.formats.storage.atomic import atomic_write
 
 from . import canonical_msgpack, layout
 from . import root as cogs_root
+from .index_tables import (
+    HASH_BYTES,
+    ChunkTable,
+    Extent,
+    IndexTables,
+    PageTable,
+    SegmentTable,
+    no_pages,
+    no_segments,
+    pack_page,
+)
 from .layout import SegmentKind
-from .root import HASH_BYTES, ChunkTable, PageEntry, Root, SegmentTable
+from .page_tree import IndexNode
+from .root import Root
+from .segment_rows import CHUNK_KINDS
+from .view_table_segment import pack_view_table, unpack_view_table
 
-# Target size of an index page, bytes, for one quick request each; and target number of pages, for
-# entries that fit into the root.
+# Target size of pages in sequence, bytes, for one quick request each; and target number of pages,
+# for rows that fit into the root.
 _PAGE_TARGET: Final = 65536
 _PAGES_TARGET: Final = 100
 
@@ -88,7 +107,8 @@ def lay_out(root: Root, segments: Sequence[Segment]) -> list[bytes]:
     root : Root
         Root of the file; its segment table and pages are replaced.
     segments : sequence of Segment
-        Segments in file order; the description and pictures may stand anywhere among them.
+        Segments in file order; the description and pictures may stand anywhere among them. The
+        columns of a view table are all chunks: each index gets a table of its own columns.
 
     Raises
     ------
@@ -98,16 +118,25 @@ def lay_out(root: Root, segments: Sequence[Segment]) -> list[bytes]:
     """
     if len(segments) > layout.MAX_SEGMENTS:
         raise ValueError(f"{len(segments)} segments, expected at most {layout.MAX_SEGMENTS}")
+    plan = plan_index(root, segment_table(segments))
+    stored = list(segments)
+    if plan.pages:
+        for row, segment in enumerate(segments):
+            if segment.kind == SegmentKind.VIEW_TABLE:
+                tables = split_view_table(segment.payload, plan, len(root.chunks))
+                stored[row] = tables[0]
+                plan.add_view_tables(row, range(len(stored), len(stored) + len(tables) - 1))
+                stored += tables[1:]
     parts: list[bytes] = []
-    for part in lay_out_index(root, segment_table(segments)):
+    for part in lay_out_index(root, segment_table(stored), plan):
         parts.append(part.index)
-        parts += [segments[row].payload for row in part.rows]
+        parts += [stored[row].payload for row in part.rows]
     return parts
 
 
 @dataclass(frozen=True)
 class IndexPart:
-    """Root with its preamble, or index page, and the segments that it lists.
+    """Root with its preamble, or page, and the segments that it lists.
 
     Parameters
     ----------
@@ -121,7 +150,114 @@ class IndexPart:
     rows: Sequence[int]
 
 
-def lay_out_index(root: Root, table: SegmentTable) -> list[IndexPart]:
+@dataclass(eq=False)
+class IndexPlan:
+    """Chunks and segments that an index lists, and the plans of its pages.
+
+    Parameters
+    ----------
+    chunks : slice
+        Chunks that the index lists, of those of the whole file.
+    rows : list of int
+        Rows of its segments in the table to lay out, in file order.
+    pages : list of IndexPlan
+        Plans of its pages.
+    """
+
+    chunks: slice
+    rows: list[int]
+    pages: list[IndexPlan]
+
+    def every(self) -> Iterator[IndexPlan]:
+        """Yield the plan and those of all pages below it, in file order."""
+        yield self
+        for page in self.pages:
+            yield from page.every()
+
+    def chunks_below(self) -> slice:
+        """Return the chunks of the index and of all pages below it."""
+        last = self
+        while last.pages:
+            last = last.pages[-1]
+        return slice(self.chunks.start, last.chunks.stop)
+
+    def add_view_tables(self, first: int, others: Iterable[int]) -> None:
+        """Add the rows of the view tables of all indices, in file order.
+
+        Parameters
+        ----------
+        first : int
+            Row of the root's table, which the root lists already.
+        others : iterable of int
+            Rows of the tables of the other indices that list chunks.
+        """
+        listing = (plan for plan in self.every() if plan.chunks.start < plan.chunks.stop)
+        for plan, row in zip((x for x in listing if first not in x.rows), others, strict=True):
+            plan.rows.insert(0, row)
+
+
+def plan_index(root: Root, table: SegmentTable) -> IndexPlan:
+    """Distribute chunks and segments over the root and pages.
+
+    Parameters
+    ----------
+    root : Root
+        Root of the file; its segment table and pages are not used.
+    table : SegmentTable
+        Segments in file order.
+
+    Returns
+    -------
+    IndexPlan
+        Plan of the root. It lists all where that fits. Else pages follow the cells of chunks that
+        stand in the order of `chunk_tree`, and have others in sequence.
+    """
+    kinds = table.kind.tolist()
+    weights = _chunk_weights(root, table)
+    fixed = len(canonical_msgpack.pack(cogs_root.root_map(_listing(root, slice(0)))))
+    others = sum(kind not in CHUNK_KINDS for kind in kinds)
+    room = layout.MAX_ROOT_END - layout.PREAMBLE_BYTES - fixed - _TABLE_OVERHEAD
+    room -= _SEGMENT_ROW * others
+    chunks = len(root.chunks)
+    if sum(weights) <= room:
+        plan = IndexPlan(slice(0, chunks), [], [])
+    else:
+        # Room for a description and a first view, so that a first title changes no page.
+        room -= _SEGMENT_ROW * (SegmentKind.DESCRIPTION not in kinds)
+        room -= _FIRST_VIEW * (root.first_view is None)
+        plan = _plan_by_cells(root, weights, room) or _plan_in_sequence(weights, room)
+    _assign_rows(plan, table)
+    return plan
+
+
+def plan_of_file(
+    nodes: Sequence[IndexNode], kept: NDArray[np.int64], description: NDArray[np.uint8]
+) -> IndexPlan:
+    """Return the plan of a file as it is, with another description.
+
+    Parameters
+    ----------
+    nodes : sequence of IndexNode
+        All indices of the file, in file order.
+    kept : (k,) int64
+        Rows of the file's segments that are kept, the first `k` of the table to lay out.
+    description : (d,) uint8
+        Kinds of the other segments of that table: description and pictures.
+    """
+    plans: dict[tuple[int, ...], IndexPlan] = {}
+    for node in nodes:
+        first = node.first_chunk
+        plans[node.path] = IndexPlan(slice(first, first + len(node.tables.chunks)), [], [])
+        segments = node.first_segment + np.array([0, len(node.tables.segments)])
+        plans[node.path].rows += range(*np.searchsorted(kept, segments).tolist())
+        if node.path:
+            plans[node.path[:-1]].pages.append(plans[node.path])
+    others = range(len(kept), len(kept) + len(description))
+    _append_description(plans[()], others, description)
+    return plans[()]
+
+
+def lay_out_index(root: Root, table: SegmentTable, plan: IndexPlan) -> list[IndexPart]:
     """Return root and pages of a file with the segments behind each, without their payloads.
 
     Parameters
@@ -129,7 +265,9 @@ def lay_out_index(root: Root, table: SegmentTable) -> list[IndexPart]:
     root : Root
         Root of the file; its segment table and pages are replaced.
     table : SegmentTable
-        Segments in file order; the description and pictures may stand anywhere among them.
+        Segments in file order.
+    plan : IndexPlan
+        Chunks and segments of each index.
 
     Raises
     ------
@@ -137,26 +275,9 @@ def lay_out_index(root: Root, table: SegmentTable) -> list[IndexPart]:
         ``bad-scene-info``: the root has a value that readers refuse; ``root-size``: the root is
         too long.
     """
-    groups = _split(root, table)
-    pages: list[PageEntry] = []
     parts: list[IndexPart] = []
-    for group in groups[1:]:
-        value: dict[str, canonical_msgpack.Value] = {
-            "segments": cogs_root.segment_columns(_rows(table, group.rows)),
-            "chunks": cogs_root.chunk_columns(_chunk_rows(root.chunks, group.chunks)),
-        }
-        data = canonical_msgpack.pack(value)
-        span = int(table.length[group.rows].sum(dtype=np.uint64))
-        chunks = group.chunks.stop - group.chunks.start
-        pages.append(PageEntry(len(data), zlib.crc32(data), len(group.rows), chunks, span))
-        parts.append(IndexPart(data, group.rows))
-    first = groups[0]
-    whole = replace(
-        root,
-        segments=_rows(table, first.rows),
-        chunks=_chunk_rows(root.chunks, first.chunks),
-        pages=pages,
-    )
+    pages = _pages(root, table, plan, parts)
+    whole = replace(_listing(root, plan.chunks), segments=_rows(table, plan.rows), pages=pages)
     root_bytes = canonical_msgpack.pack(cogs_root.root_map(whole))
     try:
         cogs_root.parse_root(canonical_msgpack.unpack(root_bytes, "root"), "root")
@@ -168,20 +289,83 @@ def lay_out_index(root: Root, table: SegmentTable) -> list[IndexPart]:
             f"a root of {len(root_bytes)} bytes, expected at most "
             f"{layout.MAX_ROOT_END - layout.PREAMBLE_BYTES}: use fewer attributes or shorter names",
         )
-    length = layout.PREAMBLE_BYTES + len(root_bytes) + sum(len(part.index) for part in parts)
-    length += int(table.length.sum(dtype=np.uint64))
+    length = layout.PREAMBLE_BYTES + len(root_bytes) + whole.tables.extent.span
     preamble = layout.pack_preamble(
         layout.Preamble(layout.MAJOR, layout.MINOR, len(root_bytes), length, zlib.crc32(root_bytes))
     )
-    return [IndexPart(preamble + root_bytes, first.rows), *parts]
+    return [IndexPart(preamble + root_bytes, plan.rows), *parts]
 
 
-@dataclass(frozen=True)
-class _Group:
-    """Contents of one index (root or page): rows of the segment table and slice of the chunks."""
+def _pages(root: Root, table: SegmentTable, plan: IndexPlan, parts: list[IndexPart]) -> PageTable:
+    """Return the table of the pages of an index, and append all parts below it in file order."""
+    if not plan.pages:
+        return no_pages()
+    rows: list[tuple[int, int, Extent, slice]] = []
+    for page in plan.pages:
+        at = len(parts)
+        below = _pages(root, table, page, parts)
+        tables = IndexTables(_rows(table, page.rows), _chunk_rows(root.chunks, page.chunks), below)
+        data = pack_page(tables)
+        if len(data) > layout.MAX_PAGE_BYTES:
+            raise ValueError(f"a page of {len(data)} bytes: expected chunks of smaller cells")
+        parts.insert(at, IndexPart(data, page.rows))
+        rows.append((len(data), zlib.crc32(data), tables.extent, page.chunks_below()))
+    chunks = [_chunk_rows(root.chunks, below) for *_, below in rows]
+    extents = [extent for _, _, extent, _ in rows]
+    return PageTable(
+        length=np.array([length for length, *_ in rows], np.uint32),
+        crc=np.array([crc for _, crc, *_ in rows], np.uint32),
+        segments=np.array([extent.segments for extent in extents], np.uint32),
+        chunks=np.array([extent.chunks for extent in extents], np.uint32),
+        span=np.array([extent.span for extent in extents], np.int64),
+        splats=np.array([extent.splats for extent in extents], np.uint32),
+        box=np.stack([_box_around(each.box) for each in chunks]),
+        contribution=np.array([each.contribution.sum() for each in chunks], np.float64),
+        cell=np.array([common_cell(each.cell) for each in chunks], np.uint32),
+    )
 
-    rows: list[int]
-    chunks: slice
+
+def _box_around(boxes: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the bounding box of boxes, (6,) float32; zeros for none."""
+    if not len(boxes):
+        return np.zeros(6, np.float32)
+    return np.concatenate([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
+
+
+def split_view_table(payload: bytes, plan: IndexPlan, chunks: int) -> list[Segment]:
+    """Return the view tables of the root and of all other indices that list chunks.
+
+    Parameters
+    ----------
+    payload : bytes
+        View table whose columns are all chunks.
+    plan : IndexPlan
+        Plan of the root.
+    chunks : int
+        Number of chunks of the file.
+
+    Returns
+    -------
+    list of Segment
+        Tables in file order. The share of a page is the sum of the shares of its chunks. A page has
+        the viewpoints that see a part of it, the root all.
+    """
+    table = unpack_view_table(payload, "view table", chunks, layout.MAX_FILE_BYTES)
+    found = []
+    for index in plan.every():
+        if index is not plan and index.chunks.start == index.chunks.stop:
+            continue
+        below = [table.shares[:, page.chunks_below()].sum(axis=1) for page in index.pages]
+        codes = np.concatenate(
+            [table.codes[:, index.chunks], encode_shares(np.reshape(below, (-1, len(table))).T)],
+            axis=1,
+        )
+        seeing = np.flatnonzero(codes.any(axis=1))
+        if index is plan or not len(seeing):
+            seeing = np.arange(len(table))
+        own = ViewTable(table.positions[seeing], table.directions[seeing], codes[seeing])
+        found.append(Segment(SegmentKind.VIEW_TABLE, 0, pack_view_table(own)))
+    return found
 
 
 def segment_table(segments: Sequence[Segment]) -> SegmentTable:
@@ -223,57 +407,101 @@ def _chunk_rows(table: ChunkTable, rows: slice) -> ChunkTable:
     )
 
 
-# Bytes of a row in an index with all columns (SPEC 5.3, 5.4).
+# Bytes of a row in an index with all columns (SPEC 5.3, 5.4, 5.6).
 _SEGMENT_ROW: Final = 1 + 4 + 4 + 4 + HASH_BYTES + 4
 _CHUNK_ROW: Final = 4 + 24 + 8 + 12 + 4
+_PAGE_ROW: Final = 4 + 4 + 4 + 4 + 8 + 4 + 24 + 8 + 4
 # Bytes of a chunk's optional `until` (SPEC 5.10).
 _UNTIL: Final = 4
-# Keys and bin headers of the two tables.
+# Keys and bin headers of the three tables.
 _TABLE_OVERHEAD: Final = 256
-# A page's entry in the root: keys, and integers of up to nine bytes.
-_PAGE_ENTRY: Final = 96
+_PAGE_TABLE_OVERHEAD: Final = 128
+# Bytes of a first view with a target (SPEC 4.4).
+_FIRST_VIEW: Final = 288
 
 
-def _split(root: Root, table: SegmentTable) -> list[_Group]:
-    """Distribute the segments over root and pages; a chunk's row and its head stay together.
-
-    The root lists the description, the last index the pictures (SPEC 5.13, 5.14).
-    """
-    empty = replace(
-        root,
-        segments=_rows(table, []),
-        chunks=_chunk_rows(root.chunks, slice(0)),
-        pages=[],
+def _listing(root: Root, chunks: slice) -> Root:
+    """Return a root that lists some chunks, and no segments and pages."""
+    return replace(
+        root, segments=no_segments(), chunks=_chunk_rows(root.chunks, chunks), pages=no_pages()
     )
-    fixed = layout.PREAMBLE_BYTES + len(canonical_msgpack.pack(cogs_root.root_map(empty)))
-    kinds = table.kind.tolist()
-    descriptions = [row for row, kind in enumerate(kinds) if kind == SegmentKind.DESCRIPTION]
-    pictures = [row for row, kind in enumerate(kinds) if kind == SegmentKind.PICTURE]
-    apart = {*descriptions, *pictures}
-    others = [row for row in range(len(kinds)) if row not in apart]
-    room = layout.MAX_ROOT_END - fixed - _TABLE_OVERHEAD
-    chunk_row = _CHUNK_ROW + (_UNTIL if root.chunks.until.any() else 0)
-    weights = {
-        row: _SEGMENT_ROW + (chunk_row if kinds[row] == SegmentKind.HEAD else 0) for row in others
-    }
-    total = sum(weights.values())
-    if total <= room - _SEGMENT_ROW * len(apart):
-        return [_Group([*others, *descriptions, *pictures], slice(0, len(root.chunks)))]
-    page = max(_PAGE_TARGET, total // _PAGES_TARGET) - _TABLE_OVERHEAD
-    # Room for a description, so that a first title changes no page.
-    room -= _SEGMENT_ROW * max(1, len(descriptions))
-    limit = room - _PAGE_ENTRY * (total // (page - _SEGMENT_ROW - chunk_row) + 1)
-    groups: list[_Group] = []
-    rows: list[int] = []
-    first_chunk, chunk, used = 0, 0, 0
-    for row in others:
-        if used + weights[row] > limit:
-            groups.append(_Group(rows, slice(first_chunk, chunk)))
-            rows, first_chunk, used, limit = [], chunk, 0, page
-        rows.append(row)
-        used += weights[row]
-        chunk += kinds[row] == SegmentKind.HEAD
-    groups.append(_Group(rows, slice(first_chunk, chunk)))
-    groups[0].rows.extend(descriptions)
-    groups[-1].rows.extend(pictures)
-    return groups
+
+
+def _chunk_weights(root: Root, table: SegmentTable) -> list[int]:
+    """Return the bytes that each chunk's row and the rows of its segments take in an index."""
+    row = _CHUNK_ROW + (_UNTIL if root.chunks.until.any() else 0)
+    owners = table.owner[np.isin(table.kind, CHUNK_KINDS)]
+    counts = np.bincount(owners, minlength=len(root.chunks))
+    return [row + _SEGMENT_ROW * int(count) for count in counts]
+
+
+def _most_chunks(weights: Sequence[int], room: int) -> int:
+    """Return the number of first chunks that fit."""
+    return int(np.searchsorted(np.cumsum(weights), room, side="right"))
+
+
+def _plan_by_cells(root: Root, weights: Sequence[int], room: int) -> IndexPlan | None:
+    """Return a plan whose pages follow the cells; None where chunks do not stand in that order."""
+    cells = root.chunks.cell
+    if not cells.all():
+        return None
+    tree = chunk_tree(cells)
+    if not np.array_equal(tree.order(), np.arange(len(cells))):
+        return None
+    plan = _plan_of_tree(tree)
+    own = plan.chunks.stop
+    room -= _PAGE_TABLE_OVERHEAD + _PAGE_ROW * (len(plan.pages) + 1)
+    fit = _most_chunks(weights[:own], room)
+    if fit < own:
+        # A first page lists what does not fit.
+        plan.pages.insert(0, IndexPlan(slice(fit, own), [], []))
+        plan.chunks = slice(0, fit)
+    return plan
+
+
+def _plan_of_tree(tree: ChunkTree) -> IndexPlan:
+    """Return the plan of a tree whose chunks stand in its order."""
+    first = int(tree.chunks[0])
+    return IndexPlan(
+        slice(first, first + len(tree.chunks)), [], [_plan_of_tree(page) for page in tree.pages]
+    )
+
+
+def _plan_in_sequence(weights: Sequence[int], room: int) -> IndexPlan:
+    """Return a plan whose pages, all listed by the root, have the chunks in sequence."""
+    page = max(_PAGE_TARGET, sum(weights) // _PAGES_TARGET) - _TABLE_OVERHEAD
+    room -= _PAGE_TABLE_OVERHEAD
+    room -= _PAGE_ROW * (sum(weights) // max(page - max(weights, default=0), 1) + 2)
+    stop = _most_chunks(weights, room)
+    plan = IndexPlan(slice(0, stop), [], [])
+    while stop < len(weights):
+        first = stop
+        stop += max(1, _most_chunks(weights[stop:], page))
+        plan.pages.append(IndexPlan(slice(first, stop), [], []))
+    return plan
+
+
+def _assign_rows(plan: IndexPlan, table: SegmentTable) -> None:
+    """Assign the segments to indices (SPEC 5.2), each in the order given.
+
+    The description comes behind the root's other segments, pictures behind those of the root's last
+    page.
+    """
+    plans = list(plan.every())
+    starts = [each.chunks.start for each in plans]
+    last: list[int] = []
+    for row, kind in enumerate(table.kind.tolist()):
+        if kind in CHUNK_KINDS:
+            plans[bisect_right(starts, int(table.owner[row])) - 1].rows.append(row)
+        elif kind in (SegmentKind.DESCRIPTION, SegmentKind.PICTURE):
+            last.append(row)
+        else:
+            plan.rows.append(row)
+    _append_description(plan, last, table.kind[last])
+
+
+def _append_description(plan: IndexPlan, rows: Sequence[int], kinds: NDArray[np.uint8]) -> None:
+    """Append the rows of a description and its pictures to the root and the root's last page."""
+    for row, kind in sorted(zip(rows, kinds.tolist(), strict=True), key=itemgetter(1)):
+        with_pictures = plan.pages[-1] if plan.pages else plan
+        (plan if kind == SegmentKind.DESCRIPTION else with_pictures).rows.append(row)

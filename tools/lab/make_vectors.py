@@ -225,12 +225,13 @@ def _valid_entry(vector: Valid) -> tuple[dict[str, Json], bytes]:
     if scene.cameras:
         cameras: list[Json] = [_camera(camera) for camera in scene.cameras]
         entry["cameras"] = cameras
-    if scene.view_table:
-        viewpoints: list[Json] = [
-            [list(position), list(direction), list(shares)]
-            for position, direction, shares in scene.view_table
+    if scene.view_tables:
+        entry["view_tables"] = [
+            [list(path), [[list(at), list(to), list(shares)] for at, to, shares in table]]
+            for path, table in scene.view_tables
         ]
-        entry["view_table"] = viewpoints
+    if scene.parents:
+        entry["parents"] = list(scene.parents)
     if scene.description is not None:
         entry["description"] = scene.description
         entry["pictures"] = {

@@ -15,8 +15,9 @@ from cogsplat.codec.errors import CogsplatError, CogsplatWarning, DataError
 from cogsplat.codec.segments.attributes import AttributeType, pack_attributes
 from cogsplat.formats.cogs import canonical_msgpack
 from cogsplat.formats.cogs.description_segment import unpack_description
+from cogsplat.formats.cogs.index_tables import ChunkTable
 from cogsplat.formats.cogs.layout import SegmentKind
-from cogsplat.formats.cogs.root import ChunkTable, camera_map
+from cogsplat.formats.cogs.root import camera_map
 from cogsplat.formats.cogs.writer import Segment, write_cogs
 
 VECTORS = Path(__file__).resolve().parents[2] / "vectors" / "valid"

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from cogsplat.formats.cogs.drawn_chunks import drawn_chunks, first_level, later_levels
-from cogsplat.formats.cogs.root import ChunkTable, Level
+from cogsplat.formats.cogs.index_tables import ChunkTable
+from cogsplat.formats.cogs.root import Level
 
 
 def table(until):

@@ -10,7 +10,8 @@ from cogsplat.codec.errors import FormatError, UnsupportedError
 from cogsplat.codec.splats import SceneInfo
 from cogsplat.formats.cogs import root as cogs_root
 from cogsplat.formats.cogs.canonical_msgpack import pack, unpack
-from cogsplat.formats.cogs.root import ChunkTable, CodebookEntry, PageEntry, Root, SegmentTable
+from cogsplat.formats.cogs.index_tables import ChunkTable, SegmentTable
+from cogsplat.formats.cogs.root import CodebookEntry, PageEntry, Root
 
 
 def segments(rows, seed=1):

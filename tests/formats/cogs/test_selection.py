@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cogsplat.formats.cogs.root import ChunkTable
+from cogsplat.formats.cogs.index_tables import ChunkTable
 from cogsplat.formats.cogs.selection import select_chunks
 
 

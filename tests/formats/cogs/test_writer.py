@@ -10,8 +10,9 @@ from cogsplat.codec.splats import SceneInfo
 from cogsplat.formats.cogs import layout, writer
 from cogsplat.formats.cogs import root as cogs_root
 from cogsplat.formats.cogs.index import read_index
+from cogsplat.formats.cogs.index_tables import ChunkTable, no_segments
 from cogsplat.formats.cogs.layout import SegmentKind
-from cogsplat.formats.cogs.root import ChunkTable, Root, no_segments
+from cogsplat.formats.cogs.root import Root
 from cogsplat.formats.cogs.writer import Segment, lay_out, write_cogs
 from cogsplat.formats.storage.source import BytesSource
 

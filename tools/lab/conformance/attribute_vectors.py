@@ -121,19 +121,18 @@ def _some_chunks() -> Valid:
 
 
 def _pages() -> Valid:
-    """Return the vector of attributes and cameras that are listed in index pages."""
+    """Return the vector of attributes that pages list, and of cameras in the root."""
     whole = two_chunks()
     segments = whole.groups[0].segments
     added = [Segment(SegmentKind.ATTRIBUTES, i, store_planes(labels(2))) for i in range(2)]
     draft = Draft(
         whole.root | {"attributes": [_entry("label", "u1")]},
         [
-            Group([*segments[:2], added[0]], [ChunkRow(2)]),
-            Group([*segments[2:], _camera_segment(1)], [ChunkRow(2)]),
-            Group([added[1]], []),
+            Group([*segments[:2], added[0], _camera_segment(1)], [ChunkRow(2)]),
+            Group([*segments[2:], added[1]], [ChunkRow(2)]),
         ],
     )
-    note = "attributes and cameras listed in pages, attributes of one chunk in a later one"
+    note = "attributes in the root and in a page, each with its chunk; cameras in the root"
     return Valid("attributes-pages", build(draft), ("5.6", "5.7", "5.8"), note)
 
 

@@ -12,7 +12,7 @@ from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment
 
 from . import handmade_streams as handmade
-from .file_builder import ChunkRow, Draft, Group, build, pack_streams, root_keys
+from .file_builder import ChunkRow, Draft, Group, build, in_pages, pack_streams, root_keys
 from .invalid import Invalid
 from .valid import Valid
 
@@ -81,15 +81,7 @@ def valid() -> list[Valid]:
     several = [(0, pack(_FIRST)), (1, pack(_SECOND)), (3, pack(_THIRD))]
     plain = _layer([64, 32], [32, -16], [0, 0, 255, 255])
     ordinary, late = _draft(several), _draft([(0, pack(plain | {"later": 1}))])
-    group = ordinary.groups[0]
-    paged = replace(
-        ordinary,
-        groups=[
-            Group(group.segments[:3], group.chunks[:1]),
-            Group(group.segments[3:5], group.chunks[1:3]),
-            Group(group.segments[5:], group.chunks[3:]),
-        ],
-    )
+    paged = in_pages(ordinary, [1, 2, _CHUNKS - 3])
     clauses = ("5.9", "8.5")
     return [
         Valid("compensation", build(ordinary), clauses, "three layers, two of them with codes"),
@@ -99,10 +91,16 @@ def valid() -> list[Valid]:
             ("4.3", *clauses),
             "one layer of two chunks without codes, with a key of a later version",
         ),
-        Valid("compensation-pages", build(paged), ("5.6", *clauses), "layers listed in pages"),
+        Valid(
+            "compensation-pages",
+            build(paged),
+            ("5.6", *clauses),
+            "layers in the root, of chunks of pages",
+        ),
         _blend(),
         _zeros(),
         _cells(),
+        _cells_in_pages(),
     ]
 
 
@@ -118,6 +116,16 @@ def _cells() -> Valid:
     data = build(_two_layers([1, 3, 1, 3, 2, 7, 2]))
     note = "the same chunks cut into cells: sets of chunks that hold with each chunk its parent"
     return Valid("compensation-cells", data, ("5.4", "5.9", "8.5"), note)
+
+
+def _cells_in_pages() -> Valid:
+    """Return the vector of `_cells` with pages of the two halves, behind all layers."""
+    draft = _two_layers([1, 3, 1, 2, 4, 3, 7])
+    root, *halves = in_pages(draft, [3, 2, 2]).groups
+    groups = [root, *(replace(half, cell=cell) for half, cell in zip(halves, (2, 3), strict=True))]
+    note = "the same in pages of two halves: descendants fade behind the last layer"
+    clauses = ("5.4", "5.6", "5.9", "8.5")
+    return Valid("compensation-cells-pages", build(replace(draft, groups=groups)), clauses, note)
 
 
 def _two_layers(cells: Sequence[int]) -> Draft:

@@ -9,8 +9,9 @@ from __future__ import annotations
 import hashlib
 import struct
 import zlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import count
 from typing import Final
 
 import zstandard
@@ -18,6 +19,7 @@ import zstandard
 from cogsplat.codec.streams.records import COMPONENTS, Stream
 from cogsplat.formats.cogs.canonical_msgpack import Value, pack, unpack
 from cogsplat.formats.cogs.layout import MAGIC, MAJOR, MINOR, SegmentKind
+from cogsplat.formats.cogs.segment_rows import CHUNK_KINDS
 from cogsplat.formats.cogs.writer import Segment
 
 Index = dict[str, Value]
@@ -50,10 +52,16 @@ class Group:
         Segments in file order.
     chunks : sequence of ChunkRow
         Rows of the chunk table.
+    pages : sequence of Group
+        Pages that the index lists.
+    cell : int
+        Cell in the row of the page, 0 for the root.
     """
 
     segments: Sequence[Segment]
     chunks: Sequence[ChunkRow]
+    pages: Sequence[Group] = ()
+    cell: int = 0
 
 
 @dataclass(frozen=True)
@@ -65,11 +73,35 @@ class Draft:
     root : dict
         Keys of the root, without tables and pages.
     groups : sequence of Group
-        The root's group, then one per page.
+        The root's group, then one per page of the root.
     """
 
     root: Index
     groups: Sequence[Group]
+
+
+def in_pages(draft: Draft, counts: Sequence[int]) -> Draft:
+    """Return a draft whose chunks are listed in the root and in pages, each with its segments.
+
+    Parameters
+    ----------
+    draft : Draft
+        Draft of a root without pages.
+    counts : sequence of int
+        Number of chunks of the root and of each page.
+    """
+    (whole,) = draft.groups
+    groups, first = [], 0
+    for number, count_ in enumerate(counts):
+        own = range(first, first + count_)
+        segments = [
+            part
+            for part in whole.segments
+            if (part.owner in own if part.kind in CHUNK_KINDS else not number)
+        ]
+        groups.append(Group(segments, whole.chunks[first : own.stop]))
+        first = own.stop
+    return replace(draft, groups=groups)
 
 
 def root_keys(splats: int, sh_degree: int, **changes: Value) -> Index:
@@ -153,36 +185,100 @@ def build(draft: Draft, edit: Edit | None = None, *, behind_page: bytes = b"") -
     draft : Draft
     edit : callable, optional
         Called as ``edit(number, index)`` to change an index before it is packed. Number 0 is the
-        root, 1 and up are pages. The root is packed last, so it lists the changed pages.
+        root, 1 and up are pages in file order. An index is packed after its pages, so it lists the
+        changed pages.
     behind_page : bytes
         Bytes appended to every page.
     """
+    first, *others = draft.groups
+    numbers = count(1)
+    body, pages = _pack_pages([*first.pages, *others], edit, behind_page, numbers)
+    root = draft.root | _tables(first)
+    if pages:
+        root["pages"] = pages
+    if edit:
+        edit(0, root)
+    return with_root(pack(root), b"".join(part.payload for part in first.segments) + body)
+
+
+@dataclass(frozen=True)
+class _Below:
+    """Sums over an index and all that is below it."""
+
+    segments: int
+    chunks: Sequence[ChunkRow]
+
+
+def _below(group: Group) -> _Below:
+    """Return the sums over a group and the pages below it."""
+    found = [_below(page) for page in group.pages]
+    return _Below(
+        len(group.segments) + sum(each.segments for each in found),
+        [*group.chunks, *(row for each in found for row in each.chunks)],
+    )
+
+
+def _pack_pages(
+    groups: Sequence[Group], edit: Edit | None, behind_page: bytes, numbers: Iterator[int]
+) -> tuple[bytes, Index]:
+    """Return the bytes of pages with all that is below them, and their table (SPEC 5.6)."""
     bodies: list[bytes] = []
-    entries: list[Value] = []
-    for number, group in enumerate(draft.groups[1:], start=1):
+    lengths, crcs, spans = [], [], []
+    for group in groups:
+        number = next(numbers)
+        below, pages = _pack_pages(group.pages, edit, behind_page, numbers)
         page = _tables(group)
+        if pages:
+            page["pages"] = pages
         if edit:
             edit(number, page)
         data = pack(page) + behind_page
-        span = b"".join(part.payload for part in group.segments)
+        span = b"".join(part.payload for part in group.segments) + below
         bodies += [data, span]
-        entries.append(
-            {
-                "length": len(data),
-                "crc": zlib.crc32(data),
-                "segments": len(group.segments),
-                "chunks": len(group.chunks),
-                "span": len(span),
-            }
-        )
-    first = draft.groups[0]
-    root = draft.root | _tables(first)
-    if entries:
-        root["pages"] = entries
-    if edit:
-        edit(0, root)
-    behind = b"".join([*(part.payload for part in first.segments), *bodies])
-    return with_root(pack(root), behind)
+        lengths.append(len(data))
+        crcs.append(zlib.crc32(data))
+        spans.append(len(span))
+    if not groups:
+        return b"", {}
+    sums = [_below(group) for group in groups]
+    boxes = [x for each in sums for x in _box_around([row.box for row in each.chunks])]
+    table: Index = {
+        "length": _u32(lengths),
+        "crc": _u32(crcs),
+        "segments": _u32([each.segments for each in sums]),
+        "chunks": _u32([len(each.chunks) for each in sums]),
+        "span": struct.pack(f"<{len(spans)}Q", *spans),
+        "splats": _u32([sum(row.splats for row in each.chunks) for each in sums]),
+        "box": struct.pack(f"<{len(boxes)}f", *boxes),
+        "contribution": struct.pack(
+            f"<{len(sums)}d", *(sum(row.contribution for row in each.chunks) for each in sums)
+        ),
+    }
+    if any(group.cell for group in groups):
+        table["cell"] = _u32([group.cell for group in groups])
+    return b"".join(bodies), table
+
+
+def claimed_pages(rows: int, segments: int) -> Index:
+    """Return a page table of `rows` equal pages of no chunks, with that many segments each."""
+    return {
+        "length": _u32([1] * rows),
+        "crc": bytes(4 * rows),
+        "segments": _u32([segments] * rows),
+        "chunks": bytes(4 * rows),
+        "span": struct.pack(f"<{rows}Q", *[1] * rows),
+        "splats": bytes(4 * rows),
+        "box": bytes(24 * rows),
+        "contribution": bytes(8 * rows),
+    }
+
+
+def _box_around(boxes: Sequence[Sequence[float]]) -> list[float]:
+    """Return the bounding box of boxes; zeros for none."""
+    if not boxes:
+        return [0.0] * 6
+    sides = list(zip(*boxes, strict=True))
+    return [*map(min, sides[:3]), *map(max, sides[3:])]
 
 
 def with_root(root: bytes, behind: bytes) -> bytes:

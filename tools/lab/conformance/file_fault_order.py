@@ -60,17 +60,6 @@ def _cut_to_root(data: bytes) -> bytes:
     return data[: PREAMBLE_BYTES + len(root)]
 
 
-def _page_entry(key: str, value: int) -> Change:
-    """Return a function that sets a key in the root's entry of the first page."""
-
-    def change(index: Index) -> None:
-        found = index["pages"]
-        if isinstance(found, list) and isinstance(found[0], dict):
-            found[0][key] = value
-
-    return change
-
-
 def invalid() -> list[Invalid]:
     """Return the vectors of two faults in a file, in the order of the steps of SPEC 8.1."""
     head, tail, second, second_tail = two_chunks().groups[0].segments
@@ -102,15 +91,22 @@ def invalid() -> list[Invalid]:
             "an unknown kind, and a byte behind the end"),
         bad("trailing-heads", build(with_segments(two_chunks(), [head, tail, second_tail])) + b"\0",
             "file-trailing", "3.3", "a byte behind the end, and a chunk without a head"),
-        bad("page-end", build_edited(paged_chunks(), _all(_page_entry("crc", 1), short)),
-            "page-crc", "5.6",
-            "a page elsewhere than its place, and so another CRC; an end that is not the file's"),
+        bad("page-end", build_edited(paged_chunks(), _all(_poke("pages", "crc", 0, "I", 1), short)),
+            "segments-length", "5.1",
+            "an end that is not the file's; a page elsewhere than its place, and so another CRC"),
+        bad("root-page", build_edited(paged_chunks(), _all(_poke("pages", "crc", 0, "I", 1),
+                                                           none_needed)),
+            "needs-range", "5.3", "a codebook needed that is not there; another CRC of a page"),
+        bad("pages-values", build_edited(paged_chunks(), _all(
+                _poke("pages", "box", 0, "f", 9.0), _poke("pages", "span", 0, "Q", 0),
+                key_setter("cell", b"", within="pages"))),
+            "root-columns", "5.6", "a box and a span out of range, and no cell of one page"),
         bad("end-heads", with_order([second, second_tail, head, tail], short), "segments-length",
             "5.1", "bytes that no segment holds, and heads out of order"),
         bad("heads-tails", build(with_segments(flat, [second, head, tail])), "chunk-heads", "5.4",
             "heads out of order, and a tail at SH degree 0"),
-        bad("tails-splats", with_order([tail, head, second], more), "chunk-tails", "5.4",
-            "a tail before its head, and another number of splats"),
+        bad("splats-tails", with_order([tail, head, second], more), "splat-count", "5.4",
+            "another number of splats, and a tail before its head"),
         bad("splats-needs", build_edited(uniform_chunk(), _all(more, none_needed)), "splat-count",
             "5.4",
             "another number of splats, and a codebook needed where there are none"),

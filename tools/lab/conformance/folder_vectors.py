@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import struct
 import zlib
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -90,7 +90,8 @@ def valid(files: Mapping[str, bytes]) -> list[ValidFolder]:
     return [
         one("empty", "a manifest and no objects"),
         one("one-splat", "one object"),
-        one("pages", "index pages, each with its places an object"),
+        one("pages", "pages, each with its places an object"),
+        one("pages-tree", "pages of pages: the places of a page have those that it lists"),
         one("compensation-pages", "segments of equal bytes are one object"),
         one("pictures-pages", "a description in the manifest, its pictures objects"),
         ValidFolder(
@@ -270,9 +271,10 @@ def _invalid_pages(file: bytes) -> list[InvalidFolder]:
     large = folder_of_file(file)
     paged = large[MANIFEST]
     pages_end, root = _read_root(paged)
-    rows = _read_places(paged[pages_end:], len(_read_segments(root, 0)) + len(root["pages"]))
+    pages = _read_pages(root)
+    rows = _read_places(paged[pages_end:], len(_read_segments(root, 0)) + len(pages))
     page = _path(rows[-1][0])
-    places_start = root["pages"][-1]["length"]
+    places_start = pages[-1]
     return [
         InvalidFolder(
             "folder-page-inside",
@@ -430,9 +432,12 @@ def folder_of_file(
             where[segment.position] = _object_key(content), len(content), offset
             offset += segment.length
         objects[_object_name(content)] = content
-    pages = [index.stored + _table_of(index, where) for index in indexes[1:]]
-    objects |= {_object_name(page): page for page in pages}
-    rows = [(_object_key(page), len(page), 0) for page in pages]
+    rows: dict[int, _Placement] = {}
+    # Pages below an index come before it: its table has their places.
+    for index in reversed(indexes[1:]):
+        page = index.stored + _table_of(index, where, rows)
+        objects[_object_name(page)] = page
+        rows[index.position] = _object_key(page), len(page), 0
     return {manifest: _build_manifest(data, indexes[0], where, rows), **objects}
 
 
@@ -446,8 +451,10 @@ def one_object_folder(data: bytes, around: bytes) -> Objects:
     positions = [x.position for index in indexes for x in index.segments]
     content, found = _backwards(stored, around)
     where = dict(zip(positions, found, strict=True))
-    pages = [index.stored + _table_of(index, where) for index in indexes[1:]]
-    book, rows = _backwards(pages, around)
+    # The file has no pages of pages, which one object cannot hold: tables name it by its hash.
+    pages = [index.stored + _table_of(index, where, {}) for index in indexes[1:]]
+    book, placed = _backwards(pages, around)
+    rows = dict(zip((index.position for index in indexes[1:]), placed, strict=True))
     return {
         MANIFEST: _build_manifest(data, indexes[0], where, rows),
         _object_name(content): content,
@@ -468,10 +475,10 @@ def file_of_folder(objects: Mapping[str, bytes], manifest: str = MANIFEST) -> by
     """Convert a folder into the equivalent file."""
     data = objects[manifest]
     root_end, root = _read_root(data)
-    entries = root.get("pages", [])
+    pages = _read_pages(root)
     segments = _read_segments(root, 0)
-    places_end = root_end + _placement_bytes(len(segments) + len(entries))
-    rows = _read_places(data[root_end:places_end], len(segments) + len(entries))
+    places_end = root_end + _placement_bytes(len(segments) + len(pages))
+    rows = _read_places(data[root_end:places_end], len(segments) + len(pages))
     parts, inside = [data[:root_end]], places_end
     for segment, row in zip(segments, rows, strict=False):
         if row == _INSIDE:
@@ -479,14 +486,23 @@ def file_of_folder(objects: Mapping[str, bytes], manifest: str = MANIFEST) -> by
             inside += segment.length
         else:
             parts.append(objects[_path(row[0])][row[2] :][: segment.length])
-    for entry, (key, _, offset) in zip(entries, rows[len(segments) :], strict=True):
-        page = objects[_path(key)][offset:]
-        parts.append(page[: entry["length"]])
-        segments = _read_segments(msgpack.unpackb(parts[-1]), 0)
-        places = _read_places(page[entry["length"] :], len(segments))
-        for segment, (name, _, at) in zip(segments, places, strict=True):
-            parts.append(objects[_path(name)][at : at + segment.length])
+    parts += _parts_of_pages(objects, pages, rows[len(segments) :])
     return _replace_magic(b"".join(parts), MAGIC)
+
+
+def _parts_of_pages(
+    objects: Mapping[str, bytes], pages: Sequence[int], rows: Sequence[_Placement]
+) -> Iterator[bytes]:
+    """Yield the bytes of pages, given their lengths and placements, each with all below it."""
+    for length, (key, _, offset) in zip(pages, rows, strict=True):
+        stored = objects[_path(key)][offset:]
+        yield stored[:length]
+        index = msgpack.unpackb(stored[:length])
+        segments, below = _read_segments(index, 0), _read_pages(index)
+        places = _read_places(stored[length:], len(segments) + len(below))
+        for segment, (name, _, at) in zip(segments, places, strict=False):
+            yield objects[_path(name)][at : at + segment.length]
+        yield from _parts_of_pages(objects, below, places[len(segments) :])
 
 
 @dataclass(frozen=True)
@@ -501,10 +517,15 @@ class _Segment:
 
 @dataclass(frozen=True)
 class _Index:
-    """Bytes of a page, or of preamble and root, and the segments that it lists."""
+    """Bytes of a page, or of preamble and root, its offset, and what it lists.
+
+    Segments, and offsets of pages in the file, bytes.
+    """
 
     stored: bytes
+    position: int
     segments: list[_Segment]
+    pages: list[int]
 
 
 # Location of a segment or page: key of its object, size of the object, and offset in it, bytes.
@@ -517,23 +538,53 @@ _INSIDE: Final[_Placement] = (bytes(16), 0, 0)
 def _read_indexes(data: bytes) -> list[_Index]:
     """Return root and pages of a file with the segments that each lists."""
     root_end, root = _read_root(data)
-    found = [_Index(data[:root_end], _read_segments(root, root_end))]
-    position = root_end + sum(segment.length for segment in found[0].segments)
-    for page in root.get("pages", []):
-        body = data[position : position + page["length"]]
-        position += page["length"]
-        found.append(_Index(body, _read_segments(msgpack.unpackb(body), position)))
-        position += page["span"]
-    return found
+    return _add_indexes(data, root, 0, root_end)
 
 
-def _table_of(index: _Index, where: Mapping[int, _Placement]) -> bytes:
-    """Return the packed placement table of an index, given the placement of each segment."""
-    return _placement_table([where[segment.position] for segment in index.segments])
+def _add_indexes(data: bytes, index: Mapping[str, object], start: int, end: int) -> list[_Index]:
+    """Return an index, given where it begins and ends, and all indices below it in file order."""
+    segments = _read_segments(index, end)
+    position = end + sum(segment.length for segment in segments)
+    starts: list[int] = []
+    below: list[_Index] = []
+    for length in _read_pages(index):
+        starts.append(position)
+        page = msgpack.unpackb(data[position : position + length])
+        found = _add_indexes(data, page, position, position + length)
+        below += found
+        last = found[-1]
+        position = last.position + len(last.stored) + sum(x.length for x in last.segments)
+    return [_Index(data[start:end], start, segments, starts), *below]
+
+
+def _read_pages(index: Mapping[str, object]) -> list[int]:
+    """Return the lengths of the pages that an index lists, bytes."""
+    pages = index.get("pages")
+    lengths = pages["length"] if isinstance(pages, dict) else b""
+    return [length for (length,) in struct.iter_unpack("<I", lengths)]
+
+
+def _table_of(
+    index: _Index, where: Mapping[int, _Placement], pages: Mapping[int, _Placement]
+) -> bytes:
+    """Return the packed placement table of an index.
+
+    Parameters
+    ----------
+    index : _Index
+    where, pages : mapping of int to _Placement
+        Placement of each segment, and of each page, by its offset in the file.
+    """
+    return _placement_table(
+        [
+            *(where[segment.position] for segment in index.segments),
+            *(pages[at] for at in index.pages),
+        ]
+    )
 
 
 def _build_manifest(
-    data: bytes, root: _Index, where: Mapping[int, _Placement], pages: Sequence[_Placement]
+    data: bytes, root: _Index, where: Mapping[int, _Placement], pages: Mapping[int, _Placement]
 ) -> bytes:
     """Return a folder's manifest: preamble, root, placement table, and the segments inside.
 
@@ -545,13 +596,13 @@ def _build_manifest(
         Root of the file.
     where : mapping of int to _Placement
         Placement of each segment by its offset in the file.
-    pages : sequence of _Placement
-        Placement of each page.
+    pages : mapping of int to _Placement
+        Placement of each page by its offset in the file.
     """
     rows = [where[segment.position] for segment in root.segments]
     inside = (x.position for x, row in zip(root.segments, rows, strict=True) if row == _INSIDE)
     lengths = {segment.position: segment.length for segment in root.segments}
-    stored = root.stored + _placement_table([*rows, *pages])
+    stored = root.stored + _table_of(root, where, pages)
     stored += b"".join(data[at : at + lengths[at]] for at in inside)
     return _replace_magic(stored, MANIFEST_MAGIC)
 
@@ -588,7 +639,7 @@ def _first_length(data: bytes, length: int) -> bytes:
     return seal(poke(head, 24, "I", zlib.crc32(stored))) + stored
 
 
-def _read_root(data: bytes) -> tuple[int, dict[str, list[dict[str, int]]]]:
+def _read_root(data: bytes) -> tuple[int, dict[str, dict[str, bytes]]]:
     """Return the end of a file's root, bytes, and the root unpacked from msgpack."""
     (length,) = struct.unpack_from("<I", data, 12)
     return PREAMBLE_BYTES + length, msgpack.unpackb(data[PREAMBLE_BYTES : PREAMBLE_BYTES + length])

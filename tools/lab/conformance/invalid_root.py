@@ -8,7 +8,7 @@ import struct
 from cogsplat.formats.cogs.canonical_msgpack import Value
 from cogsplat.formats.cogs.layout import MAGIC
 
-from .file_builder import Index, build, poke, preamble_field, split_root, with_root
+from .file_builder import Index, build, claimed_pages, poke, preamble_field, split_root, with_root
 from .invalid import Invalid, build_edited, key_setter, no_splats, paged_chunks, uniform_chunk
 
 
@@ -179,7 +179,7 @@ def roots() -> list[Invalid]:
         value("box-infinite", "box", [-math.inf, *numbers[:5]], "an infinite corner"),
         value("writer-256", "writer", "x" * 256, "a text of 256 bytes"),
         value("codebooks-33", "codebooks", [book] * 33, "33 codebooks"),
-        value("pages-129", "pages", [_page()] * 129, "129 pages"),
+        value("pages-129", "pages", claimed_pages(129, 1), "129 pages"),
         value(
             "colour-cmyk", "colour_space", "cmyk", "an unknown colour space", "colour-space-unknown"
         ),
@@ -212,11 +212,6 @@ def _viewpoint(*, y: float = 2.0, focal: float = 500.0) -> bytes:
     return struct.pack("<4f", 1.0, y, -3.0, focal)
 
 
-def _page() -> Value:
-    """Return a valid entry of the key ``pages``."""
-    return {"length": 1, "crc": 0, "segments": 1, "chunks": 0, "span": 1}
-
-
 def _must_understand() -> list[Invalid]:
     """Return the vectors of an unknown key that ends in ``!``, in each map of the index."""
     book: Value = {"attribute": "shape", "rows": 1, "new!": 1}
@@ -227,6 +222,7 @@ def _must_understand() -> list[Invalid]:
         "codebook": build_edited(no_splats(), key_setter("codebooks", [book])),
         "first-view": build_edited(no_splats(), key_setter("first_view", _view() | {"new!": 1})),
         "page": build_edited(paged_chunks(), key_setter("new!", 1), 1),
+        "pages": build_edited(paged_chunks(), key_setter("new!", 1, within="pages")),
     }
     return [
         Invalid(

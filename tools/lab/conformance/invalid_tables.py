@@ -17,6 +17,7 @@ from .file_builder import (
     Group,
     Index,
     build,
+    claimed_pages,
     column,
     pack_streams,
     poke,
@@ -200,15 +201,17 @@ def codebook_tables() -> list[Invalid]:
 
 
 def index_pages() -> list[Invalid]:
-    """Return the vectors of invalid index pages (SPEC 5.6) and of tables above a limit."""
+    """Return the vectors of invalid pages (SPEC 5.6) and of tables above a limit."""
 
-    def entry(name: str, key: str, content: int, code: str, note: str, clause: str) -> Invalid:
-        def change(index: Index) -> None:
-            found = index["pages"]
-            if isinstance(found, list) and isinstance(found[0], dict):
-                found[0][key] = content
+    def entry(
+        name: str, key: str, layout: str, content: float, code: str, note: str, clause: str = "5.6"
+    ) -> Invalid:
+        data = _poked(paged_chunks(), "pages", key, 0, layout, content)
+        return Invalid(name, data, code, clause, note)
 
-        return Invalid(name, build_edited(paged_chunks(), change), code, clause, note)
+    def column_of(name: str, key: str, content: Value, code: str, note: str) -> Invalid:
+        data = build_edited(paged_chunks(), key_setter(key, content, within="pages"))
+        return Invalid(name, data, code, "5.6", note)
 
     whole = paged_chunks()
     first, second = whole.groups
@@ -218,25 +221,39 @@ def index_pages() -> list[Invalid]:
                 Group([first.segments[1], *second.segments], [])],
     )  # fmt: skip
     listed = len(build(two_chunks()))
-    claim: Value = {
-        "length": 100,
-        "crc": 0,
-        "segments": 1 << 19,
-        "chunks": 0,
-        "span": 1,
-    }
+    deep = Group(second.segments, second.chunks)
+    for _ in range(3):
+        deep = Group([Segment(200, 0, b"page")], [], [deep])
     return [
-        entry("page-crc", "crc", 1, "page-crc", "another CRC in the root", "5.6"),
+        entry("page-crc", "crc", "I", 1, "page-crc", "another CRC in the root"),
         entry(
-            "page-segments", "segments", 3, "page-entry", "three segments stated, two there", "5.6"
+            "page-segments", "segments", "I", 3, "page-entry", "three segments stated, two there"
         ),
-        entry("page-chunks", "chunks", 2, "page-entry", "two chunks stated, one there", "5.6"),
-        entry("page-span", "span", listed, "page-entry", "another span stated", "5.6"),
-        entry("page-empty", "length", 0, "root-value", "a page of no bytes", "5.6"),
-        entry("page-large", "length", (1 << 20) + 1, "root-value", "a page over 1 MiB", "5.6"),
-        entry("page-no-segments", "segments", 0, "root-value", "a page of no segments", "5.6"),
-        entry("page-span-2-53", "span", (1 << 53) - 1, "page-entry", "a span of 2^53 - 1", "5.6"),
-        entry("page-beyond", "length", 1 << 20, "segments-length", "ends behind the file", "5.1"),
+        entry("page-chunks", "chunks", "I", 2, "page-entry", "two chunks stated, one there"),
+        *_shifted(),
+        entry("page-span", "span", "Q", listed, "segments-length", "another span stated", "5.1"),
+        entry("page-splats", "splats", "I", 3, "splat-count", "another number of splats", "5.4"),
+        entry("page-empty", "length", "I", 0, "root-value", "a page of no bytes"),
+        entry("page-large", "length", "I", (1 << 20) + 1, "root-value", "a page over 1 MiB"),
+        entry("page-no-segments", "segments", "I", 0, "root-value", "a page of no segments"),
+        entry("page-chunks-3", "chunks", "I", 3, "root-value", "three chunks in two segments"),
+        entry("page-span-0", "span", "Q", 0, "root-value", "nothing behind a page"),
+        entry("page-span-2-53", "span", "Q", 1 << 53, "root-value", "a span of 2^53"),
+        entry("page-splats-2-31", "splats", "I", 1 << 31, "root-value", "2^31 splats"),
+        entry("page-box-nan", "box", "f", math.nan, "root-value", "NaN in the box of a page"),
+        entry("page-box-turned", "box", "f", 9.0, "root-value", "minimum above maximum"),
+        entry(
+            "page-contribution", "contribution", "d", -1.0, "root-value", "a negative contribution"
+        ),
+        column_of("pages-no-whole", "length", bytes(3), "root-columns", "lengths of 3 bytes"),
+        column_of("pages-cells", "cell", bytes(8), "root-columns", "two cells of one page"),
+        column_of("pages-text", "span", "1", "root-type", "a text for a column"),
+        Invalid("pages-no-splats", _without(paged_chunks(), "pages", "splats"), "root-missing",
+                "5.6", "no splats"),
+        entry("page-beyond", "length", "I", 1 << 20, "segments-length", "ends behind the file",
+              "5.1"),
+        Invalid("pages-deep", build(replace(whole, groups=[first, deep])), "root-value", "5.6",
+                "pages four deep"),
         Invalid(
             "page-heads-late", build(late), "chunk-heads", "5.4", "chunks listed before their heads"
         ),
@@ -249,7 +266,7 @@ def index_pages() -> list[Invalid]:
         ),
         Invalid(
             "segments-2-20",
-            build_edited(uniform_chunk(), key_setter("pages", [claim, claim])),
+            build_edited(uniform_chunk(), key_setter("pages", claimed_pages(2, 1 << 19))),
             "segment-count",
             "9.1",
             "2^20 + 1 segments",
@@ -262,7 +279,79 @@ def index_pages() -> list[Invalid]:
             "half a million splats in a kilobyte",
             "decode",
         ),
+        *_elsewhere(),
+    ]  # fmt: skip
+
+
+def _shifted() -> list[Invalid]:
+    """Return the vectors of two pages whose rows state other numbers, though the sums are right."""
+    whole = paged_chunks()
+    first, second = whole.groups
+    third = Group([Segment(200, 0, b"page"), Segment(201, 0, b"page")], [])
+    draft = replace(whole, groups=[first, second, third])
+
+    def shifted(key: str, layout: str, wide: int, note: str) -> Invalid:
+        def change(index: Index) -> None:
+            data = column(index, "pages", key)
+            one, other = struct.unpack(f"<2{layout}", data)
+            data = poke(data, 0, layout, one - 1)
+            table(index, "pages")[key] = poke(data, wide, layout, other + 1)
+
+        name = f"page-{key}-shifted"
+        return Invalid(name, build_edited(draft, change), "page-entry", "5.6", note)
+
+    return [
+        shifted("segments", "I", 4, "a segment stated of the next page"),
+        shifted("span", "Q", 8, "a byte stated of the next page"),
+        shifted("splats", "I", 4, "a splat stated of the next page"),
     ]
+
+
+def _elsewhere() -> list[Invalid]:
+    """Return the vectors of segments that another index has to list (SPEC 5.2)."""
+
+    def bad(name: str, draft: Draft, code: str, clause: str, note: str) -> Invalid:
+        return Invalid(f"page-{name}", build(draft), code, clause, note)
+
+    def in_page(draft: Draft, *segments: Segment) -> Draft:
+        first, second = draft.groups
+        return replace(
+            draft, groups=[first, replace(second, segments=[*second.segments, *segments])]
+        )
+
+    whole = paged_chunks()
+    first, second = whole.groups
+    swapped = replace(
+        whole,
+        groups=[
+            Group([first.segments[0]], first.chunks),
+            Group([*second.segments, first.segments[1]], second.chunks),
+        ],
+    )
+    listed = replace(whole, root=whole.root | {"attributes": [{"name": "label", "type": "u1"}]})
+    books = chunk_with_codebooks()
+    shape, *others = books.groups[0].segments
+    book = replace(books, groups=[Group(others, books.groups[0].chunks), Group([shape], [])])
+    head = replace(whole, groups=[first, replace(second, segments=first.segments)])
+    camera = Segment(SegmentKind.CAMERAS, 0, b"\x80")
+    layer = Segment(SegmentKind.COMPENSATION, 0, b"\x80")
+    tables = [Segment(SegmentKind.VIEW_TABLE, 0, b"\x80")] * 2
+    return [
+        bad("head", head, "chunk-heads", "5.4", "a page with the head of a chunk of the root"),
+        bad("tail", swapped, "chunk-tails", "5.4", "a page with the tail of a chunk of the root"),
+        bad("refinement", in_page(whole, Segment(SegmentKind.REFINEMENT, 0, b"\0\0")),
+            "chunk-refinements", "5.4", "a page with the refinement of a chunk of the root"),
+        bad("opacities", in_page(whole, Segment(SegmentKind.OPACITIES, 0, b"\0\0")),
+            "chunk-opacities", "5.11", "a page with opacities of a chunk of the root"),
+        bad("attributes", in_page(listed, Segment(SegmentKind.ATTRIBUTES, 0, b"\0\0")),
+            "attribute-segments", "5.7", "a page with attributes of a chunk of the root"),
+        bad("codebook", book, "codebook-segments", "5.5", "a codebook that a page lists"),
+        bad("cameras", in_page(whole, camera), "camera-segments", "5.8", "cameras in a page"),
+        bad("compensation", in_page(whole, layer), "compensation-segments", "5.9",
+            "a layer in a page"),
+        bad("view-tables", in_page(whole, *tables), "view-table-segments", "5.12",
+            "two view tables in a page"),
+    ]  # fmt: skip
 
 
 def _two_largest_chunks() -> bytes:

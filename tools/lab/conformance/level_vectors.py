@@ -18,6 +18,7 @@ from .file_builder import (
     Group,
     Index,
     build,
+    in_pages,
     pack_streams,
     payload,
     record,
@@ -129,22 +130,8 @@ def _compensated_ending() -> Draft:
 def valid() -> list[Valid]:
     """Return the valid vectors of chunks that end and of levels (SPEC 5.10, 5.11, 7.5)."""
     ending, levelled = _ending_chunks(), _three_levels()
-    own, late = ending.groups[0], levelled.groups[0]
-    ends = replace(
-        ending,
-        groups=[
-            Group(own.segments[:3], own.chunks[:2]),
-            Group(own.segments[3:], own.chunks[2:]),
-        ],
-    )
-    levels = replace(
-        levelled,
-        groups=[
-            Group(late.segments[:5], late.chunks[:2]),
-            Group(late.segments[5:7], late.chunks[2:3]),
-            Group(late.segments[7:], late.chunks[3:]),
-        ],
-    )
+    rest = len(levelled.groups[0].chunks) - 3
+    ends, levels = in_pages(ending, [2, 2]), in_pages(levelled, [2, 1, rest])
     return [
         Valid("ends", build(ending), ("5.10", "8.2"),
               "four chunks of which two end, one of them with the file"),

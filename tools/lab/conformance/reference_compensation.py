@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import msgpack
 
@@ -106,47 +106,80 @@ def shifts(
     return out
 
 
-def closed_sets(cells: Sequence[int]) -> list[list[int]]:
+def closed_sets(parents: Sequence[int | None]) -> list[list[int]]:
     """Return the sets of chunks that contain the parent of each member and are not prefixes.
 
     Parameters
     ----------
-    cells : sequence of int
-        Cell of each chunk, at least 1 (SPEC 5.4); few chunks, as the number of sets is 2^chunks.
+    parents : sequence of (int or None)
+        Parent of each chunk (SPEC 5.4); few chunks, as the number of sets is 2^chunks.
     """
     sets = [
-        [chunk for chunk in range(len(cells)) if number >> chunk & 1]
-        for number in range(1, 1 << len(cells))
+        [chunk for chunk in range(len(parents)) if number >> chunk & 1]
+        for number in range(1, 1 << len(parents))
     ]
     return [
         chosen
         for chosen in sets
         if chosen != list(range(len(chosen)))
-        and all(parent(cells, chunk) in (None, *chosen) for chunk in chosen)
+        and all(parents[chunk] in (None, *chosen) for chunk in chosen)
     ]
 
 
-def parent(cells: Sequence[int], chunk: int) -> int | None:
-    """Return the parent of a chunk: the last earlier one of the same or an enclosing cell (5.4)."""
-    around = [cells[chunk] >> k for k in range(32)]
-    return next((c for c in range(chunk - 1, -1, -1) if cells[c] in around), None)
+def set_shifts(
+    payloads: Sequence[bytes],
+    sizes: Sequence[int],
+    parents: Sequence[int | None],
+    chosen: Sequence[int],
+    chunk: int,
+) -> list[Pair] | None:
+    """Return the shifts of the splats of a file, of which those of a chunk of a set are right.
 
+    Parameters
+    ----------
+    payloads : sequence of bytes
+        Payloads of the compensation layers, in order.
+    sizes : sequence of int
+        Splats of each chunk of the file.
+    parents : sequence of (int or None)
+        Parent of each chunk.
+    chosen : sequence of int
+        Chunks of the set, ascending.
+    chunk : int
+        Chunk of the set.
 
-def equivalent_prefix(
-    cells: Sequence[int], sizes: Sequence[int], chosen: Sequence[int], chunk: int
-) -> int:
-    """Return the length of the prefix whose shifts a chunk of a set uses (SPEC 8.5)."""
+    Returns
+    -------
+    list of (float, float), or None
+        None if the chunk is not compensated.
+    """
+
+    def splats(chunks: Iterable[int]) -> int:
+        """Return the splats of the chunk's descendants among some chunks."""
+        return sum(sizes[other] for other in chunks if descends(other))
 
     def descends(other: int | None) -> bool:
         while other is not None and other != chunk:
-            other = parent(cells, other)
+            other = parents[other]
         return other == chunk
 
-    held = sum(sizes[other] for other in chosen if descends(other))
+    held, every = splats(chosen), range(len(sizes))
     lengths = range(max(chosen) + 1, 0, -1)
-    return next(
-        m for m in lengths if sum(sizes[other] for other in range(m) if descends(other)) <= held
-    )
+    prefix = next(m for m in lengths if splats(range(m)) <= held)
+    last = len(msgpack.unpackb(payloads[-1])["scales"])
+    if prefix <= last:
+        return shifts(payloads, sizes, prefix)
+    if held == splats(every):
+        return None
+    before = splats(range(last))
+    part = _f32((held - before) / (splats(every) - before))
+    # From the shifts of the last layer to none.
+    whole = shifts(payloads, sizes, last) or []
+    fading = [
+        (_f32(s + _f32(_f32(0.0 - s) * part)), _f32(o + _f32(_f32(0.0 - o) * part)))
+        for s, o in whole
+    ]
+    return fading + [(0.0, 0.0)] * (sum(sizes) - len(fading))
 
 
 def add_shift(values: Sequence[float], shift: float) -> list[float]:

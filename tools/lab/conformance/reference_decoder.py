@@ -41,6 +41,7 @@ _NAMES: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
 Rows = dict[str, list[Row]]
 """Decoded splats: rows of values of each array, by array name."""
 Camera = dict[str, str | int | float | list[float]]
+IndexPath = tuple[int, ...]
 Viewpoint = tuple[list[float], list[int], list[float]]
 """Position, direction, and share of each chunk."""
 Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
@@ -106,8 +107,11 @@ class Scene:
         number.
     cameras : list of dict
         Cameras with the keys of `first_view` and ``name``.
-    view_table : list of (list of float, list of int, list of float)
-        Position, direction and shares of each viewpoint.
+    view_tables : list of (path, list of (list of float, list of int, list of float))
+        Position, direction and shares of each viewpoint of the table of each index that has one,
+        with the path of the index: the rows of pages from the root on.
+    parents : list of (int or None)
+        Parent of each chunk; empty in a scene that is not cut into cells.
     description : dict or None
         Map of the description; None without one.
     pictures : dict of str to Picture
@@ -131,7 +135,8 @@ class Scene:
     attributes: list[tuple[str, str, int]]
     attribute_values: dict[int, list[bytes]]
     cameras: list[Camera]
-    view_table: list[Viewpoint]
+    view_tables: list[tuple[IndexPath, list[Viewpoint]]]
+    parents: list[int | None]
     description: Json
     pictures: dict[str, Picture]
     compensated: dict[int, Row]
@@ -153,14 +158,39 @@ class _File:
         self.chunk_splats: list[int] = []
         self.until: list[int] = []
         self.cells: list[int] = []
+        # Index that lists each chunk, and each segment.
+        self.chunk_paths: list[IndexPath] = []
+        self.paths: list[IndexPath] = []
         # End offset of the index that lists each segment.
         self.known_at: list[int] = []
-        position = self._add(self.root, self.root_end)
-        for page in self.root.get("pages", []):
-            end = position + page["length"]
-            position = self._add(msgpack.unpackb(data[position:end]), end)
+        # Number of columns of a view table of each index: its chunks and pages.
+        self.columns: dict[IndexPath, int] = {}
+        self._add(self.root, self.root_end, ())
 
-    def _add(self, index: dict[str, dict[str, bytes]], start: int) -> int:
+    def _add(self, index: dict[str, dict[str, bytes]], start: int, path: IndexPath) -> int:
+        """Append what an index lists and all below it; return the offset behind."""
+        position = self._add_tables(index, start, path)
+        lengths = index.get("pages", {}).get("length", b"")
+        for row, (length,) in enumerate(struct.iter_unpack("<I", lengths)):
+            end = position + length
+            position = self._add(msgpack.unpackb(self.data[position:end]), end, (*path, row))
+        self.columns[path] = len(index["chunks"]["splats"]) // 4 + len(lengths) // 4
+        return position
+
+    def parents(self) -> list[int | None]:
+        """Return each chunk's parent (SPEC 5.4)."""
+        found: list[int | None] = []
+        for chunk, (cell, path) in enumerate(zip(self.cells, self.chunk_paths, strict=True)):
+            around = [cell >> k for k in range(32)]
+            before = (
+                c
+                for c, above in reversed(list(enumerate(self.chunk_paths[:chunk])))
+                if self.cells[c] in around and path[: len(above)] == above
+            )
+            found.append(next(before, None) if cell else None)
+        return found
+
+    def _add_tables(self, index: dict[str, dict[str, bytes]], start: int, path: IndexPath) -> int:
         """Append the segments and chunks of an index; return the offset after its payloads."""
         table = index["segments"]
         columns = [
@@ -174,8 +204,10 @@ class _File:
         for kind, owner, length, needs in zip(*columns, strict=True):
             self.segments.append(Segment(kind, owner, position, position + length, needs))
             self.known_at.append(start)
+            self.paths.append(path)
             position += length
         splats = index["chunks"]["splats"]
+        self.chunk_paths += [path] * (len(splats) // 4)
         self.chunk_splats += struct.unpack(f"<{len(splats) // 4}I", splats)
         for name, values in (("until", self.until), ("cell", self.cells)):
             column = index["chunks"].get(name, bytes(len(splats)))
@@ -332,13 +364,19 @@ def _cameras(file: _File) -> list[Camera]:
     return out
 
 
-def _view_table(file: _File) -> list[Viewpoint]:
-    """Return the viewpoints of a file's view table (SPEC 5.12)."""
-    found = file.segments_of(_VIEW_TABLE, 0)
-    if not found:
-        return []
-    table = msgpack.unpackb(file.data[found[0].start : found[0].end])
-    views, chunks = len(table["position"]) // 12, len(file.chunk_splats)
+def _view_tables(file: _File) -> list[tuple[IndexPath, list[Viewpoint]]]:
+    """Return the view table of each index that lists one, with the path of the index."""
+    return [
+        (path, _view_table(file, segment, file.columns[path]))
+        for segment, path in zip(file.segments, file.paths, strict=True)
+        if segment.kind == _VIEW_TABLE
+    ]
+
+
+def _view_table(file: _File, segment: Segment, chunks: int) -> list[Viewpoint]:
+    """Return the viewpoints of a view table, whose columns are `chunks` (SPEC 5.12)."""
+    table = msgpack.unpackb(file.data[segment.start : segment.end])
+    views = len(table["position"]) // 12
     (word,) = struct.unpack_from("<I", table["codes"])
     differences = streams.plane(word, table["codes"][4:], views * chunks)
     codes = [0] * chunks
@@ -402,6 +440,10 @@ def _compensated(file: _File, rows: Rows) -> dict[int, Row]:
     payloads = [file.data[s.start : s.end] for s in sorted(segments, key=lambda s: s.owner)]
     owners = [c for c, count in enumerate(file.chunk_splats) for _ in range(count)]
     out: dict[int, Row] = {}
+    if payloads and all(file.cells):
+        for chunks in range(1, len(file.chunk_splats) + 1):
+            out[chunks] = _compensated_set(file, rows, payloads, list(range(chunks)))
+        return out
     for chunks in range(1, len(file.chunk_splats) + 1) if payloads else ():
         shifts = compensation.shifts(payloads, file.chunk_splats, chunks)
         scales: Row = []
@@ -428,23 +470,28 @@ def _compensated_sets(file: _File, rows: Rows) -> list[tuple[list[int], Row]]:
     payloads = [file.data[s.start : s.end] for s in sorted(segments, key=lambda s: s.owner)]
     if not payloads or not all(file.cells):
         return []
+    return [
+        (chosen, _compensated_set(file, rows, payloads, chosen))
+        for chosen in compensation.closed_sets(file.parents())
+    ]
+
+
+def _compensated_set(file: _File, rows: Rows, payloads: list[bytes], chosen: list[int]) -> Row:
+    """Return the compensated scales and opacities of a set of chunks (SPEC 8.5)."""
     starts = [sum(file.chunk_splats[:chunk]) for chunk in range(len(file.chunk_splats))]
-    out = []
-    for chosen in compensation.closed_sets(file.cells):
-        scales: Row = []
-        opacities: Row = []
-        for chunk in chosen:
-            prefix = compensation.equivalent_prefix(file.cells, file.chunk_splats, chosen, chunk)
-            shifts = compensation.shifts(payloads, file.chunk_splats, prefix)
-            for place in range(starts[chunk], starts[chunk] + file.chunk_splats[chunk]):
-                if shifts is None:
-                    scales += rows["scales"][place]
-                    opacities += rows["opacities"][place]
-                else:
-                    scales += compensation.add_shift(rows["scales"][place], shifts[place][0])
-                    opacities += compensation.add_shift(rows["opacities"][place], shifts[place][1])
-        out.append((chosen, scales + opacities))
-    return out
+    parents = file.parents()
+    scales: Row = []
+    opacities: Row = []
+    for chunk in chosen:
+        shifts = compensation.set_shifts(payloads, file.chunk_splats, parents, chosen, chunk)
+        for place in range(starts[chunk], starts[chunk] + file.chunk_splats[chunk]):
+            if shifts is None:
+                scales += rows["scales"][place]
+                opacities += rows["opacities"][place]
+            else:
+                scales += compensation.add_shift(rows["scales"][place], shifts[place][0])
+                opacities += compensation.add_shift(rows["opacities"][place], shifts[place][1])
+    return scales + opacities
 
 
 def _prefixes(file: _File) -> list[Prefix]:
@@ -553,7 +600,8 @@ def decode(data: bytes, *, refine: bool = True) -> Scene:
         attributes=_attribute_types(file),
         attribute_values=_attributes(file),
         cameras=_cameras(file),
-        view_table=_view_table(file),
+        view_tables=_view_tables(file),
+        parents=file.parents() if all(file.cells) else [],
         description=_description(file),
         pictures=_pictures(file),
         compensated=_compensated(file, every_row),

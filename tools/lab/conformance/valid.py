@@ -292,18 +292,41 @@ def _chunks() -> Valid:
 
 
 def _pages() -> Valid:
-    """Return the vector of three index pages, some tails in later pages than their heads."""
+    """Return the vector of three pages of the root."""
     parts = _plain([5, 6, 7, 8, 9], 1)
     groups = [
         Group(parts[0], [ChunkRow(5)]),
-        Group([parts[1][0], parts[2][0], parts[1][1]], [ChunkRow(6), ChunkRow(7)]),
-        Group([*parts[3], parts[2][1]], [ChunkRow(8)]),
+        Group([parts[1][0], parts[2][0], parts[2][1], parts[1][1]], [ChunkRow(6), ChunkRow(7)]),
+        Group(parts[3], [ChunkRow(8)]),
         Group(parts[4], [ChunkRow(9, layer=1, cell=4, object=2)]),
     ]
     data = build(Draft(root_keys(35, 1), groups))
     return Valid(
-        "pages", data, ("5.6", "8.2"), "three index pages, tails in later pages than heads"
+        "pages", data, ("5.6", "8.2"), "three pages of the root, tails late and out of order"
     )
+
+
+def _page_tree() -> Valid:
+    """Return the vector of pages three deep, whose chunks are numbered depth first."""
+    sizes = [5, 6, 7, 8, 9, 4, 3]
+    parts = _plain(sizes, 1)
+    rows = [
+        ChunkRow(size, (-8.0, -8.0, -8.0, 8.0, 8.0, 8.0 - 0.5 * i), 9.0 - i, cell=cell)
+        for i, (size, cell) in enumerate(zip(sizes, [1, 2, 8, 17, 5, 6, 3], strict=True))
+    ]
+
+    def page(chunk: int, cell: int, *pages: Group) -> Group:
+        return Group(parts[chunk], rows[chunk : chunk + 1], pages, cell)
+
+    groups = [
+        Group(parts[0], rows[:1]),
+        page(1, 2, page(2, 4, page(3, 8)), page(4, 5)),
+        page(5, 3),
+        Group([*parts[6], Segment(200, 7, b"last")], rows[6:], cell=3),
+    ]
+    data = build(Draft(root_keys(sum(sizes), 1), groups))
+    note = "pages of pages, three deep: chunks depth first, parents only in indices above"
+    return Valid("pages-tree", data, ("5.1", "5.4", "5.6", "8.2"), note)
 
 
 def _pages_only() -> Valid:
@@ -420,9 +443,7 @@ def _unknown_keys() -> Valid:
             index["next"] = None
             return
         index.update(extra)
-        pages = index["pages"]
-        if isinstance(pages, list) and isinstance(pages[0], dict):
-            pages[0]["why"] = {"a": []}
+        table(index, "pages")["why"] = {"a": []}
 
     books: list[Value] = [{"attribute": "shape", "rows": 2, "seed": 7}]
     book = Segment(SegmentKind.SHAPE_CODEBOOK, 0, pack_streams(handmade.shape_codebook(2, 1)))
@@ -500,6 +521,7 @@ def valid() -> list[Valid]:
         _bands_absent(),
         _book_band_absent(),
         _pages(),
+        _page_tree(),
         _pages_only(),
         _root_values(),
         _unknown_segments(),

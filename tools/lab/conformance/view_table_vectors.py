@@ -54,14 +54,19 @@ def _draft(payloads: Sequence[bytes]) -> Draft:
 
 
 def _in_pages(draft: Draft) -> Draft:
-    """Return the draft with its chunks listed in the root and two pages."""
+    """Return the draft with its chunks listed in the root and two pages, each with a table."""
     group = draft.groups[0]
+    first, *heads = (x for x in group.segments if x.kind == SegmentKind.HEAD)
+    tables = [
+        Segment(SegmentKind.VIEW_TABLE, 0, pack(_table(views, _stored_plane(codes))))
+        for views, codes in ((2, bytes([9, 250, 3, 1, 255, 0])), (1, bytes([255, 128])))
+    ]
     return replace(
         draft,
         groups=[
-            Group(group.segments[:1], group.chunks[:1]),
-            Group(group.segments[1:3], group.chunks[1:2]),
-            Group(group.segments[3:], group.chunks[2:]),
+            Group([first, tables[0]], group.chunks[:1]),
+            Group(heads[:1], group.chunks[1:2]),
+            Group([heads[1], tables[1], heads[2]], group.chunks[2:]),
         ],
     )
 
@@ -81,7 +86,7 @@ def valid() -> list[Valid]:
         Valid("view-table-64", build(_draft([pack(_compressed_table() | {"later": 1})])),
               ("4.3", "5.12"), "64 viewpoints in a zstd frame, with a key of a later version"),
         Valid("view-table-pages", build(_in_pages(_draft([pack(_THREE)]))), ("5.6", "5.12"),
-              "a view table that a page lists, of chunks of later pages too"),
+              "a table of the root, of a chunk and two pages, and one of a page"),
     ]  # fmt: skip
 
 

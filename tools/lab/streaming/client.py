@@ -137,7 +137,7 @@ def units_of(file: CogsFile) -> Units:
     end = file.offsets[rows].astype(np.int64) + size
     # The first segment of the file follows the root.
     index = int(file.offsets[0]) if len(file.offsets) else file.file_length
-    index += sum(page.length for page in file.root.pages)
+    index += sum(file.page_bytes)
     return Units(kind, chunk, end, size, dependencies, index)
 
 

@@ -1,0 +1,136 @@
+"""Tree of the chunks of a scene cut into cells: which chunks one index of the file lists.
+
+The root lists the first chunks, which show the whole scene coarsely. All others are below pages,
+those of one cell below one page, so that a client at one place of a city reads few pages.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+I64 = NDArray[np.int64]
+
+ROOT_CHUNKS: Final = 64
+"""Chunks that the root lists at most: with the pages, 14 of its 16 KiB."""
+
+_ROOT_PAGES: Final = 32
+"""Pages that the root lists at most."""
+
+# Chunks and pages that a page lists at most: about 20 KB. Root and two levels of pages then list
+# 300,000 chunks, more than 10^9 splats have, so that three requests lead to each chunk. Pages of 64
+# chunks and 32 pages took a fourth request.
+_PAGE_CHUNKS: Final = 96
+_PAGE_PAGES: Final = 96
+
+# Levels of pages (SPEC 5.6).
+_DEPTH: Final = 3
+
+
+@dataclass(frozen=True, eq=False)
+class ChunkTree:
+    """Chunks that an index lists, and the trees of its pages.
+
+    Parameters
+    ----------
+    chunks : (c,) int64
+        Positions of the chunks of the index in the order given.
+    pages : tuple of ChunkTree
+        Trees of the pages, depth first by cell.
+    """
+
+    chunks: I64
+    pages: tuple[ChunkTree, ...] = ()
+
+    def order(self) -> I64:
+        """Return the positions of all chunks in the order of the file: depth first (SPEC 5.4)."""
+        return np.concatenate([self.chunks, *(page.order() for page in self.pages)])
+
+
+def chunk_tree(cells: NDArray[np.integer]) -> ChunkTree:
+    """Distribute chunks over the root and pages that follow the cells.
+
+    Each index lists the first chunks of what is below it. The others are grouped by cells: the
+    largest cell is halved until all have few enough chunks for one page, or there are enough pages.
+
+    Parameters
+    ----------
+    cells : (c,) integer
+        Cell number of each chunk, at least 1, in the order in which pictures need the chunks.
+
+    Returns
+    -------
+    ChunkTree
+        Tree of the root. Where the chunks stand in its order already, that is the order given.
+
+    Examples
+    --------
+    >>> from cogsplat.codec.partition.chunk_tree import chunk_tree
+    >>> cells = np.concatenate([np.ones(64, np.int64), np.tile([2, 3], 80)])
+    >>> tree = chunk_tree(cells)
+    >>> len(tree.chunks), [len(page.chunks) for page in tree.pages]
+    (64, [80, 80])
+    """
+    numbers = cells.astype(np.int64)
+    return _tree(np.arange(len(numbers)), numbers, ROOT_CHUNKS, _ROOT_PAGES, _DEPTH)
+
+
+def _tree(chunks: I64, cells: I64, own: int, pages: int, depth: int) -> ChunkTree:
+    """Return the tree of some chunks, whose index lists the first of them."""
+    if len(chunks) <= own or not depth:
+        return ChunkTree(chunks)
+    return ChunkTree(
+        chunks[:own],
+        tuple(
+            _tree(group, cells, _PAGE_CHUNKS, _PAGE_PAGES, depth - 1)
+            for group in _groups(chunks[own:], cells, pages)
+        ),
+    )
+
+
+def _groups(chunks: I64, cells: I64, most: int) -> list[I64]:
+    """Return the chunks in at most `most` groups, each of one cell, depth first by cell."""
+    groups = [chunks]
+    # Sizes of the groups that can still be halved, 0 for the others.
+    sizes = [len(chunks)]
+    while len(groups) < most and max(sizes) > _PAGE_CHUNKS:
+        largest = sizes.index(max(sizes))
+        halves = _halves(groups[largest], cells)
+        groups[largest : largest + 1] = halves
+        sizes[largest : largest + 1] = map(len, halves) if len(halves) == 2 else [0]
+    return groups
+
+
+def _halves(chunks: I64, cells: I64) -> list[I64]:
+    """Return the chunks on both sides of the smallest cell around them; all where one has it."""
+    own = cells[chunks]
+    around = common_cell(own)
+    if (own == around).any():
+        return [chunks]
+    depth = around.bit_length()
+    is_high = np.array([cell >> (cell.bit_length() - depth - 1) & 1 for cell in own.tolist()], bool)
+    return [chunks[~is_high], chunks[is_high]]
+
+
+def common_cell(cells: NDArray[np.integer]) -> int:
+    """Return the smallest cell that contains some cells; 0 where one of them is 0, or for none.
+
+    Examples
+    --------
+    >>> from cogsplat.codec.partition.chunk_tree import common_cell
+    >>> common_cell(np.array([8, 9, 5]))
+    2
+    """
+    numbers = np.unique(cells).tolist()
+    if not numbers or not numbers[0]:
+        return 0
+    around = numbers[0]
+    for cell in numbers[1:]:
+        size = min(around.bit_length(), cell.bit_length())
+        around >>= around.bit_length() - size
+        cell >>= cell.bit_length() - size
+        around >>= (around ^ cell).bit_length()
+    return around

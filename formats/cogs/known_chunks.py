@@ -1,0 +1,79 @@
+"""Chunks of an index that was read in part, where an unread page counts as one (SPEC 5.4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.partition.nested_cells import parents
+
+from .index import Index
+from .page_tree import PagePlace
+
+I64 = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class KnownChunks:
+    """Chunks in file order, where an unread page counts as one chunk.
+
+    Parameters
+    ----------
+    numbers : (k,) int64
+        Number of each chunk, of a page that of the first chunk below it.
+    pages : sequence of (PagePlace or None)
+        Unread page that each row stands for; None for a chunk.
+    splats : (k,) int64
+        Number of splats.
+    cells : (k,) int64
+        Cell; 0 in a scene without cells.
+    boxes : (k, 6) float32
+        Bounding box: minimum corner, maximum corner; scene units.
+    contributions : (k,) float64
+        Sum of the contributions of the splats.
+    parents : (k,) int64
+        Row of the parent; -1 for none.
+    """
+
+    numbers: I64
+    pages: list[PagePlace | None]
+    splats: I64
+    cells: I64
+    boxes: NDArray[np.float32]
+    contributions: NDArray[np.float64]
+    parents: I64
+
+
+def known_chunks(index: Index) -> KnownChunks:
+    """Return the chunks of all indices that were read, and one for each unread page below them."""
+    nodes = {node.path: node for node in index.nodes}
+    parts: list[tuple[int, PagePlace | None, tuple[int, ...], int]] = []
+    for node in index.nodes:
+        first = node.first_chunk
+        own = range(len(node.tables.chunks))
+        parts += [(first + row, None, node.path, row) for row in own]
+        unread = [page for page in node.pages() if page.path not in nodes and page.extent.chunks]
+        parts += [(page.first_chunk, page, node.path, page.path[-1]) for page in unread]
+    parts.sort(key=lambda part: part[0])
+    tables = [
+        (nodes[path].tables.chunks if page is None else nodes[path].tables.pages, row)
+        for _, page, path, row in parts
+    ]
+    numbers = np.array([number for number, *_ in parts], np.int64)
+    cells = np.array([table.cell[row] for table, row in tables], np.int64)
+    # Rows of the chunks below each page that was read.
+    subtrees = [
+        (int(first), int(end))
+        for first, end in np.searchsorted(numbers, np.reshape(index.subtrees, (-1, 2)))
+    ]
+    return KnownChunks(
+        numbers,
+        [page for _, page, _, _ in parts],
+        np.array([table.splats[row] for table, row in tables], np.int64),
+        cells,
+        np.array([table.box[row] for table, row in tables], np.float32).reshape(-1, 6),
+        np.array([table.contribution[row] for table, row in tables], np.float64),
+        parents(cells, subtrees),
+    )
