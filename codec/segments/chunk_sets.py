@@ -104,7 +104,7 @@ def descendant_parts(
     held = _descendant_splats(np.isin(every, np.asarray(chunks, np.int64)), parents, chunk_splats)
     before = _descendant_splats(every < first, parents, chunk_splats)
     whole = _descendant_splats(every >= 0, parents, chunk_splats)
-    parts = (held - before) / np.where(held == whole, 1, whole - before)
+    parts = (held - before) / np.maximum(whole - before, 1)
     shares: NDArray[np.float64] = np.where(held == whole, 1.0, parts)
     return shares[np.asarray(chunks, np.int64)]
 

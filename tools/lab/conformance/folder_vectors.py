@@ -275,6 +275,7 @@ def _invalid_pages(file: bytes) -> list[InvalidFolder]:
     rows = _read_places(paged[pages_end:], len(_read_segments(root, 0)) + len(pages))
     page = _path(rows[-1][0])
     places_start = pages[-1]
+    cut = large[page][:-1]
     return [
         InvalidFolder(
             "folder-page-inside",
@@ -286,10 +287,27 @@ def _invalid_pages(file: bytes) -> list[InvalidFolder]:
         InvalidFolder(
             "folder-page-range",
             large
-            | {MANIFEST: paged[:pages_end] + _placement_table([*rows[:-1], (*rows[-1][:2], 1)])},
+            | {
+                MANIFEST: paged[:pages_end]
+                + _placement_table([*rows[:-1], (_object_key(cut), len(cut), 0)]),
+                _object_name(cut): cut,
+            },
             "places-range",
             "3.4",
             "a page whose places end a byte behind their object",
+        ),
+        InvalidFolder(
+            "folder-page-offset",
+            large
+            | {
+                MANIFEST: paged[:pages_end]
+                + _placement_table(
+                    [*rows[:-1], (*rows[-1][:2], len(large[page]) - places_start + 1)]
+                )
+            },
+            "places-range",
+            "3.4",
+            "a page that ends a byte behind its object",
         ),
         InvalidFolder(
             "folder-page-flip",

@@ -179,7 +179,13 @@ def roots() -> list[Invalid]:
         value("box-infinite", "box", [-math.inf, *numbers[:5]], "an infinite corner"),
         value("writer-256", "writer", "x" * 256, "a text of 256 bytes"),
         value("codebooks-33", "codebooks", [book] * 33, "33 codebooks"),
-        value("pages-129", "pages", claimed_pages(129, 1), "129 pages"),
+        Invalid(
+            "pages-129",
+            build_edited(no_splats(), key_setter("pages", claimed_pages(129, 1))),
+            "root-value",
+            "5.6",
+            "129 pages",
+        ),
         value(
             "colour-cmyk", "colour_space", "cmyk", "an unknown colour space", "colour-space-unknown"
         ),
