@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import FormatError, TruncatedError
+from cogsplat.codec.partition.nested_cells import parents
 from cogsplat.codec.splats import MAX_SH_DEGREE
 from cogsplat.codec.views.pose import down_direction
 from cogsplat.codec.views.view_text import parse_view, unit_up
@@ -121,6 +122,10 @@ class StoredFile:
     def nodes(self) -> Sequence[IndexNode]:
         """Root and pages in the source, in file order; reads pages not yet read."""
         return self._index.nodes
+
+    def parents(self) -> I64:
+        """Return the parent of each chunk; -1 for none (SPEC 5.4)."""
+        return parents(self._index.chunks.cell, self._index.subtrees)
 
     @property
     def offsets(self) -> I64:

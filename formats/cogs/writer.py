@@ -351,18 +351,19 @@ def split_view_table(payload: bytes, plan: IndexPlan, chunks: int) -> list[Segme
         the viewpoints that see a part of it, the root all.
     """
     table = unpack_view_table(payload, "view table", chunks, layout.MAX_FILE_BYTES)
+    views = len(table.positions)
     found = []
     for index in plan.every():
         if index is not plan and index.chunks.start == index.chunks.stop:
             continue
         below = [table.shares[:, page.chunks_below()].sum(axis=1) for page in index.pages]
         codes = np.concatenate(
-            [table.codes[:, index.chunks], encode_shares(np.reshape(below, (-1, len(table))).T)],
+            [table.codes[:, index.chunks], encode_shares(np.reshape(below, (-1, views)).T)],
             axis=1,
         )
         seeing = np.flatnonzero(codes.any(axis=1))
         if index is plan or not len(seeing):
-            seeing = np.arange(len(table))
+            seeing = np.arange(views)
         own = ViewTable(table.positions[seeing], table.directions[seeing], codes[seeing])
         found.append(Segment(SegmentKind.VIEW_TABLE, 0, pack_view_table(own)))
     return found

@@ -146,9 +146,10 @@ def _cogs_info(path: Path, all_chunks: bool, as_json: bool) -> dict[str, object]
         version = format_version(file)
         row = file.camera_row
         cameras = len(file.cameras()) if row is None or file.is_present(row) else None
-        row = file.view_table_row
+        row = file.view_table_rows.get(())
         view_table = file.view_table() if row is None or file.is_present(row) else None
         viewpoints = None if row is not None else 0
+        row_of_table = row
         row = file.description_row
         is_described = row is not None and file.is_present(row)
         description = file.description() if is_described else None
@@ -156,8 +157,8 @@ def _cogs_info(path: Path, all_chunks: bool, as_json: bool) -> dict[str, object]
             viewpoints = len(view_table.positions)
     if not as_json:
         _print_root(path, version, file, cameras)
-        if file.view_table_row is not None:
-            length = size_text(int(file.segments.length[file.view_table_row]))
+        if row_of_table is not None:
+            length = size_text(int(file.segments.length[row_of_table]))
             there = "not there" if viewpoints is None else count_text(viewpoints, "viewpoint")
             print_facts(("view table", f"{there}, {length}"))
         if description is not None:
@@ -230,7 +231,7 @@ def _cogs_report(
         ],
         "stored_cameras": cameras,
         "levels": [{"chunks": level.chunks, "scale": level.scale} for level in root.levels],
-        "index_pages": len(root.pages),
+        "index_pages": len(file.page_bytes),
         "segments": len(file.segments),
         "chunks": file.num_chunks,
         "chunk_table": [chunk.report() for chunk in chunk_sizes(file)],
@@ -241,6 +242,7 @@ def _cogs_report(
 def _print_root(path: Path, version: str, file: CogsFile, cameras: int | None) -> None:
     """Print the root of a COGS file."""
     root, view = file.root, file.root.first_view
+    pages = len(file.page_bytes)
     print_line(f"{path}: COGS {version}, {size_text(file.file_length)}, by {root.writer}")
     each = file.file_length / max(root.splats, 1)
     books = [f"{book.attribute} {book.rows:,}" for book in root.codebooks]
@@ -268,7 +270,7 @@ def _print_root(path: Path, version: str, file: CogsFile, cameras: int | None) -
         ("attributes", _attributes_text(root.attributes)),
         ("levels", _levels_text(file)),
         ("prefixes", _prefix_chunks(file)),
-        ("index", f"{count_text(len(root.pages), 'page')} beside the root" if root.pages else ""),
+        ("index", f"{count_text(pages, 'page')} beside the root" if pages else ""),
     )
 
 

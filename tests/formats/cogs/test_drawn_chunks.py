@@ -35,7 +35,7 @@ def test_levels_that_draw_a_chunk_are_counted_as_their_prefixes_say(seed):
              for c in range(count)]  # fmt: skip
     chunks = table(until)
     drawn = [drawn_chunks(chunks, level.chunks) for level in levels]
-    later = later_levels(levels, chunks)
+    later = later_levels(levels, chunks, 0)
     for chunk in range(count):
         having = [k for k, level in enumerate(levels) if chunk < level.chunks]
         drawing = [k for k in having if chunk in drawn[k]]
@@ -46,4 +46,4 @@ def test_levels_that_draw_a_chunk_are_counted_as_their_prefixes_say(seed):
 
 
 def test_without_levels_no_level_draws_a_chunk_again():
-    assert later_levels([], table([0, 3, 0])).tolist() == [0, 0, 0]
+    assert later_levels([], table([0, 3, 0]), 0).tolist() == [0, 0, 0]

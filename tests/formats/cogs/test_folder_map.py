@@ -69,14 +69,15 @@ def test_any_range_is_that_of_the_file(name: str) -> None:
 
 def test_only_the_pages_of_a_range_are_asked_for() -> None:
     data, objects, folder = mapped("pages")
-    assert folder.pages_for(0, len(data)) == [0, 1, 2]
-    sizes = [folder.page_range(page).length for page in range(3)]
-    assert sizes == [len(objects[folder.page_range(page).name]) for page in range(3)]
+    pages = folder.pages_for(0, len(data))
+    assert [page.path for page in pages] == [(0,), (1,), (2,)]
+    sizes = [folder.page_range(page).length for page in pages]
+    assert sizes == [len(objects[folder.page_range(page).name]) for page in pages]
     # The root's own segments need none.
     assert folder.pages_for(0, folder.root_end + 1) == []
-    assert folder.pages_for(len(data) - 1, 1) == [2]
+    assert folder.pages_for(len(data) - 1, 1) == pages[2:]
     read(folder, objects, len(data) - 1, 1)
-    assert folder.pages_for(0, len(data)) == [0, 1]
+    assert folder.pages_for(0, len(data)) == pages[:2]
 
 
 def test_a_manifest_holds_the_description_and_no_object_does() -> None:
@@ -106,14 +107,11 @@ def test_pieces_name_objects_and_what_lies_in_them() -> None:
     assert objects[MANIFEST][:8] == MANIFEST_MAGIC
 
 
-def test_a_range_behind_the_last_segment_is_refused() -> None:
-    folder = mapped("one-splat")[2]
-    with pytest.raises(FormatError, match="segments end") as refused:
-        folder.object_ranges(folder.file_length, 1)
-    assert refused.value.code == "segments-length"
+def test_a_damaged_page_is_refused() -> None:
     pages = mapped("pages")[2]
+    page = pages.pages_for(0, pages.file_length)[0]
     with pytest.raises(FormatError, match="CRC") as refused:
-        pages.add_page(0, b"x" * 10)
+        pages.add_page(page, b"x" * 10)
     assert refused.value.code == "page-crc"
 
 

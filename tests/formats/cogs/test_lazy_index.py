@@ -60,14 +60,13 @@ def test_a_chunk_takes_its_page_and_its_segments():
     with serving(FaultServer(data)) as server:
         for chunk in (0, last // 2, last):
             with cogsplat.open(server.url()) as file:
-                # Chunks of this profile have no refinement, which later pages could list.
-                found = file.decode([chunk], refine=False)
+                found = file.decode([chunk])
                 assert file.traffic.requests <= 3
                 assert file.traffic.received_bytes < len(data) // 3
             assert_same(found, cogsplat.open(data).decode([chunk]))
 
 
-def test_what_later_pages_list_of_a_chunk_is_read(data):
+def test_chunks_of_several_pages_are_those_of_a_local_file(data):
     local = cogsplat.open(data)
     chunks = [local.num_chunks - 3, 1, local.num_chunks // 3]
     with serving(FaultServer(data)) as server, cogsplat.open(server.url()) as file:

@@ -401,7 +401,7 @@ def test_a_page_that_is_not_there_hides_its_chunks():
     data = next(v.data for v in valid.valid() if v.name == "pages")
     with open_cogs(BytesSource(data)) as file:
         total = file.num_chunks
-        assert file.page_bytes > 0
+        assert len(file.page_bytes) == 3
     index = read_index(BytesSource(data), partial=False)
     cut = int(index.offsets[2]) + 1
     with open_cogs(BytesSource(data[:cut]), partial=True) as part:

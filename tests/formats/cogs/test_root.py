@@ -1,4 +1,5 @@
 import dataclasses
+import zlib
 
 import numpy as np
 import pytest
@@ -10,8 +11,17 @@ from cogsplat.codec.errors import FormatError, UnsupportedError
 from cogsplat.codec.splats import SceneInfo
 from cogsplat.formats.cogs import root as cogs_root
 from cogsplat.formats.cogs.canonical_msgpack import pack, unpack
-from cogsplat.formats.cogs.index_tables import ChunkTable, SegmentTable
-from cogsplat.formats.cogs.root import CodebookEntry, PageEntry, Root
+from cogsplat.formats.cogs.index_tables import (
+    ChunkTable,
+    IndexTables,
+    PageTable,
+    SegmentTable,
+    no_pages,
+    no_segments,
+    pack_page,
+)
+from cogsplat.formats.cogs.page_tree import PagePlace, read_node
+from cogsplat.formats.cogs.root import CodebookEntry, Root
 
 
 def segments(rows, seed=1):
@@ -32,6 +42,16 @@ def chunks(rows, seed=1, *, layers=False):
     return ChunkTable(splats, box, rng.random(rows), *numbers, quality.astype(np.float32), until)
 
 
+def pages(rows):
+    rng = np.random.default_rng(rows)
+    numbers = rng.integers(1, 1 << 20, (6, rows), np.uint32)
+    box = np.sort(rng.normal(size=(rows, 2, 3)), axis=1).reshape(rows, 6).astype(np.float32)
+    return PageTable(
+        numbers[0], numbers[1], numbers[2], numbers[2] // 3, np.full(rows, 1 << 40), numbers[3],
+        box, rng.random(rows), numbers[4],
+    )  # fmt: skip
+
+
 def camera():
     rotation = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     return Camera(640, 480, 500.5, 499.5, 320.0, 240.0, rotation, np.array([1.0, 2.0, 3.0]),
@@ -49,14 +69,14 @@ def root(**changes):
         first_view=camera(),
         segments=segments(7),
         chunks=chunks(3, layers=True),
-        pages=[PageEntry(900, 0xFFFFFFFF, 4, 0, (1 << 53) - 1)],
+        pages=pages(2),
         up=np.array([0.0, -0.6, 0.8]),
         core_box=np.array([-1.0, -1.5, -2.0, 0.5, 0.5, 3.0]),
     )
     return dataclasses.replace(plain, **changes)
 
 
-ABSENT = {"first_view": None, "up": None, "core_box": None, "pages": []}
+ABSENT = {"first_view": None, "up": None, "core_box": None, "pages": no_pages()}
 
 
 def again(value):
@@ -73,12 +93,13 @@ def assert_tables(actual, expected):
 def test_roots_come_back():
     expected = root()
     actual = again(expected)
-    for name in ("writer", "splats", "sh_degree", "info", "codebooks", "pages"):
+    for name in ("writer", "splats", "sh_degree", "info", "codebooks"):
         assert getattr(actual, name) == getattr(expected, name), name
     for name in ("box", "up", "core_box"):
         assert np.array_equal(getattr(actual, name), getattr(expected, name)), name
     assert_tables(actual.segments, expected.segments)
     assert_tables(actual.chunks, expected.chunks)
+    assert_tables(actual.pages, expected.pages)
     assert actual.first_view is not None
     for field in dataclasses.fields(Camera):
         if field.name != "name":
@@ -91,34 +112,39 @@ def test_what_is_not_there_stays_away():
     assert ABSENT.keys() & value.keys() == set()
     assert list(value["chunks"]) == ["splats", "box", "contribution"]
     actual = again(root(**ABSENT, chunks=chunks(3)))
-    assert (actual.first_view, actual.up, actual.core_box, list(actual.pages)) == (
-        None, None, None, []
+    assert (actual.first_view, actual.up, actual.core_box, len(actual.pages)) == (
+        None, None, None, 0
     )  # fmt: skip
     assert not actual.chunks.layer.any()
 
 
 def test_tables_of_no_rows():
-    actual = again(root(segments=cogs_root.no_segments(), chunks=chunks(0)))
+    actual = again(root(segments=no_segments(), chunks=chunks(0)))
     assert (len(actual.segments), len(actual.chunks)) == (0, 0)
     assert actual.segments.hash.shape == (0, 16)
     assert actual.chunks.box.shape == (0, 6)
 
 
-def test_pages_are_checked_against_their_entry():
-    lengths = segments(4).length
-    value = {
-        "segments": cogs_root.segment_columns(segments(4)),
-        "chunks": cogs_root.chunk_columns(chunks(2)),
-    }
-    span = int(lengths.sum(dtype=np.uint64))
-    entry = PageEntry(1, 0, 4, 2, span)
-    found = cogs_root.parse_page(value, entry, "page")
-    assert_tables(found[0], segments(4))
-    assert_tables(found[1], chunks(2))
-    for wrong in ({"segments": 5}, {"chunks": 1}, {"span": span + 1}):
+def test_pages_are_checked_against_their_row():
+    tables = IndexTables(segments(4), chunks(2), pages(2))
+    data = pack_page(tables)
+    place = PagePlace((0,), 500, len(data), zlib.crc32(data), tables.extent, 7, 3, False)
+    node = read_node(place, data, "file")
+    for name in ("segments", "chunks", "pages"):
+        assert_tables(getattr(node.tables, name), getattr(tables, name))
+    first, second = node.pages()
+    assert first.start == 500 + len(data) + int(tables.segments.length.sum(dtype=np.uint64))
+    assert second.start == first.end
+    assert (first.first_segment, first.first_chunk) == (11, 5)
+    assert second.first_chunk == 5 + first.extent.chunks
+    for name in ("segments", "chunks", "span", "splats"):
+        extent = dataclasses.replace(tables.extent, **{name: getattr(tables.extent, name) + 1})
         with pytest.raises(FormatError) as caught:
-            cogs_root.parse_page(value, dataclasses.replace(entry, **wrong), "page")
+            read_node(dataclasses.replace(place, extent=extent), data, "file")
         assert caught.value.code == "page-entry"
+    with pytest.raises(FormatError) as caught:
+        read_node(dataclasses.replace(place, path=(0, 0, 0)), data, "file")
+    assert caught.value.code == "root-value"
 
 
 TYPES = [None, True, 0, -1, 1 << 40, 0.5, "x", b"xyz", [], [0.0] * 3, {}, {"a!": 1}]

@@ -222,7 +222,7 @@ def large_file(path: Path, tries: int, seed: int = 1, place: Path | None = None)
         with cogsplat.open(url) as file:
             assert file.traffic is not None
             opening, count = file.traffic, file.num_chunks
-            pages = len(file.root.pages)
+            pages = len(file.page_bytes)
         requests = received = 0
         for chunk in [0, count - 1, *(chosen.randrange(count) for _ in range(tries))]:
             with cogsplat.open(url) as file:

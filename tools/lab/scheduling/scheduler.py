@@ -45,7 +45,7 @@ class Unit:
 
     chunk: int
     is_head: bool
-    end: int
+    end: float
     size_bytes: int
     dependencies: tuple[int, ...]
 
@@ -100,7 +100,7 @@ class Decision:
     fetch: list[int]
 
 
-def urgencies(ratios: F64, chunk: I64, end: I64) -> F64:
+def urgencies(ratios: F64, chunk: I64, end: F64) -> F64:
     """Estimate the gain per byte of each unit at the current pose (docs/streaming.md, 7).
 
     Parameters
@@ -109,8 +109,8 @@ def urgencies(ratios: F64, chunk: I64, end: I64) -> F64:
         Visibility ratio of each chunk (`chunk_ratios.weighted_ratios`).
     chunk : (u,) int64
         Chunk of each unit; -1 for none.
-    end : (u,) int64
-        Offset of the first byte after each unit.
+    end : (u,) float64
+        Place of each unit: in the root, the offset of the first byte after it.
 
     Returns
     -------
@@ -228,7 +228,7 @@ class Scheduler:
         self._units = units
         self._splats = splats
         self._chunk = np.array([unit.chunk for unit in units], np.int64)
-        self._end = np.array([unit.end for unit in units], np.int64)
+        self._end = np.array([unit.end for unit in units], np.float64)
         self._heads = {unit.chunk: at for at, unit in enumerate(units) if unit.is_head}
         self._units_of_chunk: dict[int, list[int]] = {chunk: [] for chunk in self._heads}
         for at, unit in enumerate(units):

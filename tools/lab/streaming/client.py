@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.partition.nested_cells import parents
 from cogsplat.formats.cogs.layout import COLOUR_BANDS, SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
+from cogsplat.tools.lab.scheduling.index_tree import segment_places
 from cogsplat.tools.lab.scheduling.scheduler import best_chain
 
 from .traces import Trace
@@ -44,7 +44,9 @@ class Units:
     dependencies : list of tuple of int
         Units required to decode or draw each unit: head, head of the parent chunk, codebooks.
     index_bytes : int
-        Size of preamble, root and index pages, which are fetched before any unit.
+        Size of preamble, root and pages, which are fetched before any unit.
+    places : (u,) float64, optional
+        Place of each unit, bytes (docs/streaming.md, 7); by default its end.
     """
 
     kind: I64
@@ -53,6 +55,12 @@ class Units:
     size_bytes: I64
     dependencies: list[tuple[int, ...]]
     index_bytes: int
+    places: F64 | None = None
+
+    @property
+    def place(self) -> F64:
+        """Place of each unit, (u,) float64, bytes."""
+        return self.end.astype(np.float64) if self.places is None else self.places
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -121,7 +129,7 @@ def units_of(file: CogsFile) -> Units:
     heads = {int(chunk[u]): u for u in np.flatnonzero(kind == SegmentKind.HEAD).tolist()}
     shapes = tuple(np.flatnonzero(kind == SegmentKind.SHAPE_CODEBOOK).tolist())
     colours = tuple(np.flatnonzero(np.isin(kind, COLOUR_BANDS)).tolist())
-    parent_of = parents(file.chunks.cell)
+    parent_of = file.parents()
     dependencies: list[tuple[int, ...]] = []
     for u in range(len(rows)):
         if kind[u] == SegmentKind.HEAD:
@@ -138,7 +146,8 @@ def units_of(file: CogsFile) -> Units:
     # The first segment of the file follows the root.
     index = int(file.offsets[0]) if len(file.offsets) else file.file_length
     index += sum(file.page_bytes)
-    return Units(kind, chunk, end, size, dependencies, index)
+    places = segment_places(file.nodes)[rows]
+    return Units(kind, chunk, end, size, dependencies, index, places)
 
 
 def simulate_fetch(units: Units, trace: Trace, link: Link, priorities: Priorities) -> Arrivals:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -16,7 +16,12 @@ from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import sample_evenly
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.tools.lab.scheduling.chunk_ratios import ratios_from_boxes, ratios_from_view_table
+from cogsplat.tools.lab.scheduling.chunk_ratios import (
+    PoseRatios,
+    ratios_from_boxes,
+    ratios_from_view_table,
+)
+from cogsplat.tools.lab.scheduling.index_tree import index_ratios
 from cogsplat.tools.lab.scheduling.poses import Pose
 
 from .client import Arrivals, Link, Priorities, Units, fetch_order, simulate_fetch, units_of
@@ -154,6 +159,17 @@ class Client:
     scene: Splats
 
 
+def _ratios_in_file(file: CogsFile, chunks: int) -> PoseRatios:
+    """Return the ratios of the first chunks of a file, by its view tables that are there."""
+    tables: dict[tuple[int, ...], ViewTable] = {}
+    for path, row in file.view_table_rows.items():
+        table = file.view_table(path) if file.is_present(row) else None
+        if table is not None:
+            tables[path] = table
+    ratios = index_ratios(file.nodes, tables)
+    return lambda pose: ratios(pose)[:chunks]
+
+
 class Simulation:
     """Simulation of clients of one file under several policies.
 
@@ -191,19 +207,21 @@ class Simulation:
         self._renderer = PartialRenderer(file, threads, compensate=compensate)
         self._known = sample_evenly(known, TABLE_VIEWS)
         chunks = slice(0, self._renderer.chunks)
-        row = file.view_table_row
+        row = file.view_table_rows.get(())
         stored = file.view_table() if row is not None and file.is_present(row) else None
         if stored is None:
             self._table = self._measured_table(progress)
         else:
-            self._table = replace(stored, codes=stored.codes[:, chunks])
+            self._table = stored
         self._boxes = file.chunks.box[chunks].astype(np.float64)
         self._splats = file.chunks.splats[chunks].astype(np.float64)
         self._contribution = file.chunks.contribution[chunks].astype(np.float64)
-        self._ratios = ratios_from_view_table(self._table, self._boxes, self._contribution)
         # `visit` uses only information in the file, never the measured table.
-        self._visit_ratios = (
-            ratios_from_boxes(self._boxes, self._contribution) if stored is None else self._ratios
+        self._visit_ratios = _ratios_in_file(file, self._renderer.chunks)
+        self._ratios = (
+            ratios_from_view_table(self._table, self._boxes, self._contribution)
+            if stored is None
+            else self._visit_ratios
         )
 
     def _measured_table(self, progress: Progress) -> ViewTable:

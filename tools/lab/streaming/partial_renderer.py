@@ -8,8 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.partition.nested_cells import parents
-from cogsplat.codec.segments.chunk_sets import equivalent_prefixes, has_all_parents
+from cogsplat.codec.segments.chunk_sets import (
+    descendant_parts,
+    equivalent_prefixes,
+    has_all_parents,
+)
 from cogsplat.codec.segments.prefix_compensation import Compensation
 from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs.layout import SegmentKind
@@ -46,7 +49,7 @@ class PartialRenderer:
         self._runs = [
             slice(int(end - count), int(end)) for end, count in zip(ends, counts, strict=True)
         ]
-        self._parents = parents(file.chunks.cell)
+        self._parents = file.parents()
         self._has_cells = bool(file.chunks.cell.all())
         self._compensation: Compensation | None = file.compensation() if compensate else None
 
@@ -134,5 +137,11 @@ class PartialRenderer:
         counts = self._compensation.chunk_splats
         if ratios is not None:
             counts = visible_splat_counts(counts, ratios)
+        numbers = np.array(chunks, np.int64)
+        if not self._has_cells:
+            prefix = np.full(len(chunks), len(chunks), np.int64)
+            return self._compensation.apply_per_chunk(splats, numbers, prefix)
         prefixes = equivalent_prefixes(chunks, self._parents, counts)
-        return self._compensation.apply_per_chunk(splats, np.array(chunks, np.int64), prefixes)
+        last = self._compensation.last_chunks
+        parts = descendant_parts(chunks, self._parents, counts, last)
+        return self._compensation.apply_per_chunk(splats, numbers, prefixes, parts)

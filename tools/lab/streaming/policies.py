@@ -47,7 +47,7 @@ def sgss_chunks(units: Units, boxes: F64, splats: F64) -> Priorities:
 
 def by_urgency(units: Units, ratios: PoseRatios) -> Priorities:
     """Return the policy that fetches by the urgency of docs/streaming.md, 7."""
-    return lambda camera: urgencies(ratios(Pose.from_camera(camera)), units.chunk, units.end)
+    return lambda camera: urgencies(ratios(Pose.from_camera(camera)), units.chunk, units.place)
 
 
 def measured_view_table(cameras: Sequence[Camera], contributions: F64) -> ViewTable:
@@ -84,7 +84,7 @@ def by_true_contribution(
 
     def priorities(camera: Camera) -> F64:
         ratios = visibility_ratios(contributions(camera), contribution)
-        return urgencies(ratios, units.chunk, units.end)
+        return urgencies(ratios, units.chunk, units.place)
 
     return priorities
 

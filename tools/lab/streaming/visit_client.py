@@ -156,7 +156,7 @@ class _Run:
         rows = zip(
             units.chunk.tolist(),
             heads,
-            units.end.tolist(),
+            units.place.tolist(),
             units.size_bytes.tolist(),
             units.dependencies,
             strict=True,

@@ -112,7 +112,7 @@ def test_a_fast_link_ends_the_comparison_with_the_download(simulation: Simulatio
 def test_visit_uses_boxes_for_files_without_a_view_table(
     simulation: Simulation, house_file: CogsFile
 ) -> None:
-    assert house_file.view_table_row is None
+    assert not house_file.view_table_rows
     trace, link = recorded_trace(rooms_walk(4)[::20], 1.0), Link(80_000.0, 0.05)
     boxes = house_file.chunks.box.astype(np.float64)
     ratios = ratios_from_boxes(boxes, house_file.chunks.contribution.astype(np.float64))
