@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.executor import Executor, LocalThreads
 from cogsplat.codec.order import prefix_inflation
 from cogsplat.codec.order.prefix_inflation import Inflation
+from cogsplat.codec.partition.chunk_tree import ROOT_CHUNKS
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import RenderConfig, render
 from cogsplat.codec.scoring.reference_views import ReferenceViews
@@ -221,7 +222,19 @@ def compensate_prefixes(
         executor=executor,
         progress=progress,
     )
-    return replace(encoded, compensation=found)
+    return replace(encoded, compensation=_of_first_chunks(found, encoded))
+
+
+def _of_first_chunks(compensation: Compensation, encoded: EncodedScene) -> Compensation:
+    """Return the layers of the chunks that the root lists, where pages list the others.
+
+    In longer prefixes some cells are whole and others coarse, which no client fetches. From the
+    last layer on, shifts fade with the missing descendants of each chunk (SPEC 8.5).
+    """
+    if len(encoded.chunks) <= ROOT_CHUNKS or not all(chunk.cell for chunk in encoded.chunks):
+        return compensation
+    layers = [layer for layer in compensation.layers if layer.chunks <= ROOT_CHUNKS]
+    return replace(compensation, layers=tuple(layers))
 
 
 def _initial_inflation(encoded: EncodedScene, chunks: int, effective_splats: int) -> Inflation:
