@@ -63,11 +63,13 @@ def known_chunks(index: Index) -> KnownChunks:
     ]
     numbers = np.array([number for number, *_ in parts], np.int64)
     cells = np.array([table.cell[row] for table, row in tables], np.int64)
-    # Rows of the chunks below each page that was read.
+    # Rows below each page: those of a page that was read, and the one of a page that was not.
     subtrees = [
         (int(first), int(end))
         for first, end in np.searchsorted(numbers, np.reshape(index.subtrees, (-1, 2)))
     ]
+    subtrees += [(row, row + 1) for row, (_, page, _, _) in enumerate(parts) if page is not None]
+    subtrees.sort(key=lambda rows: (rows[0], -rows[1]))
     return KnownChunks(
         numbers,
         [page for _, page, _, _ in parts],

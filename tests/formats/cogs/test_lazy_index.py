@@ -11,11 +11,13 @@ from fault_server import FaultServer, serving
 import cogsplat
 from cogsplat.codec.errors import FormatError
 from cogsplat.formats.cogs import scene_writer as cogs
-from cogsplat.formats.cogs.index import read_index
+from cogsplat.formats.cogs.index import read_index, read_root
+from cogsplat.formats.cogs.known_chunks import known_chunks
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.lazy_index import LazyIndex
 from cogsplat.formats.cogs.writer import lay_out
 from cogsplat.formats.storage.source import BytesSource
+from cogsplat.tools.lab.conformance import valid
 
 COPIES = 300
 
@@ -123,3 +125,20 @@ def test_chunks_that_are_not_there_are_misuse():
         pytest.raises(ValueError, match="expected 0 to"),
     ):
         file.decode([file.num_chunks])
+
+
+def test_an_unread_page_counts_as_one_chunk():
+    data = next(v.data for v in valid.valid() if v.name == "pages-tree")
+    source = BytesSource(data)
+    lazy = LazyIndex(source, read_root(source, partial=False))
+    known = known_chunks(lazy.for_chunks([0]))
+    assert known.numbers.tolist() == [0, 1, 5, 6]
+    assert [page and page.path for page in known.pages] == [None, (0,), (1,), (2,)]
+    assert known.splats.tolist() == [5, 6 + 7 + 8 + 9, 4, 3]
+    assert known.parents.tolist() == [-1, 0, 0, 0]
+    # Chunk 4 is below the second page of the first page.
+    known = known_chunks(lazy.for_chunks([4]))
+    assert known.numbers.tolist() == [0, 1, 2, 4, 5, 6]
+    assert known.cells.tolist() == [1, 2, 4, 5, 3, 3]
+    assert known.parents.tolist() == [-1, 0, 1, 1, 0, 0]
+    assert known_chunks(lazy.whole()).pages == [None] * 7

@@ -6,14 +6,20 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.errors import DataError, StorageError
+from cogsplat.codec.partition.chunk_tree import chunk_tree
+from cogsplat.codec.partition.nested_cells import parents
+from cogsplat.codec.segments.attributes import AttributeType
+from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.codec.splats import SceneInfo
 from cogsplat.formats.cogs import layout, writer
 from cogsplat.formats.cogs import root as cogs_root
 from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.index_tables import ChunkTable, no_segments
 from cogsplat.formats.cogs.layout import SegmentKind
+from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.cogs.root import Root
 from cogsplat.formats.cogs.segment_rows import CHUNK_KINDS
+from cogsplat.formats.cogs.view_table_segment import pack_view_table
 from cogsplat.formats.cogs.writer import Segment, lay_out, write_cogs
 from cogsplat.formats.storage.source import BytesSource
 
@@ -185,3 +191,64 @@ def test_files_are_written_whole_and_replaced_only_when_told(tmp_path):
     write_cogs(root(4), parts(4), path, force=True)
     assert path.read_bytes() != data
     assert [p.name for p in tmp_path.iterdir()] == ["a.cogs"]
+
+
+def cells_of(count):
+    """Cells of a binary tree in the order of the pages."""
+    cells = np.arange(1, count + 1, dtype=np.uint32)
+    return cells[chunk_tree(cells).order()]
+
+
+def cut_root(count):
+    made = root(count)
+    return dataclasses.replace(made, chunks=dataclasses.replace(made.chunks, cell=cells_of(count)))
+
+
+@pytest.mark.parametrize("count", [65, 400, 9000])
+def test_pages_of_a_cut_scene_follow_its_cells(count):
+    made = cut_root(count)
+    index = check(b"".join(lay_out(made, parts(count))), made, parts(count))
+    assert len(index.nodes) == 1 or len(index.root.chunks) == 64
+    for node in index.nodes[1:]:
+        above = index.node(node.path[:-1])
+        row = node.path[-1]
+        below = slice(node.first_chunk, node.first_chunk + node.tables.extent.chunks)
+        cells = index.chunks.cell[below].tolist()
+        cell = int(above.tables.pages.cell[row])
+        assert all(cell in [each >> k for k in range(32)] for each in cells)
+        assert above.tables.pages.contribution[row] == index.chunks.contribution[below].sum()
+    found = parents(index.chunks.cell, index.subtrees)
+    assert (index.chunks.cell[found[1:]] == index.chunks.cell[1:] // 2).all()
+
+
+def test_a_root_that_cannot_list_its_chunks_leaves_some_to_a_first_page():
+    made = dataclasses.replace(cut_root(400), attributes=[AttributeType("x" * 250, "u1", 0)] * 30)
+    with pytest.raises(DataError):
+        lay_out(made, parts(400))
+    kinds = [AttributeType(f"{i:0250}", "u1", 0) for i in range(30)]
+    made = dataclasses.replace(made, attributes=kinds)
+    index = check(b"".join(lay_out(made, parts(400))), made, parts(400))
+    assert 0 < len(index.root.chunks) < 64
+    assert len(index.root.chunks) + int(index.root.pages.chunks[0]) == 64
+
+
+def test_view_tables_are_split_over_the_indices():
+    count = 400
+    made = cut_root(count)
+    rng = np.random.default_rng(3)
+    codes = rng.integers(1, 240, (3, count), np.uint8)
+    codes[1, 64:] = 0
+    table = ViewTable(np.ones((3, 3), np.float32), np.ones((3, 3), np.int8), codes)
+    given = [*parts(count)[:1], Segment(131, 0, pack_view_table(table)), *parts(count)[1:]]
+    data = b"".join(lay_out(made, given))
+    with open_cogs(BytesSource(data)) as file:
+        assert file.segments.kind[1] == SegmentKind.VIEW_TABLE
+        for node in file.nodes:
+            own = slice(node.first_chunk, node.first_chunk + len(node.tables.chunks))
+            views = [0, 2] if node.path else [0, 1, 2]
+            found = file.view_table(node.path)
+            assert found.codes[:, : own.stop - own.start].tolist() == codes[views, own].tolist()
+            for row, page in enumerate(node.pages(), start=own.stop - own.start):
+                below = slice(page.first_chunk, page.first_chunk + page.extent.chunks)
+                sums = table.shares[views, below].sum(axis=1)
+                np.testing.assert_allclose(found.shares[:, row], sums, rtol=0.26)

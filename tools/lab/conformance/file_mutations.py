@@ -77,10 +77,13 @@ class _Parts:
         Root, then the pages.
     payloads : list of list of bytes
         Payloads of the segments that each index lists.
+    pages : list of list of int
+        Numbers of the pages that each index lists.
     """
 
     indexes: list[Index]
     payloads: list[list[bytes]]
+    pages: list[list[int]]
 
     @property
     def places(self) -> list[tuple[int, int]]:
@@ -138,16 +141,23 @@ _CHANGES: Final = ("bytes", "bytes", "cut", "cut", "preamble") + ("payload",) * 
 def _parse(data: bytes) -> _Parts:
     """Parse a valid file into its indexes and payloads."""
     root, behind = split_root(data)
-    indexes = [unpack(root, "root")]
-    payloads: list[list[bytes]] = []
-    pages = indexes[0].get("pages", [])
-    at = _read_payloads(indexes[0], behind, 0, payloads)
-    for entry in pages if isinstance(pages, list) else ():
-        length = entry["length"] if isinstance(entry, dict) else 0
-        end = at + (length if isinstance(length, int) else 0)
-        indexes.append(unpack(behind[at:end], "page"))
-        at = _read_payloads(indexes[-1], behind, end, payloads)
-    return _Parts(indexes, payloads)
+    parts = _Parts([], [], [])
+    _parse_index(unpack(root, "root"), behind, 0, parts)
+    return parts
+
+
+def _parse_index(index: Index, data: bytes, at: int, parts: _Parts) -> int:
+    """Append an index, whose payloads begin at `at`, and all pages below it; return their end."""
+    number = len(parts.indexes)
+    parts.indexes.append(index)
+    parts.pages.append([])
+    at = _read_payloads(index, data, at, parts.payloads)
+    lengths = column(index, "pages", "length") if "pages" in index else b""
+    for (length,) in struct.iter_unpack("<I", lengths):
+        end = at + length
+        parts.pages[number].append(len(parts.indexes))
+        at = _parse_index(unpack(data[at:end], "page"), data, end, parts)
+    return at
 
 
 def _read_payloads(index: Index, data: bytes, at: int, payloads: list[list[bytes]]) -> int:
@@ -170,7 +180,8 @@ def _mutate(change: str, parts: _Parts, other: _Parts, rng: random.Random) -> tu
         return change, _assemble(parts)
     if change == "column":
         index = rng.choice(parts.indexes)
-        _mutate_column(table(index, rng.choice(("segments", "segments", "chunks"))), rng)
+        names = ("segments", "segments", "chunks", *(["pages"] if "pages" in index else []))
+        _mutate_column(table(index, rng.choice(names)), rng)
     elif change == "value":
         _mutate_map(rng.choice((parts.indexes[0], parts.indexes[0], *parts.indexes)), rng)
     else:
@@ -324,29 +335,20 @@ def _assemble(
     broken : (int, Random), optional
         Number of the index whose packed bytes are mutated, 0 for the root; random generator.
     """
-    packed: list[bytes] = []
-    spans = [b"".join(group) for group in parts.payloads]
-    root = parts.indexes[0]
-    for number, (index, group) in enumerate(zip(parts.indexes, parts.payloads, strict=True)):
+    # Bytes of each index and of all that is below it, from the last on, as an index lists pages.
+    stored: dict[int, tuple[bytes, bytes]] = {}
+    for number in reversed(range(len(parts.indexes))):
+        index, group = parts.indexes[number], parts.payloads[number]
+        pages = [stored[page] for page in parts.pages[number]]
         if fit_tables:
             _fit_table(table(index, "segments"), group)
-        if number:
-            page = pack(index)
-            if broken and broken[0] == number:
-                page = mutate_bytes(page, broken[1]) or b"\0"
-            packed.append(page)
-    pages = root.get("pages")
-    if isinstance(pages, list):
-        for entry, page, index, group, span in zip(
-            pages, packed, parts.indexes[1:], parts.payloads[1:], spans[1:], strict=False
-        ):
-            if isinstance(entry, dict):
-                _fit_entry(entry, page, index, group, span, counts=fit_tables)
-    body = pack(root)
-    if broken and broken[0] == 0:
-        body = mutate_bytes(body, broken[1])
-    behind = [part for pair in zip(packed, spans[1:], strict=True) for part in pair]
-    return with_root(body, b"".join([spans[0], *behind]))
+        if isinstance(index.get("pages"), dict):
+            _fit_pages(parts, number, pages, counts=fit_tables)
+        body = pack(index)
+        if broken and broken[0] == number:
+            body = mutate_bytes(body, broken[1]) or b"\0"
+        stored[number] = body, b"".join([*group, *(part for pair in pages for part in pair)])
+    return with_root(*stored[0])
 
 
 def _fit_table(segments: Index, group: Sequence[bytes]) -> None:
@@ -357,16 +359,30 @@ def _fit_table(segments: Index, group: Sequence[bytes]) -> None:
     segments["hash"] = b"".join(hashlib.sha256(part).digest()[:16] for part in group)
 
 
-def _fit_entry(
-    entry: Index, page: bytes, index: Index, group: Sequence[bytes], span: bytes, *, counts: bool
+def _fit_pages(
+    parts: _Parts, number: int, pages: Sequence[tuple[bytes, bytes]], *, counts: bool
 ) -> None:
-    """Recompute length and CRC in the root's entry of a page; with `counts`, also the counts."""
+    """Recompute length and CRC in the rows of the pages of an index; with `counts`, all sums."""
+    rows = table(parts.indexes[number], "pages")
+    changed: Index = {
+        "length": struct.pack(f"<{len(pages)}I", *(len(page) for page, _ in pages)),
+        "crc": struct.pack(f"<{len(pages)}I", *(zlib.crc32(page) for page, _ in pages)),
+    }
     if counts:
-        entry["segments"] = len(group)
-        entry["chunks"] = len(column(index, "chunks", "splats")) // 4
-        entry["span"] = len(span)
-    # A value that a mutation replaced by another type stays.
-    if entry.get("length").__class__ is int:
-        entry["length"] = len(page)
-    if entry.get("crc").__class__ is int:
-        entry["crc"] = zlib.crc32(page)
+        sums = [_sums(parts, page) for page in parts.pages[number]]
+        changed["segments"] = struct.pack(f"<{len(pages)}I", *(segments for segments, _ in sums))
+        changed["chunks"] = struct.pack(f"<{len(pages)}I", *(chunks for _, chunks in sums))
+        changed["span"] = struct.pack(f"<{len(pages)}Q", *(len(below) for _, below in pages))
+    # A value that a mutation replaced by another type or length stays.
+    for name, value in changed.items():
+        old = rows.get(name)
+        if isinstance(old, bytes) and isinstance(value, bytes) and len(old) == len(value):
+            rows[name] = value
+
+
+def _sums(parts: _Parts, number: int) -> tuple[int, int]:
+    """Return the numbers of segments and chunks below a page."""
+    below = [_sums(parts, page) for page in parts.pages[number]]
+    segments = len(parts.payloads[number]) + sum(own for own, _ in below)
+    chunks = len(column(parts.indexes[number], "chunks", "splats")) // 4
+    return segments, chunks + sum(own for _, own in below)

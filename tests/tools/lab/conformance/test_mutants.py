@@ -64,11 +64,25 @@ REFERENCE = [
         ("8.5",),
     ),
     Mutant(
-        "index pages are taken to stand one behind the other",
-        reference_decoder._File.__init__,
-        "position = self._add(msgpack.unpackb(data[position:end]), end)",
-        "self._add(msgpack.unpackb(data[position:end]), end); position = end",
+        "pages are taken to stand one behind the other",
+        reference_decoder._File._add,
+        "position = self._add(msgpack.unpackb(self.data[position:end]), end, (*path, row))",
+        "self._add(msgpack.unpackb(self.data[position:end]), end, (*path, row)); position = end",
         ("5.6",),
+    ),
+    Mutant(
+        "chunks of other pages are parents",
+        reference_decoder._File.parents,
+        "if self.cells[c] in around and path[: len(above)] == above",
+        "if self.cells[c] in around",
+        ("5.4",),
+    ),
+    Mutant(
+        "behind the last layer all splats count, not those of descendants",
+        reference_compensation.set_shifts,
+        "part = _f32((held - before) / (splats(every) - before))",
+        "part = _f32(sum(sizes[last:prefix]) / sum(sizes[last:]))",
+        ("8.5",),
     ),
     Mutant(
         "a tail is complete without its codebooks",
@@ -245,9 +259,9 @@ READER = [
     ),
     Mutant(
         "layers of compensation stand in any order",
-        segment_rows.layer_rows,
-        "if not np.array_equal(owners, np.arange(len(rows))):",
-        "if not np.array_equal(np.sort(owners), np.arange(len(rows))):",
+        segment_rows._layer_rows,
+        "if not np.array_equal(owners, np.arange(len(rows)))",
+        "if not np.array_equal(np.sort(owners), np.arange(len(rows)))",
         ("5.9",),
     ),
     Mutant(
