@@ -133,7 +133,7 @@ def make_mutant(files: Sequence[tuple[str, bytes]], seed: int, number: int) -> M
     return Mutant(name, change, data, partial=rng.random() < 0.1)
 
 
-_CHANGES: Final = ("bytes", "bytes", "cut", "cut", "preamble") + ("payload",) * 9 + (
+_CHANGES: Final = ("bytes", "bytes", "cut", "cut", "preamble") + ("payload",) * 10 + (
     "index bytes", "value", "value", "value", "column", "column", "column", "segments", "segments",
 )  # fmt: skip
 

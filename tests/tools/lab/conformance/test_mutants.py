@@ -71,13 +71,6 @@ REFERENCE = [
         ("5.6",),
     ),
     Mutant(
-        "chunks of other pages are parents",
-        reference_decoder._File.parents,
-        "if self.cells[c] in around and path[: len(above)] == above",
-        "if self.cells[c] in around",
-        ("5.4",),
-    ),
-    Mutant(
         "behind the last layer all splats count, not those of descendants",
         reference_compensation.set_shifts,
         "part = _f32((held - before) / (splats(every) - before))",
@@ -267,8 +260,8 @@ READER = [
     Mutant(
         "a shift of 0 is not added",
         prefix_compensation.Compensation.apply_per_chunk,
-        "shifts = self.shifts_of(chunks[is_part], prefixes[is_part])",
-        "shifts = self.shifts_of(chunks[is_part], prefixes[is_part])\n"
+        "shifts = self.shifts_of(chunks[is_part], prefixes[is_part], own_parts)",
+        "shifts = self.shifts_of(chunks[is_part], prefixes[is_part], own_parts)\n"
         "    if not shifts.any():\n        return splats",
         ("8.5",),
     ),
