@@ -127,7 +127,7 @@ def common_cell(cells: NDArray[np.integer]) -> int:
     numbers = np.unique(cells).tolist()
     if not numbers or not numbers[0]:
         return 0
-    around = numbers[0]
+    around: int = numbers[0]
     for cell in numbers[1:]:
         size = min(around.bit_length(), cell.bit_length())
         around >>= around.bit_length() - size

@@ -237,9 +237,8 @@ class Compensation:
         stop = self.layers[above].chunks if above < len(self.layers) else len(self.chunk_splats)
         in_both = chunks < below
         rows = np.repeat(in_both, self.chunk_splats[chunks])
-        part = np.float32(
-            float(ends[prefix] - ends[below]) / max(float(ends[stop] - ends[below]), 1.0)
-        )
+        whole = float(ends[prefix] - ends[below]) / max(float(ends[stop] - ends[below]), 1.0)
+        part: np.float32 | F32 = np.float32(whole)
         if parts is not None and above == len(self.layers):
             own = parts[in_both].astype(np.float32)
             part = np.repeat(own, self.chunk_splats[chunks[in_both]])[:, None]

@@ -254,7 +254,9 @@ class IndexTree:
         segments, chunks = sums.segments, sums.chunks
         self._segments = SegmentTable(
             np.full(segments, _UNREAD_KIND, np.uint8),
-            *(np.zeros(segments, np.uint32) for _ in range(3)),
+            np.zeros(segments, np.uint32),
+            np.zeros(segments, np.uint32),
+            np.zeros(segments, np.uint32),
             np.zeros((segments, HASH_BYTES), np.uint8),
             np.zeros(segments, np.uint32),
         )
@@ -262,7 +264,9 @@ class IndexTree:
             np.zeros(chunks, np.uint32),
             np.zeros((chunks, 6), np.float32),
             np.zeros(chunks),
-            *(np.zeros(chunks, np.uint32) for _ in range(3)),
+            np.zeros(chunks, np.uint32),
+            np.zeros(chunks, np.uint32),
+            np.zeros(chunks, np.uint32),
             np.zeros(chunks, np.float32),
             np.zeros(chunks, np.uint32),
         )

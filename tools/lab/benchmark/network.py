@@ -24,6 +24,7 @@ import numpy as np
 
 import cogsplat
 from cogsplat.formats.cogs.folder_writer import unpack_cogs
+from cogsplat.formats.cogs.index_tables import no_pages
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.cogs.root import Root
@@ -173,7 +174,9 @@ def _copies(file: CogsFile, chunks: int) -> tuple[Root, list[Segment]]:
         *(getattr(file.chunks, name)[row] for name in file.chunks.__dataclass_fields__)
     )
     splats = int(table.splats.sum())
-    return replace(file.root, splats=splats, chunks=table, pages=(), attributes=()), segments
+    return replace(
+        file.root, splats=splats, chunks=table, pages=no_pages(), attributes=()
+    ), segments
 
 
 def _parts(file: CogsFile, chunk: int) -> tuple[int | None, ...]:
