@@ -8,7 +8,7 @@ export { axesMatrix, axesRotation } from "./adapters/axes.js";
 export { type PlyOptions, toPly } from "./adapters/ply.js";
 export type { AttributeArray } from "./container/attributes.js";
 export type { Camera } from "./container/cameras.js";
-export { equivalentPrefixes, isClosed, parentsOf } from "./container/chunk_sets.js";
+export { isClosed, type SetState, setStates } from "./container/chunk_sets.js";
 export type { Shifts } from "./container/compensation.js";
 export type {
   Annotation,
@@ -23,7 +23,8 @@ export type {
 } from "./container/description.js";
 export type { Pinhole } from "./container/pinhole.js";
 export type { AttributeEntry, CodebookEntry, SceneInfo, Viewpoint } from "./container/root.js";
-export type { ByteRange, ChunkSegments, SceneIndex, ScenePlaces } from "./container/scene_index.js";
+export type { ByteRange, ChunkSegments, Index, Page, SceneIndex, ScenePlaces } from "./container/scene_index.js";
+export type { SceneRows } from "./container/scene_rows.js";
 export type { ViewTable } from "./container/view_table.js";
 export { CogsplatError, REASON_CODES, type ReasonCode, type RefusalClass, SourceError } from "./errors.js";
 export type { Kernels } from "./kernels/kernels.js";

@@ -85,7 +85,9 @@ for (const { name, code, stage } of manifest.invalid_folders) {
 
 /** Return the names of the objects that hold the index pages of a folder. */
 async function pageObjects(files: ReadonlyMap<string, Uint8Array>): Promise<string[]> {
-  const asked = await withScene(new FolderServer(files), "", (scene) => scene.readPages(scene.index.pages.length));
+  const asked = await withScene(new FolderServer(files), "", async (scene) => {
+    while (!scene.index.complete) await scene.readNextPage();
+  });
   return asked.slice(1);
 }
 
@@ -113,7 +115,7 @@ test("a page that came damaged is asked for once more", async () => {
       if (path === page && number === 1) body[at]! ^= 1;
     };
     const asked = await withScene(new FolderServer(files, { damage }), "", async (scene) => {
-      await scene.readPages(1);
+      await scene.readNextPage();
       assert.equal((await lastUpdates(scene)).size, whole.index.chunkCount);
     });
     assert.equal(asked.filter((path) => path === page).length, 2);

@@ -36,17 +36,23 @@ export function padSegments(file: Uint8Array, bytes: number, after?: number): Ui
     const at = (head + 1) * added.length;
     segments.set(key, join(column.slice(0, at), added, column.slice(at)));
   }
+  return withRoot(file, root, join(file.slice(rootEnd, split), padding, file.slice(split)));
+}
+
+/** The file with another root and other bytes behind it. */
+export function withRoot(file: Uint8Array, root: ValueMap, rest: Uint8Array): Uint8Array {
   const newRoot = encode(root);
   const preamble = file.slice(0, 64);
   const header = new DataView(preamble.buffer);
   header.setUint32(12, newRoot.length, true);
-  header.setBigUint64(16, BigInt(64 + newRoot.length + file.length - rootEnd + bytes), true);
+  header.setBigUint64(16, BigInt(64 + newRoot.length + rest.length), true);
   header.setUint32(24, crc32(newRoot), true);
   header.setUint32(60, crc32(preamble.slice(0, 60)), true);
-  return join(preamble, newRoot, file.slice(rootEnd, split), padding, file.slice(split));
+  return join(preamble, newRoot, rest);
 }
 
-function encode(value: Value): Uint8Array {
+/** Encode a msgpack value. */
+export function encode(value: Value): Uint8Array {
   if (value === null) return Uint8Array.of(0xc0);
   if (typeof value === "boolean") return Uint8Array.of(value ? 0xc3 : 0xc2);
   if (typeof value === "number") return integer(value);
@@ -83,13 +89,14 @@ function sized(value: number, tags: readonly [number, number, number]): Uint8Arr
   return bytes;
 }
 
-function u32(value: number): Uint8Array {
+/** Little-endian bytes of a u32. */
+export function u32(value: number): Uint8Array {
   const bytes = new Uint8Array(4);
   new DataView(bytes.buffer).setUint32(0, value, true);
   return bytes;
 }
 
-function join(...parts: readonly Uint8Array[]): Uint8Array {
+export function join(...parts: readonly Uint8Array[]): Uint8Array {
   const joined = new Uint8Array(parts.reduce((sum, part) => sum + part.length, 0));
   let at = 0;
   for (const part of parts) {

@@ -1,16 +1,18 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { parentsOf } from "../src/container/chunk_sets.js";
+import type { Index } from "../src/container/scene_index.js";
+import { SceneRows } from "../src/container/scene_rows.js";
 import { loadKernels } from "../src/kernels/load.js";
 import { folders } from "../src/loader/folders.js";
 import { LinkEstimate } from "../src/loader/link_estimate.js";
 import { PoseHistory } from "../src/loader/pose_history.js";
 import { SegmentRequests } from "../src/loader/segment_requests.js";
-import { segmentUnits, type UnitIndex } from "../src/loader/segment_units.js";
+import { SegmentUnits, type UnitIndex } from "../src/loader/segment_units.js";
 import { StreamedScene } from "../src/loader/streamed_scene.js";
 import { Visit, type VisitOptions } from "../src/loader/visit.js";
 import { SceneFile } from "../src/scene/scene_file.js";
-import { byBoxes, sumAlongPath } from "../src/schedule/chunk_ratios.js";
+import { sumAlongPath } from "../src/schedule/chunk_ratios.js";
+import { IndexRatios } from "../src/schedule/index_ratios.js";
 import { type Pose, predictPath } from "../src/schedule/poses.js";
 import { Scheduler } from "../src/schedule/scheduler.js";
 import { FolderServer } from "./folder_server.js";
@@ -33,26 +35,45 @@ function smallIndex(): UnitIndex {
     [-1, -1, 4, 1, 1, 6],
     [-1, -1, -6, 1, 1, -4],
   ];
+  const rows = new SceneRows();
+  const root = {
+    start: 0,
+    firstSegment: 0,
+    segments: 6,
+    firstChunk: 0,
+    chunks: 3,
+    pages: [],
+    firstRow: 0,
+    boxes: Float32Array.from(boxes.flat()),
+    contribution: Float64Array.from([1, 1, 1]),
+  } as unknown as Index;
+  rows.enter(root, { splats: Uint32Array.from([5, 5, 5]), cell: Uint32Array.from([1, 2, 3]) }, []);
   return {
-    segments: { kind: Uint8Array.from([1, 1, 1, 7, 7, 7]), owner: Uint32Array.from([0, 1, 2, 0, 1, 2]) },
-    chunks: {
-      splats: Uint32Array.from([5, 5, 5]),
-      box: Float32Array.from(boxes.flat()),
-      contribution: Float64Array.from([1, 1, 1]),
-      cell: Uint32Array.from([1, 2, 3]),
-      until: Uint32Array.from([0, 0, 0]),
+    indexes: [root],
+    rows,
+    segments: {
+      kind: Uint8Array.from([1, 1, 1, 7, 7, 7]),
+      owner: Uint32Array.from([0, 1, 2, 0, 1, 2]),
+      offset: Float64Array.from([0, 100, 200, 300, 400, 500]),
+      length: new Uint32Array(6).fill(100),
     },
-    range: (segment: number) => ({ offset: 100 * segment, length: 100 }),
+    chunks: { until: Uint32Array.from([0, 0, 0]) },
     codebookSegmentsOf: () => [],
   } as unknown as UnitIndex;
 }
 
+function unitsOf(index: UnitIndex): SegmentUnits {
+  const units = new SegmentUnits(index, 0, false);
+  units.enter();
+  return units;
+}
+
 /** Return the segments of an index in the order that a pose requests. */
 function order(index: UnitIndex, pose: Pose): number[] {
-  const units = segmentUnits(index, 0, false);
-  const ratios = sumAlongPath(byBoxes(index.chunks.box, index.chunks.contribution), predictPath(pose, pose, 0));
+  const { units, splats } = unitsOf(index);
+  const ratios = sumAlongPath(new IndexRatios(index.indexes).of, predictPath(pose, pose, 0));
   const nothing = { arrived: new Set<number>(), inFlight: new Set<number>(), received: new Map<number, number>() };
-  const { fetch } = new Scheduler(units, index.chunks.splats).decide(ratios, {
+  const { fetch } = new Scheduler(units, splats).decide(ratios, {
     ...nothing,
     budgetSplats: 0,
     evictedWorths: new Map(),
@@ -74,7 +95,7 @@ test("chunks that end are no units", () => {
   const index = smallIndex();
   index.chunks.until[1] = 3;
   assert.deepEqual(
-    segmentUnits(index, 0, false).map(({ segment }) => segment),
+    unitsOf(index).units.map(({ segment }) => segment),
     [0, 2, 3, 5],
   );
 });
@@ -117,8 +138,8 @@ async function visited(scene: StreamedScene, options: VisitOptions, pose: Pose):
   for await (const change of visit.changes()) {
     if (change.kind === "evicted") assert.fail("there is room for all");
     const { means, opacities, shN } = change.splats!;
-    const parents = parentsOf(scene.index.chunks.cell);
-    assert.ok(parents[change.chunk]! < 0 || last.has(parents[change.chunk]!), "a chunk before its parent");
+    const parent = scene.index.rows.parentOf(change.chunk);
+    assert.ok(parent < 0 || last.has(parent), "a chunk before its parent");
     last.set(change.chunk, sha256(means, opacities, shN));
   }
   return last;

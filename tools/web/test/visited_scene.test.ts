@@ -1,5 +1,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import type { Index } from "../src/container/scene_index.js";
+import { SceneRows } from "../src/container/scene_rows.js";
 import type { PackedSplats } from "../src/scene/packed_splats.js";
 import { VisitedScene } from "../src/viewer/visited_scene.js";
 
@@ -21,11 +23,14 @@ function watched(capacity: number, ratios: () => Float64Array | undefined) {
   const prefixes = new Map<number, number>();
   const rows = new Array<number>(capacity).fill(0);
   const shifts = new Array<number>(capacity).fill(0);
+  const sceneRows = new SceneRows();
+  const root = { firstChunk: 0, chunks: 6, firstRow: 0, pages: [] } as unknown as Index;
+  sceneRows.enter(root, { splats: Uint32Array.from(SPLATS), cell: Uint32Array.from(CELLS) }, []);
   const scene = {
     info: { splats: 80 },
-    index: { totalChunkCount: 6, chunks: { splats: SPLATS, cell: CELLS } },
+    index: { totalChunkCount: 6, rows: sceneRows },
     compensation: {
-      knownLayers: 1,
+      layerChunks: 6,
       shifts: (prefix: number, chunk: number) => {
         prefixes.set(chunk, prefix);
         if (prefix === 6) return undefined;

@@ -1,7 +1,7 @@
 import { CogsplatError } from "../errors.js";
 import { Fields } from "./fields.js";
 import { parseMap } from "./msgpack.js";
-import type { ChunkTable } from "./tables.js";
+import type { SceneRows } from "./scene_rows.js";
 
 const f32 = Math.fround;
 const MAX_BOOK_ROWS = 256;
@@ -27,15 +27,15 @@ export interface CompensationLayer {
  * Read the next layer.
  *
  * @param payload - Bytes of the segment, whose CRC was checked.
- * @param chunks - Chunk table of the index pages read so far.
- * @param totalChunks - Chunks of the whole file.
+ * @param rows - Chunks and unread pages of the scene.
+ * @param chunks - Chunks before the first unread page, and of the whole file.
  * @param before - Previous layer; undefined for the first.
- * @returns undefined where the layer covers chunks whose index page was not read.
+ * @returns undefined where the layer covers chunks of an unread page.
  */
 export function readLayer(
   payload: Uint8Array,
-  chunks: ChunkTable,
-  totalChunks: number,
+  rows: SceneRows,
+  chunks: { readonly known: number; readonly all: number },
   before: CompensationLayer | undefined,
 ): CompensationLayer | undefined {
   const fields = new Fields(parseMap(payload), "compensation");
@@ -47,14 +47,13 @@ export function readLayer(
   const codeBytes = bytes(fields.column("codes", 1));
   fields.finish();
   const firstChunk = before?.chunks ?? 0;
-  if (count <= firstChunk || count > totalChunks) {
-    throw fields.outOfRange("scales", `a layer of ${count} chunks of ${totalChunks} behind one of ${firstChunk}`);
+  if (count <= firstChunk || count > chunks.all) {
+    throw fields.outOfRange("scales", `a layer of ${count} chunks of ${chunks.all} behind one of ${firstChunk}`);
   }
-  if (count > chunks.splats.length) return undefined;
-  const rows = book.length / 2;
-  if (rows > MAX_BOOK_ROWS) throw fields.outOfRange("book", `${rows} rows`);
-  const splats = chunks.splats.subarray(firstChunk, count).reduce((sum, n) => sum + n, 0);
-  const codes = readCodes(fields, codeBytes, splats, rows);
+  if (count > chunks.known) return undefined;
+  const bookRows = book.length / 2;
+  if (bookRows > MAX_BOOK_ROWS) throw fields.outOfRange("book", `${bookRows} rows`);
+  const codes = readCodes(fields, codeBytes, splatsBetween(rows, firstChunk, count), bookRows);
   return { chunks: count, scales, opacities, strengths, book, codes, firstChunk };
 }
 
@@ -87,57 +86,58 @@ export interface Shifts {
 }
 
 /**
- * Return the shifts of a chunk in a prefix of the file (SPEC 8.5).
+ * Return the shifts of a chunk in a prefix of the file, or in a set of chunks (SPEC 8.5).
  *
  * @param layers - Layers received so far, from the first on.
- * @param chunks - Chunk table of the index pages read so far.
- * @param scene - Number of chunks and of splats in the whole file.
- * @param prefix - Number of chunks of the prefix.
- * @param chunk - Number of a chunk in the prefix.
+ * @param rows - Chunks and unread pages of the scene.
+ * @param totalChunks - Chunks of the whole file.
+ * @param prefix - Number of chunks of the prefix, which ends where a known chunk or an unread page begins.
+ * @param chunk - Number of a known chunk in the prefix.
+ * @param share - `SetState.share` of a chunk in a set.
  * @returns undefined if the prefix is not compensated.
  */
 export function shiftsOf(
   layers: readonly CompensationLayer[],
-  chunks: ChunkTable,
-  scene: { readonly chunks: number; readonly splats: number },
+  rows: SceneRows,
+  totalChunks: number,
   prefix: number,
   chunk: number,
+  share: number | undefined,
 ): Shifts | undefined {
-  if (prefix === scene.chunks || layers.length === 0) return undefined;
-  const rows = chunks.splats[chunk]!;
-  if (prefix <= layers[0]!.chunks) return layerShifts(layers, 0, chunks, chunk);
+  if ((share ?? (prefix === totalChunks ? 1 : 0)) === 1 || layers.length === 0) return undefined;
+  if (prefix <= layers[0]!.chunks) return layerShifts(layers, 0, rows, chunk);
   const above = layers.findIndex((layer) => layer.chunks >= prefix);
-  if (above >= 0 && layers[above]!.chunks === prefix) return layerShifts(layers, above, chunks, chunk);
+  if (above >= 0 && layers[above]!.chunks === prefix) return layerShifts(layers, above, rows, chunk);
   const below = (above < 0 ? layers.length : above) - 1;
   const first = layers[below]!.chunks;
-  const zero = { scales: new Float32Array(rows), opacities: new Float32Array(rows) };
-  const u = above < 0 ? zero : layerShifts(layers, above, chunks, chunk);
+  const splats = splatsOf(rows, chunk);
+  const zero = { scales: new Float32Array(splats), opacities: new Float32Array(splats) };
+  const u = above < 0 ? zero : layerShifts(layers, above, rows, chunk);
   if (chunk >= first) return u;
-  const s = layerShifts(layers, below, chunks, chunk);
-  const counted = sumSplats(chunks, first, prefix);
-  // Without a later layer the file's last chunk ends the interpolation; chunks of unread pages count by the root's sum.
-  const all = above < 0 ? scene.splats - sumSplats(chunks, 0, first) : sumSplats(chunks, first, layers[above]!.chunks);
-  const t = f32(counted / all);
+  const s = layerShifts(layers, below, rows, chunk);
+  // Without a later layer, all chunks of the file or all descendants end the interpolation.
+  const all = splatsBetween(rows, first, above < 0 ? totalChunks : layers[above]!.chunks);
+  const t = f32(share ?? splatsBetween(rows, first, prefix) / all);
   const blend = (from: Float32Array, to: Float32Array) =>
     from.map((value, i) => f32(value + f32(f32(to[i]! - value) * t)));
   return { scales: blend(s.scales, u.scales), opacities: blend(s.opacities, u.opacities) };
 }
 
 /** Return the shifts of one layer for a chunk that it covers. */
-function layerShifts(layers: readonly CompensationLayer[], number: number, chunks: ChunkTable, chunk: number): Shifts {
+function layerShifts(layers: readonly CompensationLayer[], number: number, rows: SceneRows, chunk: number): Shifts {
   const layer = layers[number]!;
-  const rows = chunks.splats[chunk]!;
+  const splats = splatsOf(rows, chunk);
   // The codes of a chunk are in the first layer that covers it.
   const coder = layers.find((candidate) => candidate.chunks > chunk)!;
   const scale = layer.scales[chunk]! / 128;
   const opacity = layer.opacities[chunk]! / 16;
   const scaleStrength = layer.strengths[2 * chunk]! / 64;
   const opacityStrength = layer.strengths[2 * chunk + 1]! / 64;
-  const scales = new Float32Array(rows).fill(scale);
-  const opacities = new Float32Array(rows).fill(opacity);
+  const scales = new Float32Array(splats).fill(scale);
+  const opacities = new Float32Array(splats).fill(opacity);
   if (coder.book.length > 0) {
-    const start = sumSplats(chunks, coder.firstChunk, chunk);
-    for (let i = 0; i < rows; i++) {
+    const start = splatsBetween(rows, coder.firstChunk, chunk);
+    for (let i = 0; i < splats; i++) {
       const code = coder.codes[start + i]!;
       // Every number here has few enough bits that float32 represents it exactly.
       scales[i] = scale + (scaleStrength * coder.book[2 * code]!) / 128;
@@ -147,10 +147,13 @@ function layerShifts(layers: readonly CompensationLayer[], number: number, chunk
   return { scales, opacities };
 }
 
-function sumSplats(chunks: ChunkTable, first: number, end: number): number {
-  let sum = 0;
-  for (let chunk = first; chunk < end; chunk++) sum += chunks.splats[chunk]!;
-  return sum;
+function splatsOf(rows: SceneRows, chunk: number): number {
+  return rows.splats[rows.rowOf(chunk)!]!;
+}
+
+/** Return the splats between two chunks, at each of which a known chunk or an unread page begins. */
+function splatsBetween(rows: SceneRows, first: number, end: number): number {
+  return rows.splatsBefore(end)! - rows.splatsBefore(first)!;
 }
 
 function int8(view: DataView): Int8Array {

@@ -1,7 +1,8 @@
 import { CogsplatError } from "../errors.js";
 import { crc32 } from "./crc32.js";
 import { hex, PREAMBLE_BYTES } from "./preamble.js";
-import type { ByteRange, SceneIndex, ScenePlaces } from "./scene_index.js";
+import type { ByteRange, Index, Page, SceneIndex, ScenePlaces } from "./scene_index.js";
+import { MAX_PAGES } from "./tables.js";
 
 /** Bytes of a row of a table of places: name and size of the object, offset of the segment or page in it (SPEC 3.4). */
 const ROW_BYTES = 24;
@@ -39,10 +40,9 @@ export class FolderIndex implements ScenePlaces {
   /** The manifest, whose name is empty, then the objects in the order of their first segment. */
   private readonly objects: FolderObject[] = [];
   private readonly numbers = new Map<string, number>();
-  /** Address of each segment whose table of places was read. */
+  /** Address of each segment and of each page whose row was read, and the bytes of the page's object from there on. */
   private readonly addresses: number[] = [];
-  /** Address of each index page. */
-  private readonly pageAddresses: readonly number[];
+  private readonly pageAddresses: ByteRange[] = [];
   /** Bytes of the manifest. */
   readonly manifestBytes: number;
 
@@ -70,13 +70,11 @@ export class FolderIndex implements ScenePlaces {
     requireBytes(this.manifestBytes);
     this.objects.push({ name: "", size: this.manifestBytes });
     let end = placesEnd;
-    for (const [row, bytes] of length.entries()) {
-      this.addresses.push(isInside[row] ? end : this.addressOf(places[row]!, bytes, `segment ${row}`));
-      if (isInside[row]) end += bytes;
-    }
-    this.pageAddresses = index.pages.map((page, number) =>
-      this.addressOf(places[length.length + number]!, page.length + placesBytes(page.segments), `page ${number}`),
-    );
+    this.enter(places, index.indexes[0]!, (row, bytes) => {
+      if (!isInside[row]) return undefined;
+      end += bytes;
+      return end - bytes;
+    });
   }
 
   /** Compare the length of the manifest with the length that its root implies. */
@@ -95,23 +93,43 @@ export class FolderIndex implements ScenePlaces {
     return { offset: this.addresses[segment]!, length: this.index.segments.length[segment]! };
   }
 
-  nextPage(): ByteRange | undefined {
-    const page = this.index.nextPage();
-    const number = this.index.pagesRead;
-    const entry = this.index.pages[number];
-    return page && entry && { offset: this.pageAddresses[number]!, length: page.length + placesBytes(entry.segments) };
+  /** Return the range of a page and its places; the number of its rows is known from the page alone, so it may be longer. */
+  pageRange(page: Page): ByteRange {
+    const { offset, length } = this.pageAddresses[page.number]!;
+    return { offset, length: Math.min(length, this.index.pageRange(page).length + placesBytes(page.segments + MAX_PAGES)) };
   }
 
-  addPage(bytes: Uint8Array): void {
-    const number = this.index.pagesRead;
-    const { length } = this.index.pages[number]!;
+  addPage(page: Page, bytes: Uint8Array): void {
+    if (this.index.isRead(page)) return;
+    const { length } = page;
+    const where = `page ${page.number}`;
+    const tables = this.index.readPage(page, bytes.slice(0, length));
+    const end = length + placesBytes(page.segments + (tables.pages?.length.length ?? 0));
+    if (bytes.length < end)
+      throw new CogsplatError("places-range", `${where} with its places of ${end} bytes in ${bytes.length}`);
     // The places are checked before the page is entered, so that a damaged page can be fetched again.
-    const places = readPlaces(bytes.subarray(length), `page ${number}`);
-    const first = this.index.segments.kind.length;
-    this.index.addPage(bytes.slice(0, length));
+    const places = readPlaces(bytes.subarray(length, end), where);
+    this.index.enterPage(page, tables);
+    this.enter(places, this.index.indexes.at(-1)!);
+  }
+
+  /** Enter the places of an index. */
+  private enter(
+    places: readonly Place[],
+    index: Index,
+    inside: (row: number, bytes: number) => number | undefined = () => undefined,
+  ): void {
     for (const [row, place] of places.entries()) {
-      const segment = first + row;
-      this.addresses.push(this.addressOf(place, this.index.segments.length[segment]!, `segment ${segment}`));
+      const page = index.pages[row - index.segments];
+      if (page === undefined) {
+        const segment = index.firstSegment + row;
+        const bytes = this.index.segments.length[segment]!;
+        this.addresses.push(inside(row, bytes) ?? this.addressOf(place, bytes, `segment ${segment}`));
+      } else {
+        const least = page.length + placesBytes(page.segments);
+        const offset = this.addressOf(place, least, `page ${page.number}`);
+        this.pageAddresses.push({ offset, length: place.size - place.offset });
+      }
     }
   }
 

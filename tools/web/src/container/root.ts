@@ -2,7 +2,15 @@ import { CogsplatError } from "../errors.js";
 import { Fields, textBytes } from "./fields.js";
 import { parseMap } from "./msgpack.js";
 import { type Pinhole, readPinhole } from "./pinhole.js";
-import { type ChunkTable, readChunkTable, readSegmentTable, type SegmentTable } from "./tables.js";
+import {
+  type ChunkTable,
+  MAX_PAGES,
+  type PageTable,
+  readChunkTable,
+  readPageTable,
+  readSegmentTable,
+  type SegmentTable,
+} from "./tables.js";
 
 /** Contents of a codebook's rows (SPEC 5.5). */
 export interface CodebookEntry {
@@ -19,15 +27,6 @@ export interface AttributeEntry {
   readonly type: keyof typeof ATTRIBUTE_TYPES;
   /** Values per splat of an array attribute; 0 for a single value. */
   readonly components: number;
-}
-
-/** An index page, as the root announces it (SPEC 5.6). */
-export interface PageEntry {
-  readonly length: number;
-  readonly crc: number;
-  readonly segments: number;
-  readonly chunks: number;
-  readonly span: number;
 }
 
 /** A level of detail (SPEC 5.11). */
@@ -78,7 +77,8 @@ export interface Viewpoint {
 export interface Root {
   readonly scene: SceneInfo;
   readonly codebooks: readonly CodebookEntry[];
-  readonly pages: readonly PageEntry[];
+  /** Absent where no page is listed. */
+  readonly pages: PageTable | undefined;
   readonly segments: SegmentTable;
   readonly chunks: ChunkTable;
 }
@@ -113,7 +113,7 @@ export function readRoot(bytes: Uint8Array): Root {
   const capture = fields.has("capture") ? readCapture(fields) : [];
   const attributes = fields.has("attributes") ? readAttributeEntries(fields) : [];
   const levels = fields.has("levels") ? readLevels(fields) : [];
-  const pages = fields.has("pages") ? fields.maps("pages", 128, readPageEntry) : [];
+  const pages = fields.has("pages") ? readPageTable(fields.fields("pages"), MAX_PAGES) : undefined;
   const segments = readSegmentTable(fields.fields("segments"));
   const chunks = readChunkTable(fields.fields("chunks"));
   fields.finish();
@@ -221,16 +221,4 @@ function readLevels(root: Fields): LevelEntry[] {
   });
   if (levels.length === 0) throw root.outOfRange("levels", "none");
   return levels;
-}
-
-function readPageEntry(fields: Fields): PageEntry {
-  const entry: PageEntry = {
-    length: fields.integer("length", 1, 1_048_576),
-    crc: fields.integer("crc", 0, 2 ** 32 - 1),
-    segments: fields.integer("segments", 1, 1_048_576),
-    chunks: fields.integer("chunks", 0, 1_048_576),
-    span: fields.integer("span", 1, Number.MAX_SAFE_INTEGER),
-  };
-  fields.finish();
-  return entry;
 }

@@ -1,46 +1,32 @@
 import { CogsplatError } from "../errors.js";
 import { crc32 } from "./crc32.js";
 import { PICTURE_NAMES, type PictureName } from "./description.js";
-import { Fields } from "./fields.js";
-import { parseMap } from "./msgpack.js";
+import { type ByteRange, type Index, type IndexTables, IndexTree, type Page, type PlacedSegments } from "./index_tree.js";
 import { PREAMBLE_BYTES, readPreamble } from "./preamble.js";
-import { type CodebookEntry, type PageEntry, readRoot, type SceneInfo } from "./root.js";
-import {
-  type ChunkTable,
-  joinTables,
-  readChunkTable,
-  readSegmentTable,
-  SegmentKind,
-  type SegmentTable,
-} from "./tables.js";
+import { type CodebookEntry, readRoot, type SceneInfo } from "./root.js";
+import type { SceneRows } from "./scene_rows.js";
+import { type ChunkTable, SegmentKind } from "./tables.js";
 
-/** Segments of a file at most (SPEC 9.1). */
-const MAX_SEGMENTS = 1_048_576;
-/** Segments of later opacities of a chunk that no later level changes. */
-const NO_OPACITIES: readonly number[] = [];
+export type { ByteRange, Index, Page } from "./index_tree.js";
+
 /** Bytes of a description, and of a picture, at most (SPEC 9.1). */
 const MAX_DESCRIPTION = 1_048_576;
 const MAX_PICTURE = 16_777_216;
+const COLOUR_BANDS = [SegmentKind.colourBand1, SegmentKind.colourBand2, SegmentKind.colourBand3] as const;
 /** Segment number of a kind that a chunk does not have. */
 const NONE = -1;
-
-/** A byte range of a file or of an address space. */
-export interface ByteRange {
-  readonly offset: number;
-  readonly length: number;
-}
 
 /** Byte ranges of a scene's segments and index pages, in a file or in the objects of a folder. */
 export interface ScenePlaces {
   /** Return the byte range of a segment. */
   range(segment: number): ByteRange;
-  /** Return the byte range of the next unread page; undefined where all are read. */
-  nextPage(): ByteRange | undefined;
-  /** Read the page of `nextPage`. */
-  addPage(bytes: Uint8Array): void;
+  /** Return the byte range of a page. */
+  pageRange(page: Page): ByteRange;
+  /** Check and enter a page, unless it was read before. */
+  addPage(page: Page, bytes: Uint8Array): void;
 }
 
-/** Segment numbers of one chunk; −1 for a kind that it does not have, or whose page was not read. */
+/** Segment numbers of one chunk; −1 for a kind that it does not have. */
 export interface ChunkSegments {
   readonly head: number;
   readonly refinement: number;
@@ -50,47 +36,38 @@ export interface ChunkSegments {
   readonly opacities: readonly number[];
 }
 
+/** Segments of a chunk while they are entered. */
+interface OwnSegments extends ChunkSegments {
+  refinement: number;
+  tail: number;
+  attributes: number;
+  readonly opacities: number[];
+}
+
 /**
  * The index of a file: the root and the pages read so far (SPEC 3 to 5).
  *
- * Files are refused in the order of SPEC 8.1: `open` and `addPage` check each table by itself, and `crossCheck` checks them
- * together. `crossCheck` makes the chunks of new pages available.
+ * Files are refused in the order of SPEC 8.1: each index is checked alone, when it is read.
  */
-export class SceneIndex {
+export class SceneIndex implements ScenePlaces {
   readonly scene: SceneInfo;
   readonly codebooks: readonly CodebookEntry[];
   readonly fileLength: number;
   readonly rootLength: number;
-  readonly pages: readonly PageEntry[];
-  segments: SegmentTable;
-  chunks: ChunkTable;
-  /** Byte offset of each segment in the file. */
-  offsets = new Float64Array(0);
-  /** Number of pages read. */
-  pagesRead = 0;
-  /** Segments of compensation, cameras and view tables, in file order. */
+  /** Segments of compensation and cameras, in file order. */
   readonly compensation: number[] = [];
   readonly cameras: number[] = [];
-  readonly viewTables: number[] = [];
+  /** View table of each index that has one (SPEC 5.12). */
+  readonly viewTables = new Map<Index, number>();
   /** Segment of the description; undefined where there is none. */
   description: number | undefined;
   /** Segments of the pictures, by name. */
   readonly pictures = new Map<PictureName, number>();
 
-  private readonly totalChunks: number;
-  /** Number of segments that the root lists. */
-  private readonly rootSegments: number;
-  private readonly heads: number[] = [];
-  private readonly tails: Int32Array;
-  private readonly refinements: Int32Array;
-  private readonly attributes: Int32Array;
-  private readonly opacities = new Map<number, number[]>();
+  private readonly tree: IndexTree;
+  private readonly parts = new Map<number, OwnSegments>();
   /** Segment of each kind, for each codebook. */
   private readonly codebookSegments: Map<number, number>[];
-  /** End of the segments read so far, bytes. */
-  private end: number;
-  /** Number of segments that `crossCheck` has entered. */
-  private settled = 0;
 
   private constructor(bytes: Uint8Array) {
     const preamble = readPreamble(bytes);
@@ -106,25 +83,9 @@ export class SceneIndex {
     const root = readRoot(rootBytes);
     this.scene = root.scene;
     this.codebooks = root.codebooks;
-    this.pages = root.pages;
-    this.segments = root.segments;
-    this.rootSegments = root.segments.kind.length;
-    this.chunks = root.chunks;
     this.fileLength = preamble.fileLength;
     this.rootLength = preamble.rootLength;
-    this.end = rootEnd;
-    const segments = root.pages.reduce((sum, page) => sum + page.segments, root.segments.kind.length);
-    if (segments > MAX_SEGMENTS) throw new CogsplatError("segment-count", `${segments} segments`);
-    this.totalChunks = root.pages.reduce((sum, page) => sum + page.chunks, root.chunks.splats.length);
-    const levelled = root.scene.levels.at(-1)?.chunks;
-    if (levelled !== undefined && levelled !== this.totalChunks) {
-      throw new CogsplatError("level-chunks", `${levelled} chunks of ${this.totalChunks}`);
-    }
-    // Each chunk has a head, so a page with more chunks than segments is refused when it is read.
-    const mostChunks = Math.min(this.totalChunks, segments);
-    this.tails = new Int32Array(mostChunks).fill(NONE);
-    this.refinements = new Int32Array(mostChunks).fill(NONE);
-    this.attributes = new Int32Array(mostChunks).fill(NONE);
+    this.tree = new IndexTree(root, rootEnd);
     this.codebookSegments = root.codebooks.map(() => new Map<number, number>());
   }
 
@@ -138,67 +99,83 @@ export class SceneIndex {
   static open(bytes: Uint8Array, sourceLength?: number, partial = false): SceneIndex {
     const index = new SceneIndex(bytes);
     if (sourceLength !== undefined) index.checkSource(sourceLength, partial);
-    index.enterSegments(0, index.chunks.splats.length);
+    index.checkRoot();
+    index.enterSegments(index.tree.root);
     return index;
   }
 
-  /** Return the byte range of the next unread page; undefined where all are read. */
-  nextPage(): ByteRange | undefined {
-    const page = this.pages[this.pagesRead];
-    if (page === undefined) return undefined;
-    if (this.end + page.length > this.fileLength) {
-      throw new CogsplatError("segments-length", `page ${this.pagesRead} leaves the file`, this.end);
-    }
-    return { offset: this.end, length: page.length };
+  /** The root, then the pages in the order in which they were read. */
+  get indexes(): readonly Index[] {
+    return this.tree.indexes;
   }
 
-  /** Read the page of `nextPage`. */
-  addPage(bytes: Uint8Array): void {
-    const number = this.pagesRead;
-    const entry = this.pages[number]!;
-    const offset = this.end;
-    if (crc32(bytes) !== entry.crc)
-      throw new CogsplatError("page-crc", `the CRC of page ${number} does not match`, offset);
-    const fields = new Fields(parseMap(bytes), `page ${number}`);
-    const segments = readSegmentTable(fields.fields("segments"));
-    const chunks = readChunkTable(fields.fields("chunks"));
-    fields.finish();
-    const span = segments.length.reduce((sum, length) => sum + length, 0);
-    if (segments.kind.length !== entry.segments || chunks.splats.length !== entry.chunks || span !== entry.span) {
-      throw new CogsplatError("page-entry", `page ${number} differs from its entry in the root`, offset);
-    }
-    const firstSegment = this.segments.kind.length;
-    this.segments = joinTables(this.segments, segments);
-    this.chunks = joinTables(this.chunks, chunks);
-    this.end += entry.length;
-    this.pagesRead++;
-    this.enterSegments(firstSegment, chunks.splats.length);
+  /** Pages that the indexes read so far list. */
+  get pages(): readonly Page[] {
+    return this.tree.pages;
   }
 
-  /** Number of chunks available so far. */
+  /** Chunks and pages of the indexes read so far, as rows of one table. */
+  get rows(): SceneRows {
+    return this.tree.rows;
+  }
+
+  /** Segment tables by segment number, with the place of each segment in the file; zeros for those of unread pages. */
+  get segments(): PlacedSegments {
+    return this.tree.segments;
+  }
+
+  /** Chunk tables by chunk number; zeros for chunks of unread pages. */
+  get chunks(): ChunkTable {
+    return this.tree.chunks;
+  }
+
+  /** Whether a page was read. */
+  isRead(page: Page): boolean {
+    return this.tree.isRead(page);
+  }
+
+  /** Return the first unread page in the order of the file; undefined where all are read. */
+  nextPage(): Page | undefined {
+    return this.tree.nextPage();
+  }
+
+  /** Return the byte range of a page in the file. */
+  pageRange(page: Page): ByteRange {
+    return page;
+  }
+
+  /** Check the bytes of a page and read their tables. */
+  readPage(page: Page, bytes: Uint8Array): IndexTables {
+    return this.tree.readPage(page, bytes);
+  }
+
+  /** Enter the tables of an unread page. */
+  enterPage(page: Page, tables: IndexTables): void {
+    this.enterSegments(this.tree.enterPage(page, tables));
+  }
+
+  addPage(page: Page, bytes: Uint8Array): void {
+    if (!this.isRead(page)) this.enterPage(page, this.readPage(page, bytes));
+  }
+
+  /** Number of chunks before the first unread page. */
   get chunkCount(): number {
-    return this.heads.length;
+    return this.tree.prefixChunks;
   }
 
   /** Number of chunks of the whole file. */
   get totalChunkCount(): number {
-    return this.totalChunks;
+    return this.tree.total.chunks;
   }
 
   /** Whether the root and all pages are read. */
   get complete(): boolean {
-    return this.pagesRead === this.pages.length;
+    return this.tree.complete;
   }
 
   /** Return the segments of an available chunk. */
   chunkSegments(chunk: number): ChunkSegments {
-    return {
-      head: this.heads[chunk]!,
-      refinement: this.refinements[chunk]!,
-      tail: this.tails[chunk]!,
-      attributes: this.attributes[chunk]!,
-      opacities: this.opacities.get(chunk) ?? NO_OPACITIES,
-    };
+    return this.parts.get(chunk)!;
   }
 
   /** Return whether a prefix of `prefix` chunks draws a chunk, or the chunk has ended (SPEC 5.10). */
@@ -209,7 +186,7 @@ export class SceneIndex {
 
   /** Return the segment of a chunk's opacities at a level; undefined for the opacities of its head (SPEC 5.11). */
   opacitiesAt(chunk: number, level: number): number | undefined {
-    const found = this.opacities.get(chunk) ?? NO_OPACITIES;
+    const found = this.parts.get(chunk)!.opacities;
     return found[Math.min(level - this.levelsOf(chunk)[0]!, found.length) - 1];
   }
 
@@ -222,26 +199,17 @@ export class SceneIndex {
 
   /** Return the byte range of a segment in the file. */
   range(segment: number): ByteRange {
-    return { offset: this.offsets[segment]!, length: this.segments.length[segment]! };
+    return { offset: this.segments.offset[segment]!, length: this.segments.length[segment]! };
   }
 
-  /**
-   * Return the segments of the codebooks that a segment needs, up to the SH band of a degree.
-   *
-   * @returns Segment numbers; undefined where one is on an unread page.
-   */
-  codebookSegmentsOf(segment: number, degree: number): number[] | undefined {
-    const found: number[] = [];
+  /** Return the segments of the codebooks that a segment needs, up to the SH band of a degree. */
+  codebookSegmentsOf(segment: number, degree: number): number[] {
     const needs = this.segments.needs[segment]!;
-    for (let codebook = 0; codebook < this.codebooks.length; codebook++) {
-      if (((needs >>> codebook) & 1) === 0) continue;
-      for (const kind of this.kindsOf(codebook, degree)) {
-        const number = this.codebookSegments[codebook]!.get(kind);
-        if (number === undefined) return undefined;
-        found.push(number);
-      }
-    }
-    return found;
+    return this.codebookSegments.flatMap((segments, codebook) =>
+      ((needs >>> codebook) & 1) === 0
+        ? []
+        : this.kindsOf(codebook, degree).map((kind) => segments.get(kind)!),
+    );
   }
 
   /** Return the segments of all codebooks, used or not, codebook by codebook. */
@@ -254,7 +222,7 @@ export class SceneIndex {
   /** Refuse a payload whose CRC differs from that of the segment table. */
   checkCrc(segment: number, payload: Uint8Array): void {
     if (payload.length !== this.segments.length[segment]! || crc32(payload) !== this.segments.crc[segment]!) {
-      throw new CogsplatError("segment-crc", `the CRC of segment ${segment} does not match`, this.offsets[segment]!);
+      throw new CogsplatError("segment-crc", `the CRC of segment ${segment} does not match`, this.segments.offset[segment]!);
     }
   }
 
@@ -268,222 +236,195 @@ export class SceneIndex {
     }
   }
 
-  /**
-   * Cross-check the segments read since the last call, and enter each under its chunk or codebook.
-   *
-   * Checks of the whole file run once all pages are read.
-   */
-  crossCheck(): void {
-    const first = this.settled;
-    this.settled = this.segments.kind.length;
-    if (this.end > this.fileLength || (this.complete && this.end !== this.fileLength)) {
-      throw new CogsplatError(
-        "segments-length",
-        `index and segments end at ${this.end}, the file at ${this.fileLength}`,
-      );
+  /** Check what the root states of the whole file. */
+  private checkRoot(): void {
+    this.tree.checkCount();
+    const { total, end } = this.tree;
+    if (end !== this.fileLength) {
+      const found = `root, segments and pages end at ${end}, the file at ${this.fileLength}`;
+      throw new CogsplatError("segments-length", found);
     }
-    this.enterHeads(first);
-    this.enterOnce(first, SegmentKind.tail, this.tails, "chunk-tails");
-    this.enterOnce(first, SegmentKind.refinement, this.refinements, "chunk-refinements");
-    this.enterOpacities(first);
-    this.checkEnds();
-    this.checkSplats();
-    this.checkNeeds(first);
-    this.enterCodebooks(first);
-    this.enterOnce(first, SegmentKind.attributes, this.attributes, "attribute-segments");
-    this.enterCameras(first);
-    this.enterCompensation(first);
-    this.enterViewTable(first);
-    this.enterDescription(first);
-    this.enterPictures(first);
-  }
-
-  /** Enter the byte offsets of the segments of one table, and compare its numbers of heads and chunks. */
-  private enterSegments(first: number, chunks: number): void {
-    const { kind, length } = this.segments;
-    const offsets = new Float64Array(kind.length);
-    offsets.set(this.offsets);
-    let heads = 0;
-    for (let i = first; i < kind.length; i++) {
-      offsets[i] = this.end;
-      this.end += length[i]!;
-      if (kind[i] === SegmentKind.head) heads++;
+    if (total.splats !== this.scene.splats) {
+      throw new CogsplatError("splat-count", `chunks of ${total.splats} splats, the root says ${this.scene.splats}`);
     }
-    this.offsets = offsets;
-    if (heads !== chunks) throw new CogsplatError("chunk-heads", `an index of ${heads} heads and ${chunks} chunks`);
-  }
-
-  private enterHeads(first: number): void {
-    for (const [segment, owner] of this.ofKind(SegmentKind.head, first)) {
-      if (owner !== this.heads.length) {
-        throw new CogsplatError("chunk-heads", `a head of chunk ${owner}, expected chunk ${this.heads.length}`);
-      }
-      this.heads.push(segment);
+    const levelled = this.scene.levels.at(-1)?.chunks;
+    if (levelled !== undefined && levelled !== total.chunks) {
+      throw new CogsplatError("level-chunks", `${levelled} chunks of ${total.chunks}`);
     }
   }
 
-  /** Enter the segments of a kind that a chunk has at most once, always after its head. */
+  /** Check the segments and chunks of an index, and enter each segment under its chunk or codebook. */
+  private enterSegments(index: Index): void {
+    this.enterHeads(index);
+    this.enterOnce(index, SegmentKind.tail, "tail", "chunk-tails", this.scene.shDegree > 0);
+    this.enterOnce(index, SegmentKind.refinement, "refinement", "chunk-refinements", true);
+    this.enterOpacities(index);
+    this.checkEnds(index);
+    this.checkNeeds(index);
+    this.enterCodebooks(index);
+    const hasAttributes = this.scene.attributes.length > 0;
+    this.enterOnce(index, SegmentKind.attributes, "attributes", "attribute-segments", hasAttributes);
+    this.enterCameras(index);
+    this.enterCompensation(index);
+    this.enterViewTable(index);
+    this.enterDescription(index);
+    this.enterPictures(index);
+  }
+
+  private enterHeads(index: Index): void {
+    let next = index.firstChunk;
+    for (const [head, owner] of this.ofKind(SegmentKind.head, index)) {
+      if (owner !== next) throw new CogsplatError("chunk-heads", `a head of chunk ${owner}, expected chunk ${next}`);
+      this.parts.set(next++, { head, refinement: NONE, tail: NONE, attributes: NONE, opacities: [] });
+    }
+    const heads = next - index.firstChunk;
+    if (heads !== index.chunks) {
+      throw new CogsplatError("chunk-heads", `an index of ${heads} heads and ${index.chunks} chunks`);
+    }
+  }
+
+  /** Return the segments of a chunk whose head an index lists before a segment. */
+  private partsBefore(segment: number, chunk: number, { firstChunk, chunks }: Index): OwnSegments | undefined {
+    const parts = chunk >= firstChunk && chunk < firstChunk + chunks ? this.parts.get(chunk) : undefined;
+    return parts && parts.head < segment ? parts : undefined;
+  }
+
+  /** Enter the segments of a kind that a chunk has at most once, always after its head and in its index. */
   private enterOnce(
-    first: number,
+    index: Index,
     kind: number,
-    table: Int32Array,
+    part: "tail" | "refinement" | "attributes",
     code: "chunk-tails" | "chunk-refinements" | "attribute-segments",
+    isAllowed: boolean,
   ): void {
-    const isAllowed =
-      code === "chunk-tails"
-        ? this.scene.shDegree > 0
-        : code !== "attribute-segments" || this.scene.attributes.length > 0;
-    for (const [segment, chunk] of this.ofKind(kind, first)) {
-      const head = this.heads[chunk];
+    for (const [segment, chunk] of this.ofKind(kind, index)) {
       if (!isAllowed) throw new CogsplatError(code, `segment ${segment} has no place in this scene`);
-      if (head === undefined || head > segment || table[chunk] !== NONE) {
-        throw new CogsplatError(
-          code,
-          `segment ${segment} of chunk ${chunk} is its second, before its head, or of no chunk`,
-        );
+      const parts = this.partsBefore(segment, chunk, index);
+      if (parts === undefined || parts[part] !== NONE) {
+        const found = `segment ${segment} is the second of chunk ${chunk}, before its head, or of no chunk of its index`;
+        throw new CogsplatError(code, found);
       }
-      table[chunk] = segment;
+      parts[part] = segment;
     }
   }
 
   /** Enter the opacities of later levels, after their chunks' heads and at most one per level. */
-  private enterOpacities(first: number): void {
-    for (const [segment, chunk] of this.ofKind(SegmentKind.opacities, first)) {
-      const head = this.heads[chunk];
-      const found = this.opacities.get(chunk) ?? [];
-      if (head === undefined || head > segment || found.length >= this.levelsOf(chunk).length - 1) {
+  private enterOpacities(index: Index): void {
+    for (const [segment, chunk] of this.ofKind(SegmentKind.opacities, index)) {
+      const parts = this.partsBefore(segment, chunk, index);
+      if (parts === undefined || parts.opacities.length >= this.levelsOf(chunk).length - 1) {
         throw new CogsplatError("chunk-opacities", `segment ${segment} of chunk ${chunk} has no place`);
       }
-      this.opacities.set(chunk, [...found, segment]);
+      parts.opacities.push(segment);
     }
   }
 
-  private checkEnds(): void {
-    this.chunks.until.forEach((until, chunk) => {
-      if (until > 0 && (until < chunk + 2 || until > this.totalChunks)) {
+  private checkEnds({ firstChunk, chunks }: Index): void {
+    for (let chunk = firstChunk; chunk < firstChunk + chunks; chunk++) {
+      const until = this.chunks.until[chunk]!;
+      if (until > 0 && (until < chunk + 2 || until > this.totalChunkCount)) {
         throw new CogsplatError("chunk-until", `chunk ${chunk} ends at ${until}`);
       }
-    });
-  }
-
-  private checkSplats(): void {
-    const splats = this.chunks.splats.reduce((sum, rows) => sum + rows, 0);
-    // Chunks of unread pages have the rest.
-    if (splats > this.scene.splats || (this.complete && splats !== this.scene.splats)) {
-      throw new CogsplatError("splat-count", `chunks of ${splats} splats, the root says ${this.scene.splats}`);
     }
   }
 
-  private checkNeeds(first: number): void {
+  private checkNeeds({ firstSegment, segments }: Index): void {
     const count = this.codebooks.length;
-    const wrong = count < 32 ? this.segments.needs.subarray(first).findIndex((needs) => needs >>> count !== 0) : -1;
+    if (count === 32) return;
+    const needs = this.segments.needs.subarray(firstSegment, firstSegment + segments);
+    const wrong = needs.findIndex((books) => books >>> count !== 0);
     if (wrong >= 0) {
-      throw new CogsplatError("needs-range", `segment ${first + wrong} needs a codebook that is not listed`);
+      throw new CogsplatError("needs-range", `segment ${firstSegment + wrong} needs a codebook that is not listed`);
     }
   }
 
-  private enterCodebooks(first: number): void {
-    for (const kind of [
-      SegmentKind.shapeCodebook,
-      SegmentKind.colourBand1,
-      SegmentKind.colourBand2,
-      SegmentKind.colourBand3,
-    ]) {
-      for (const [segment, codebook] of this.ofKind(kind, first)) {
+  /** Enter the codebooks, which the root lists. */
+  private enterCodebooks(index: Index): void {
+    for (const kind of [SegmentKind.shapeCodebook, ...COLOUR_BANDS]) {
+      for (const [segment, codebook] of this.ofKind(kind, index)) {
         const segments = this.codebookSegments[codebook];
-        if (
-          segments === undefined ||
-          segments.has(kind) ||
-          !this.kindsOf(codebook, this.scene.shDegree).includes(kind)
-        ) {
-          throw new CogsplatError(
-            "codebook-segments",
-            `segment ${segment} of kind ${kind} has no place in codebook ${codebook}`,
-          );
+        const isAllowed = segments && index.page === undefined && this.kindsOf(codebook, this.scene.shDegree).includes(kind);
+        if (!isAllowed || segments.has(kind)) {
+          const found = `segment ${segment} of kind ${kind} has no place in codebook ${codebook}`;
+          throw new CogsplatError("codebook-segments", found);
         }
         segments.set(kind, segment);
       }
     }
-    if (!this.complete) return;
-    this.codebooks.forEach((_, codebook) => {
-      const missing = this.kindsOf(codebook, this.scene.shDegree).find(
-        (kind) => !this.codebookSegments[codebook]!.has(kind),
-      );
+    this.codebookSegments.forEach((segments, codebook) => {
+      const missing = this.kindsOf(codebook, this.scene.shDegree).find((kind) => !segments.has(kind));
       if (missing !== undefined) {
         throw new CogsplatError("codebook-segments", `codebook ${codebook} has no segment of kind ${missing}`);
       }
     });
   }
 
-  private enterCameras(first: number): void {
-    for (const [segment, owner] of this.ofKind(SegmentKind.cameras, first)) {
-      if (owner !== 0 || this.cameras.length > 0) {
-        throw new CogsplatError("camera-segments", `a segment of cameras of owner ${owner}, or a second one`);
+  private enterCameras(index: Index): void {
+    for (const [segment, owner] of this.ofKind(SegmentKind.cameras, index)) {
+      if (owner !== 0 || index.page !== undefined || this.cameras.length > 0) {
+        throw new CogsplatError("camera-segments", `cameras of owner ${owner}, in a page, or a second segment of them`);
       }
       this.cameras.push(segment);
     }
   }
 
-  private enterViewTable(first: number): void {
-    for (const [segment, owner] of this.ofKind(SegmentKind.viewTable, first)) {
-      if (owner !== 0 || this.viewTables.length > 0) {
-        throw new CogsplatError("view-table-segments", `a view table of owner ${owner}, or a second one`);
+  private enterCompensation(index: Index): void {
+    for (const [segment, layer] of this.ofKind(SegmentKind.compensation, index)) {
+      if (index.page !== undefined || layer !== this.compensation.length) {
+        const found = `layer ${layer} in a page, or not layer ${this.compensation.length}`;
+        throw new CogsplatError("compensation-segments", found);
       }
-      this.viewTables.push(segment);
+      this.compensation.push(segment);
     }
   }
 
-  private enterDescription(first: number): void {
-    for (const [segment, owner] of this.ofKind(SegmentKind.description, first)) {
+  private enterViewTable(index: Index): void {
+    for (const [segment, owner] of this.ofKind(SegmentKind.viewTable, index)) {
+      if (owner !== 0 || this.viewTables.has(index)) {
+        throw new CogsplatError("view-table-segments", `a view table of owner ${owner}, or a second one of its index`);
+      }
+      this.viewTables.set(index, segment);
+    }
+  }
+
+  private enterDescription(index: Index): void {
+    for (const [segment, owner] of this.ofKind(SegmentKind.description, index)) {
       const length = this.segments.length[segment]!;
-      if (owner !== 0 || this.description !== undefined || segment >= this.rootSegments || length > MAX_DESCRIPTION) {
-        throw new CogsplatError(
-          "description-segments",
-          `a description of owner ${owner} and ${length} bytes in a page, or a second one`,
-        );
+      if (owner !== 0 || index.page !== undefined || this.description !== undefined || length > MAX_DESCRIPTION) {
+        const found = `a description of owner ${owner} and ${length} bytes, in a page, or a second one`;
+        throw new CogsplatError("description-segments", found);
       }
       this.description = segment;
     }
   }
 
-  private enterPictures(first: number): void {
-    // The last index lists the pictures.
-    const last = this.pages.slice(0, -1).reduce((sum, page) => sum + page.segments, this.rootSegments);
-    for (const [segment, owner] of this.ofKind(SegmentKind.picture, first)) {
+  /** Page that lists the pictures: the last one that the root lists; undefined for the root. */
+  get picturesPage(): Page | undefined {
+    return this.tree.root.pages.at(-1);
+  }
+
+  private enterPictures(index: Index): void {
+    for (const [segment, owner] of this.ofKind(SegmentKind.picture, index)) {
       const name = PICTURE_NAMES[owner];
       const length = this.segments.length[segment]!;
-      const isEarly = this.pages.length > 0 && segment < last;
-      if (
-        name === undefined ||
-        this.pictures.has(name) ||
-        isEarly ||
-        this.description === undefined ||
-        length > MAX_PICTURE
-      ) {
+      const isElsewhere = index.page !== this.picturesPage;
+      const isAlone = this.description === undefined;
+      if (name === undefined || this.pictures.has(name) || isElsewhere || isAlone || length > MAX_PICTURE) {
         throw new CogsplatError("description-segments", `a picture of owner ${owner} and ${length} bytes has no place`);
       }
       this.pictures.set(name, segment);
     }
   }
 
-  private enterCompensation(first: number): void {
-    for (const [segment, layer] of this.ofKind(SegmentKind.compensation, first)) {
-      if (layer !== this.compensation.length) {
-        throw new CogsplatError("compensation-segments", `layer ${layer}, expected ${this.compensation.length}`);
-      }
-      this.compensation.push(segment);
-    }
-  }
-
-  /** Iterate over the segments of a kind from a row on, each with its owner. */
-  private *ofKind(wanted: number, first: number): Generator<readonly [number, number]> {
+  /** Iterate over the segments of a kind that an index lists, each with its owner. */
+  private *ofKind(wanted: number, { firstSegment, segments }: Index): Generator<readonly [number, number]> {
     const { kind, owner } = this.segments;
-    for (let i = first; i < kind.length; i++) if (kind[i] === wanted) yield [i, owner[i]!];
+    for (let i = firstSegment; i < firstSegment + segments; i++) if (kind[i] === wanted) yield [i, owner[i]!];
   }
 
   /** Return the segment kinds of a codebook: the shape kind, or the colour bands up to an SH degree. */
   private kindsOf(codebook: number, degree: number): readonly number[] {
     if (this.codebooks[codebook]!.attribute === "shape") return [SegmentKind.shapeCodebook];
-    return [SegmentKind.colourBand1, SegmentKind.colourBand2, SegmentKind.colourBand3].slice(0, degree);
+    return COLOUR_BANDS.slice(0, degree);
   }
 }

@@ -23,6 +23,12 @@ export const SegmentKind = {
 const FIRST_SKIPPABLE_KIND = 128;
 /** Splats of a chunk at most (SPEC 5.4). */
 const MAX_CHUNK_SPLATS = 262_144;
+/** Pages of an index at most (SPEC 9.1). */
+export const MAX_PAGES = 128;
+/** Bytes of a page at most (SPEC 9.1). */
+const MAX_PAGE_BYTES = 1_048_576;
+/** Segments of a file at most (SPEC 9.1). */
+export const MAX_SEGMENTS = 1_048_576;
 
 /** Rows of one or more segment tables (SPEC 5.3). */
 export interface SegmentTable {
@@ -50,6 +56,23 @@ export interface ChunkTable {
    * 5.10).
    */
   readonly until: Uint32Array;
+}
+
+/** Rows of the pages that an index lists (SPEC 5.6). */
+export interface PageTable {
+  /** Bytes of the page, and their CRC. */
+  readonly length: Uint32Array;
+  readonly crc: Uint32Array;
+  /** Segments and chunks below the page. */
+  readonly segments: Uint32Array;
+  readonly chunks: Uint32Array;
+  /** Bytes of all that is below it: of its segments, and its pages with their span. */
+  readonly span: Float64Array;
+  /** Splats, box and contribution of the chunks below it, and a cell in which all of their cells lie. */
+  readonly splats: Uint32Array;
+  readonly box: Float32Array;
+  readonly contribution: Float64Array;
+  readonly cell: Uint32Array;
 }
 
 /** Read the field `segments` of a root or a page. */
@@ -94,40 +117,109 @@ export function readChunkTable(fields: Fields): ChunkTable {
     until: optional("until"),
   };
   fields.finish();
-  for (let i = 0; i < rows; i++) {
-    if (splats[i]! < 1 || splats[i]! > MAX_CHUNK_SPLATS)
-      throw fields.outOfRange("splats", `chunk ${i} has ${splats[i]}`);
-    for (let axis = 0; axis < 3; axis++) {
-      const least = box[6 * i + axis]!;
-      const most = box[6 * i + 3 + axis]!;
-      // Both ends must be finite, with the minimum at most the maximum; NaN fails the comparison.
-      if (!(least <= most && least > -Infinity && most < Infinity)) {
-        throw fields.outOfRange("box", `chunk ${i} from ${least} to ${most}`);
-      }
-    }
-    const contributed = contribution[i]!;
-    if (!(contributed >= 0 && contributed < Infinity)) {
-      throw fields.outOfRange("contribution", `chunk ${i} has ${contributed}`);
-    }
-    const quality = table.quality[i]!;
-    if (!(quality >= 0 && quality <= 100)) throw fields.outOfRange("quality", `chunk ${i} has ${quality} dB`);
-  }
+  checkRange(fields, "splats", splats, 1, MAX_CHUNK_SPLATS);
+  checkBoxes(fields, box);
+  checkContribution(fields, contribution);
+  const wrong = table.quality.findIndex((quality) => !(quality >= 0 && quality <= 100));
+  if (wrong >= 0) throw fields.outOfRange("quality", `row ${wrong} has ${table.quality[wrong]} dB`);
   return table;
 }
 
-/** Append the rows of a second table. */
-export function joinTables<T extends SegmentTable | ChunkTable>(first: T, second: T): T {
-  const columns = Object.entries(first) as [keyof T, Column][];
-  return Object.fromEntries(columns.map(([key, column]) => [key, join(column, second[key] as Column)])) as unknown as T;
+/**
+ * Read the field `pages` of a root or a page.
+ *
+ * @param most - Number of rows at most.
+ */
+export function readPageTable(fields: Fields, most: number): PageTable {
+  const length = uint32Column(fields.column("length", 4));
+  const rows = length.length;
+  const table: PageTable = {
+    length,
+    crc: uint32Column(fields.column("crc", 4, rows)),
+    segments: uint32Column(fields.column("segments", 4, rows)),
+    chunks: uint32Column(fields.column("chunks", 4, rows)),
+    span: uint64Column(fields.column("span", 8, rows)),
+    splats: uint32Column(fields.column("splats", 4, rows)),
+    box: float32Column(fields.column("box", 24, rows)),
+    contribution: float64Column(fields.column("contribution", 8, rows)),
+    cell: fields.has("cell") ? uint32Column(fields.column("cell", 4, rows)) : new Uint32Array(rows),
+  };
+  fields.finish();
+  if (rows > most) throw fields.outOfRange("length", `${rows} pages, at most ${most}`);
+  checkRange(fields, "length", length, 1, MAX_PAGE_BYTES);
+  checkRange(fields, "segments", table.segments, 1, MAX_SEGMENTS);
+  const wrong = table.chunks.findIndex((chunks, row) => chunks > table.segments[row]!);
+  if (wrong >= 0) throw fields.outOfRange("chunks", `page ${wrong} has more chunks than segments`);
+  checkRange(fields, "span", table.span, 1, Number.MAX_SAFE_INTEGER);
+  checkRange(fields, "splats", table.splats, 0, 2 ** 31 - 1);
+  checkBoxes(fields, table.box);
+  checkContribution(fields, table.contribution);
+  return table;
 }
+
+function checkRange(fields: Fields, key: string, column: ArrayLike<number>, least: number, most: number): void {
+  const row = Array.from(column).findIndex((value) => value < least || value > most);
+  if (row >= 0) throw fields.outOfRange(key, `row ${row} has ${column[row]}, outside ${least} to ${most}`);
+}
+
+/** Refuse boxes that are not finite, or with a minimum above its maximum. */
+function checkBoxes(fields: Fields, box: Float32Array): void {
+  for (let i = 0; i < box.length; i += i % 6 === 2 ? 4 : 1) {
+    const least = box[i]!;
+    const most = box[i + 3]!;
+    // NaN fails the comparison.
+    if (!(least <= most && least > -Infinity && most < Infinity)) {
+      throw fields.outOfRange("box", `row ${Math.floor(i / 6)} from ${least} to ${most}`);
+    }
+  }
+}
+
+function checkContribution(fields: Fields, contribution: Float64Array): void {
+  const row = contribution.findIndex((value) => !(value >= 0 && value < Infinity));
+  if (row >= 0) throw fields.outOfRange("contribution", `row ${row} has ${contribution[row]}`);
+}
+
+/** Numbers of a row in columns that have more than one. */
+const ROW_WIDTHS: Readonly<Record<string, number>> = { hash: 16, box: 6 };
 
 type Column = Uint8Array | Uint32Array | Float32Array | Float64Array;
 
-function join<T extends Column>(first: T, second: T): T {
-  const joined = new (first.constructor as new (length: number) => T)(first.length + second.length);
-  joined.set(first);
-  joined.set(second, first.length);
-  return joined;
+/** A table whose rows become known index by index; rows between are zeros. */
+export class GrowingTable<T extends SegmentTable | ChunkTable> {
+  /** Rows up to the last one known: views of longer columns, so that most pages copy their own rows alone. */
+  table: T;
+  private columns: T;
+  private count: number;
+  private capacity: number;
+
+  constructor(first: T, count: number) {
+    this.table = this.columns = first;
+    this.count = this.capacity = count;
+  }
+
+  /** Enter rows, the first of them as row `at`. */
+  put(at: number, rows: T, count: number): void {
+    this.count = Math.max(this.count, at + count);
+    if (this.count > this.capacity) {
+      this.capacity = Math.max(this.count, 2 * this.capacity);
+      this.columns = this.map((column, width) => {
+        const longer = new (column.constructor as new (length: number) => Column)(width * this.capacity);
+        longer.set(column);
+        return longer;
+      });
+    }
+    for (const [key, column] of Object.entries(this.columns) as [keyof T & string, Column][]) {
+      column.set(rows[key] as Column, (ROW_WIDTHS[key] ?? 1) * at);
+    }
+    this.table = this.map((column, width) => column.subarray(0, width * this.count));
+  }
+
+  private map(change: (column: Column, width: number) => Column): T {
+    const columns = Object.entries(this.columns) as [string, Column][];
+    return Object.fromEntries(
+      columns.map(([key, column]) => [key, change(column, ROW_WIDTHS[key] ?? 1)]),
+    ) as unknown as T;
+  }
 }
 
 function bytesOf(view: DataView): Uint8Array {
@@ -141,6 +233,11 @@ export function uint32Column(view: DataView): Uint32Array {
 
 function float32Column(view: DataView): Float32Array {
   return Float32Array.from({ length: view.byteLength / 4 }, (_, i) => view.getFloat32(4 * i, true));
+}
+
+/** Read a column of u64; numbers of 2^53 and more become larger than any that is in range. */
+function uint64Column(view: DataView): Float64Array {
+  return Float64Array.from({ length: view.byteLength / 8 }, (_, i) => Number(view.getBigUint64(8 * i, true)));
 }
 
 /** Read a column of f64. */

@@ -9,15 +9,16 @@ const MAX_VIEWS = 64;
 /** Bytes of the plane word before the codes. */
 const WORD_BYTES = 4;
 
-/** Shares of chunks in the pictures of some viewpoints (SPEC 5.12). */
+/** Shares of the chunks of an index, and of the pages that it lists, in the pictures of some viewpoints (SPEC 5.12). */
 export interface ViewTable {
   readonly views: number;
+  /** Chunks and pages of the index. */
   readonly chunks: number;
   /** Position of each viewpoint, three numbers, in the space of the means. */
   readonly positions: Float32Array;
   /** Viewing direction of each viewpoint, three numbers, with a length of about 127. */
   readonly directions: Int8Array;
-  /** Share of each chunk in the picture of each viewpoint, viewpoint by viewpoint. */
+  /** Share of each chunk, then of each page, in the picture of each viewpoint, viewpoint by viewpoint. */
   readonly shares: Float64Array;
 }
 
@@ -31,7 +32,7 @@ const SHARES = Float64Array.from({ length: 256 }, (_, code) =>
  *
  * @param k - Kernels, which decompress the codes.
  * @param payload - Bytes of the segment, whose CRC was checked.
- * @param chunks - Chunks of the whole file.
+ * @param chunks - Chunks and pages of the index that lists the table.
  * @param allowedBytes - Bytes of codes at most.
  */
 export function readViewTable(k: Kernels, payload: Uint8Array, chunks: number, allowedBytes = Infinity): ViewTable {

@@ -71,7 +71,7 @@ export class ChunkQueue {
   private missing(chunk: number): number[] {
     const { head, refinement, tail } = this.index.chunkSegments(chunk);
     const { degree, refine } = this.options;
-    const books = (segment: number, upTo: number) => this.index.codebookSegmentsOf(segment, upTo) ?? [];
+    const books = (segment: number, upTo: number) => this.index.codebookSegmentsOf(segment, upTo);
     const wanted = [...books(head, 0), head];
     if (refine && refinement >= 0) wanted.push(refinement);
     wanted.push(...this.opacities(chunk));
@@ -127,7 +127,7 @@ export class ChunkQueue {
     const touched = [...this.pending].filter((chunk) => {
       const { head, refinement, tail } = this.index.chunkSegments(chunk);
       const parts = [head, refinement, tail, ...this.opacities(chunk)].filter((part) => part >= 0);
-      return parts.some((part) => part === segment || this.index.codebookSegmentsOf(part, 3)?.includes(segment));
+      return parts.some((part) => part === segment || this.index.codebookSegmentsOf(part, 3).includes(segment));
     });
     for (const chunk of touched) this.decode(chunk);
     return touched;
@@ -151,8 +151,7 @@ export class ChunkQueue {
     const refined = refinement >= 0 && this.payloads.has(refinement);
     const opacities = this.receivedOpacities(chunk);
     const before = this.emitted.get(chunk);
-    // An unread page may announce a tail or a refinement.
-    const final = this.index.complete && this.missing(chunk).length === 0;
+    const final = this.missing(chunk).length === 0;
     if (
       before !== undefined &&
       before.tail === withTail &&
@@ -194,7 +193,7 @@ export class ChunkQueue {
       .then(
         (decoded) => {
           this.decoding.delete(chunk);
-          const firstRow = this.firstRow(chunk);
+          const firstRow = this.index.rows.splatsBefore(chunk)!;
           const whole = isTailAlone ? withBands(kept, decoded.bands!) : decoded;
           if (!withTail && this.expectsTail(chunk)) this.heads.keep(chunk, whole);
           this.emit({ chunk, firstRow, count: rows, tail: withTail, refined, ...whole });
@@ -212,17 +211,17 @@ export class ChunkQueue {
   private expectsTail(chunk: number): boolean {
     const { tail } = this.index.chunkSegments(chunk);
     if (!this.pending.has(chunk) || this.options.degree === 0) return false;
-    return tail >= 0 ? !this.isLost(tail, this.options.degree) : !this.index.complete;
+    return tail >= 0 && !this.isLost(tail, this.options.degree);
   }
 
   /** Return whether a segment and its codebooks are received. */
   private isReady(segment: number, degree: number): boolean {
     const books = this.index.codebookSegmentsOf(segment, degree);
-    return this.payloads.has(segment) && (books?.every((book) => this.codebooks.has(book)) ?? false);
+    return this.payloads.has(segment) && books.every((book) => this.codebooks.has(book));
   }
 
   private isLost(segment: number, degree: number): boolean {
-    const books = this.index.codebookSegmentsOf(segment, degree) ?? [];
+    const books = this.index.codebookSegmentsOf(segment, degree);
     return [segment, ...books].some((part) => this.lost.has(part));
   }
 
@@ -233,16 +232,5 @@ export class ChunkQueue {
     this.emitted.delete(chunk);
     const { head, refinement, tail, opacities } = this.index.chunkSegments(chunk);
     for (const segment of [head, refinement, tail, ...opacities]) this.payloads.delete(segment);
-  }
-
-  private rowStarts: Float64Array | undefined;
-
-  private firstRow(chunk: number): number {
-    const { splats } = this.index.chunks;
-    if (this.rowStarts === undefined || this.rowStarts.length < splats.length) {
-      this.rowStarts = new Float64Array(splats.length);
-      for (let i = 1; i < splats.length; i++) this.rowStarts[i] = this.rowStarts[i - 1]! + splats[i - 1]!;
-    }
-    return this.rowStarts[chunk]!;
   }
 }

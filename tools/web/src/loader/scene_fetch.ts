@@ -19,6 +19,14 @@ const MAX_LOST_REQUESTS = 6;
 /** Bytes of decoded heads kept until their tails arrive, at most: two million packed splats. */
 export const MOST_KEPT_BYTES = 32 * 2 ** 20;
 
+/** Reason codes of segments, pages and their places that were damaged on the way. */
+const DAMAGE: ReadonlySet<string> = new Set(["segment-crc", "page-crc", "places-crc"]);
+
+/** Return whether bytes were damaged on the way, so that fetching them again may help; nothing of them is entered. */
+export function isDamaged(error: unknown): boolean {
+  return error instanceof CogsplatError && DAMAGE.has(error.code);
+}
+
 /** Rows of a decoded chunk. */
 export type ChunkRows = Omit<ChunkUpdate, "prefix">;
 
@@ -33,14 +41,14 @@ export interface FetchSource {
   /** First bytes of the file, as they arrive. */
   readonly beginning: Beginning;
   readonly compensation: PrefixCompensation;
-  /** Read index pages until `count` are known. */
-  readPages(count: number): Promise<void>;
+  /** Read the first unread page of the file. */
+  readNextPage(): Promise<void>;
 }
 
 /**
  * One pass through a scene: reads index pages; requests, checks and decodes segments; reports damage.
  *
- * Subclasses choose which segments to request next, and turn decoded chunks into changes for the caller.
+ * Where a page is requested like a segment, −1 − n stands for page n of `SceneIndex.pages`. Subclasses choose which segments to request next, and turn decoded chunks into changes for the caller.
  */
 export abstract class SceneFetch<Change> {
   protected readonly index: SceneIndex;
@@ -55,7 +63,6 @@ export abstract class SceneFetch<Change> {
   private isChoosing = false;
   /** Requests that have failed since the last segment. */
   private lostRequests = 0;
-  private areAllPagesKnown = false;
   private failure: { readonly error: unknown } | undefined;
   private wake: () => void = () => undefined;
 
@@ -154,7 +161,7 @@ export abstract class SceneFetch<Change> {
 
   /** Whether all segments have arrived and all chunks are decoded. */
   protected get isComplete(): boolean {
-    return this.areAllPagesKnown && !this.hasMore && this.isIdle;
+    return this.index.complete && !this.hasMore && this.isIdle;
   }
 
   /** Whether nothing is in flight and nothing is being decoded. */
@@ -162,11 +169,10 @@ export abstract class SceneFetch<Change> {
     return this.requests.count === 0 && this.uncancellable.size === 0 && this.queue.idle;
   }
 
-  protected get isPageMissing(): boolean {
-    return !this.areAllPagesKnown;
-  }
-
-  protected readonly rangeOf = (segment: number): ByteRange => this.source.places.range(segment);
+  protected readonly rangeOf = (segment: number): ByteRange => {
+    const page = this.index.pages[-1 - segment];
+    return page === undefined ? this.source.places.range(segment) : this.source.places.pageRange(page);
+  };
 
   /** Queue a change for the caller. */
   protected push(change: Change): void {
@@ -196,15 +202,15 @@ export abstract class SceneFetch<Change> {
     this.wake();
   }
 
-  /** Read the index pages in order, and enter the chunks of each. */
-  private async readPages(): Promise<void> {
+  /** Read the index pages in the order of the file, and enter the chunks of each. */
+  protected async readPages(): Promise<void> {
     try {
-      for (let count = this.index.pagesRead + 1; count <= this.index.pages.length; count++) {
-        await this.source.readPages(count);
+      while (!this.index.complete) {
+        this.abort.signal.throwIfAborted();
+        await this.source.readNextPage();
         this.onPage();
         this.chooseSoon();
       }
-      this.areAllPagesKnown = true;
       this.chooseSoon();
     } catch (error) {
       this.fail(error);
@@ -217,7 +223,7 @@ export abstract class SceneFetch<Change> {
     const held = new Set(segments.filter((segment) => beginning.holds(this.endOf(segment))));
     const isHere = (segment: number): boolean => this.endOf(segment) <= beginning.available.length;
     const here = [...held].filter(isHere);
-    const coming = [...held].filter((segment) => !isHere(segment)).sort((a, b) => a - b);
+    const coming = [...held].filter((segment) => !isHere(segment)).sort((a, b) => this.endOf(a) - this.endOf(b));
     void this.acceptInSlices([...here, ...coming]);
     return segments.filter((segment) => !held.has(segment));
   }
@@ -259,10 +265,10 @@ export abstract class SceneFetch<Change> {
   /** Check the CRC of a segment and use it; a damaged one is fetched once more, around caches. */
   private accept(segment: number, payload: Uint8Array): void {
     try {
-      this.index.checkCrc(segment, payload);
+      this.check(segment, payload);
       this.use(segment, payload);
     } catch (error) {
-      if (error instanceof CogsplatError && error.code === "segment-crc") void this.fetchAgain(segment);
+      if (isDamaged(error)) void this.fetchAgain(segment);
       else this.abandon(error, [segment]);
     }
     this.chooseSoon();
@@ -272,12 +278,17 @@ export abstract class SceneFetch<Change> {
     this.uncancellable.add(segment);
     try {
       const payload = await this.source.reader.readAll(this.rangeOf(segment), this.abort.signal, true);
-      this.index.checkCrc(segment, payload);
+      this.check(segment, payload);
       if (this.uncancellable.delete(segment)) this.use(segment, payload);
     } catch (error) {
       if (this.uncancellable.delete(segment)) this.abandon(error, [segment]);
     }
     this.chooseSoon();
+  }
+
+  /** Refuse a payload whose CRC does not match. */
+  protected check(segment: number, payload: Uint8Array): void {
+    this.index.checkCrc(segment, payload);
   }
 
   /** Use the payload of a segment whose CRC was checked. */

@@ -32,7 +32,7 @@ export class SceneStream extends SceneFetch<ChunkUpdate> {
   }
 
   protected override get hasMore(): boolean {
-    return this.wanted.length > 0;
+    return this.wanted.length > 0 || this.plannedChunks < this.index.chunkCount;
   }
 
   protected override onDecoded(rows: ChunkRows): void {
@@ -97,6 +97,8 @@ export class SceneStream extends SceneFetch<ChunkUpdate> {
   }
 
   protected override choose(hasRoom: boolean): void {
+    // Another fetch of the scene may have read a page.
+    if (this.plannedChunks < this.index.chunkCount) this.onPage();
     const isSequential = !this.source.answersRanges;
     const most = isSequential ? 1 : MAX_REQUESTS;
     while (hasRoom && this.requests.count < most) {
@@ -109,7 +111,7 @@ export class SceneStream extends SceneFetch<ChunkUpdate> {
 
   /** Return one request of all segments left, in file order, for a server that ignores ranges. */
   private wholeRest(): RangeRequest | undefined {
-    if (this.isPageMissing || this.wanted.length === 0) return undefined;
+    if (!this.index.complete || this.wanted.length === 0) return undefined;
     const segments = this.wanted.splice(0).sort((a, b) => a - b);
     const { offset } = this.rangeOf(segments[0]!);
     const last = this.rangeOf(segments.at(-1)!);

@@ -1,61 +1,162 @@
-import { parentsOf } from "../container/chunk_sets.js";
-import type { SceneIndex } from "../container/scene_index.js";
+import type { Index, Page, SceneIndex } from "../container/scene_index.js";
 import { SegmentKind } from "../container/tables.js";
 import type { Unit } from "../schedule/scheduler.js";
 
 /** Part of an index that units are made from. */
-export type UnitIndex = Pick<SceneIndex, "segments" | "chunks" | "range" | "codebookSegmentsOf">;
+export type UnitIndex = Pick<SceneIndex, "indexes" | "rows" | "segments" | "chunks" | "codebookSegmentsOf">;
 
-/** A unit of the scheduler and its segment. */
+/** A unit of the scheduler, whose chunk is a row of `SceneRows`. */
 export interface SegmentUnit extends Unit {
+  /** Its segment; −1 − n for page n of `SceneIndex.pages`. */
   readonly segment: number;
+}
+
+/** Place of an index for the urgency of its units (docs/streaming.md, 7). */
+interface Frame {
+  readonly place: number;
+  readonly weight: number;
 }
 
 const OF_CHUNKS: readonly number[] = [SegmentKind.head, SegmentKind.refinement, SegmentKind.tail];
 const BANDS: readonly number[] = [SegmentKind.colourBand1, SegmentKind.colourBand2, SegmentKind.colourBand3];
+/** Least share of a page in the contribution of all pages of its index, which keeps places finite. */
+const LEAST_SHARE = 1e-12;
 
 /**
- * Return the segments that pictures need as units of the scheduler (docs/streaming.md, 7), in file order.
+ * Segments that pictures need and unread pages, as units of the scheduler (docs/streaming.md, 7): those of each index as
+ * it is read.
  *
  * Chunks that end (SPEC 5.10) are excluded, as in every order but that of the file (SPEC 8.6).
- *
- * @param index - Index; reading more of its pages appends units.
- * @param degree - SH degree to fetch.
- * @param compensates - Whether to fetch the layers of compensation.
  */
-export function segmentUnits(index: UnitIndex, degree: number, compensates: boolean): SegmentUnit[] {
-  const { kind, owner } = index.segments;
-  const { until, cell } = index.chunks;
-  const isWanted = (segment: number): boolean => {
-    const of = kind[segment]!;
-    if (OF_CHUNKS.includes(of)) return until[owner[segment]!] === 0 && (of !== SegmentKind.tail || degree > 0);
-    if (of === SegmentKind.compensation) return compensates;
-    return of === SegmentKind.shapeCodebook || of === SegmentKind.viewTable || BANDS.slice(0, degree).includes(of);
-  };
-  const segments = Array.from(kind.keys()).filter(isWanted);
-  const unitOf = new Map(segments.map((segment, unit) => [segment, unit]));
-  const heads = new Map(
-    segments.flatMap((segment, unit) => (kind[segment] === SegmentKind.head ? [[owner[segment]!, unit]] : [])),
-  );
-  const parents = parentsOf(cell);
-  return segments.map((segment) => {
-    const { offset, length } = index.range(segment);
-    const isHead = kind[segment] === SegmentKind.head;
-    const chunk = OF_CHUNKS.includes(kind[segment]!) ? owner[segment]! : -1;
-    const books = chunk < 0 ? [] : (index.codebookSegmentsOf(segment, degree) ?? []);
-    const before = chunk < 0 ? undefined : heads.get(isHead ? parents[chunk]! : chunk);
-    const dependencies = [...books.map((book) => unitOf.get(book)), before].filter((unit) => unit !== undefined);
-    // The view table decides the order, so it counts as the beginning of the file.
-    const end = kind[segment] === SegmentKind.viewTable ? length : offset + length;
-    return { segment, chunk, isHead, end, size: length, dependencies };
-  });
-}
+export class SegmentUnits {
+  readonly units: SegmentUnit[] = [];
+  /** Splats of each row; an unread page counts as much as a chunk below it on average. */
+  readonly splats: number[] = [];
+  private readonly unitOf = new Map<number, number>();
+  /** Units of each row. */
+  private readonly ofRows: number[][] = [];
+  private readonly heads = new Map<number, number>();
+  private readonly frames = new Map<Index, Frame>();
+  private entered = 0;
 
-/** Return the units of each chunk. */
-export function unitsByChunk(units: readonly SegmentUnit[], chunks: number): number[][] {
-  const found: number[][] = Array.from({ length: chunks }, () => []);
-  units.forEach(({ chunk }, unit) => {
-    if (chunk >= 0) found[chunk]!.push(unit);
-  });
-  return found;
+  /**
+   * @param degree - SH degree to fetch.
+   * @param compensates - Whether to fetch the layers of compensation.
+   */
+  constructor(
+    private readonly index: UnitIndex,
+    private readonly degree: number,
+    private readonly compensates: boolean,
+  ) {}
+
+  /** Whether an index was read that is not entered. */
+  get isBehind(): boolean {
+    return this.entered < this.index.indexes.length;
+  }
+
+  /**
+   * Enter the indexes that were read since the last call; other units keep their numbers.
+   *
+   * @returns Units of the pages among them.
+   */
+  enter(): number[] {
+    const read: number[] = [];
+    for (; this.entered < this.index.indexes.length; this.entered++) {
+      const index = this.index.indexes[this.entered]!;
+      const { page } = index;
+      const frame = this.frameOf(page);
+      this.frames.set(index, frame);
+      this.enterSegments(index, frame);
+      for (const listed of index.pages) this.enterPage(listed);
+      if (page === undefined) continue;
+      // The rows of a page replace it.
+      const unit = this.of(-1 - page.number);
+      this.units[unit] = { ...this.units[unit]!, chunk: -1, isHead: false, dependencies: [] };
+      this.heads.delete(page.row);
+      this.ofRows[page.row] = [];
+      read.push(unit);
+    }
+    return read;
+  }
+
+  /** Return the unit of a segment or page. */
+  of(segment: number): number {
+    return this.unitOf.get(segment)!;
+  }
+
+  /** Return the units of a row. */
+  ofRow(row: number): readonly number[] {
+    return this.ofRows[row] ?? [];
+  }
+
+  private frameOf(page: Page | undefined): Frame {
+    if (page === undefined) return { place: 0, weight: 1 };
+    const { start, end, pages } = page.listedBy;
+    const { place, weight } = this.frames.get(page.listedBy)!;
+    const all = pages.reduce((sum, { contribution }) => sum + contribution, 0);
+    // Pages without contributions share alike.
+    const times = all > 0 ? all / Math.max(page.contribution, LEAST_SHARE * all) : pages.length;
+    return { place: place + weight * (end - start), weight: weight * times };
+  }
+
+  private enterSegments(index: Index, { place, weight }: Frame): void {
+    const { kind, owner, offset, length } = this.index.segments;
+    const { rows } = this.index;
+    const numbers = Array.from({ length: index.segments }, (_, i) => index.firstSegment + i);
+    const wanted = numbers.filter((segment) => this.isWanted(segment));
+    const rowOf = (segment: number): number =>
+      OF_CHUNKS.includes(kind[segment]!) ? rows.rowOf(owner[segment]!)! : -1;
+    for (const [i, segment] of wanted.entries()) {
+      this.unitOf.set(segment, this.units.length + i);
+      if (kind[segment] === SegmentKind.head) this.heads.set(rowOf(segment), this.units.length + i);
+    }
+    for (const segment of wanted) {
+      const row = rowOf(segment);
+      const isHead = kind[segment] === SegmentKind.head;
+      const books = row < 0 ? [] : this.index.codebookSegmentsOf(segment, this.degree);
+      const before = this.heads.get(isHead ? rows.parents[row]! : row);
+      const dependencies = [...books.map((book) => this.unitOf.get(book)), before].filter((unit) => unit !== undefined);
+      // The view table decides the order, so it counts as the beginning of its index.
+      const begin = kind[segment] === SegmentKind.viewTable ? 0 : offset[segment]! - index.start;
+      const size = length[segment]!;
+      this.push({ segment, chunk: row, isHead, end: place + weight * (begin + size), size, dependencies });
+    }
+    for (let i = 0; i < index.chunks; i++) this.splats.push(rows.splats[index.firstRow + i]!);
+  }
+
+  private enterPage(page: Page): void {
+    const { place, weight } = this.frameOf(page);
+    const parent = this.heads.get(this.index.rows.parents[page.row]!);
+    const segment = -1 - page.number;
+    this.unitOf.set(segment, this.units.length);
+    this.heads.set(page.row, this.units.length);
+    this.push({
+      segment,
+      chunk: page.row,
+      isHead: true,
+      end: place + weight * page.length,
+      size: page.length,
+      dependencies: parent === undefined ? [] : [parent],
+    });
+    this.splats.push(Math.ceil(page.splats / Math.max(page.chunks, 1)));
+  }
+
+  private push(unit: SegmentUnit): void {
+    if (unit.chunk >= 0) {
+      this.ofRows[unit.chunk] ??= [];
+      this.ofRows[unit.chunk]!.push(this.units.length);
+    }
+    this.units.push(unit);
+  }
+
+  /** Return whether pictures of the degree need a segment. */
+  private isWanted(segment: number): boolean {
+    const { kind, owner } = this.index.segments;
+    const of = kind[segment]!;
+    if (OF_CHUNKS.includes(of)) {
+      return this.index.chunks.until[owner[segment]!] === 0 && (of !== SegmentKind.tail || this.degree > 0);
+    }
+    if (of === SegmentKind.compensation) return this.compensates;
+    return of === SegmentKind.shapeCodebook || of === SegmentKind.viewTable || BANDS.slice(0, this.degree).includes(of);
+  }
 }

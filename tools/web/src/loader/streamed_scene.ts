@@ -1,7 +1,7 @@
 import { checkPicture, type Description, type PictureName, readDescription } from "../container/description.js";
 import { fileBeginning, isManifest, PREAMBLE_BYTES, readPreamble } from "../container/preamble.js";
 import type { SceneInfo } from "../container/root.js";
-import { type ByteRange, SceneIndex, type ScenePlaces } from "../container/scene_index.js";
+import { type Page, SceneIndex, type ScenePlaces } from "../container/scene_index.js";
 import { CogsplatError, SourceError } from "../errors.js";
 import { loadKernels } from "../kernels/load.js";
 import type { DecoderIndex } from "../scene/chunk_decoder.js";
@@ -14,7 +14,7 @@ import { BlobSource, type ByteSource } from "./byte_source.js";
 import { type HttpOptions, HttpSource } from "./http_source.js";
 import { DEFAULT_RETRY, type RetryOptions } from "./retry.js";
 import { RetryingReader } from "./retrying_reader.js";
-import type { FetchSource } from "./scene_fetch.js";
+import { type FetchSource, isDamaged } from "./scene_fetch.js";
 import { SceneStream } from "./scene_stream.js";
 import { bytesPerSplat, type ChunkUpdate, type StreamOptions } from "./stream_options.js";
 
@@ -58,7 +58,7 @@ export interface FolderReader {
 
 /** A scene streamed from the URL of a file or folder, from a File, or from another source of bytes. */
 export class StreamedScene implements FetchSource {
-  /** The last page being read; pages are read in order, once for all streams. */
+  /** The last page being read; pages are read one after the other, once for all streams. */
   private pages: Promise<unknown> = Promise.resolve();
   /** Layers of compensation received by streams with `compensate`. */
   readonly compensation: PrefixCompensation;
@@ -164,7 +164,6 @@ export class StreamedScene implements FetchSource {
       available.slice(),
       total ?? (available.length < FIRST_BYTES ? available.length : undefined),
     );
-    index.crossCheck();
     return new StreamedScene(index, index, reader, beginning, source, options, isReopened);
   }
 
@@ -188,7 +187,6 @@ export class StreamedScene implements FetchSource {
       { available, length, hasRanges: !sequential },
       index,
     );
-    index.crossCheck();
     const reader = new RetryingReader(objects, { ...DEFAULT_RETRY, ...options.retry });
     return new StreamedScene(index, places, reader, beginning, source, options, isReopened);
   }
@@ -242,8 +240,8 @@ export class StreamedScene implements FetchSource {
   async picture(name: PictureName, signal?: AbortSignal): Promise<Blob | undefined> {
     const stated = (await this.description(signal))?.[name];
     if (stated === undefined) return undefined;
-    // The last index lists the pictures.
-    await this.readPages(this.index.pages.length);
+    const page = this.index.picturesPage;
+    if (page !== undefined) await this.readPage(() => page);
     const segment = this.index.pictures.get(name);
     if (segment === undefined) throw new CogsplatError("description-segments", `the file has no ${name}`);
     const bytes = await this.readSegment(segment, signal);
@@ -293,39 +291,39 @@ export class StreamedScene implements FetchSource {
     if (rows + books > most) throw new CogsplatError("decoded-size", `${rows + books} decoded bytes, at most ${most}`);
   }
 
-  /** Enter a page; one with a wrong CRC is fetched once more, bypassing caches. */
-  private async addPage(page: ByteRange, bytes: Uint8Array): Promise<void> {
-    try {
-      this.places.addPage(bytes);
-    } catch (error) {
-      if (!isDamagedPage(error)) throw error;
-      this.places.addPage(await this.reader.readAll(page, undefined, true));
-    }
+  /** Read the first unread page of the file. */
+  async readNextPage(): Promise<void> {
+    await this.readPage(() => this.index.nextPage());
   }
 
-  /** Read index pages until `count` are known. */
-  async readPages(count: number): Promise<void> {
+  /**
+   * Read a page unless it was read.
+   *
+   * @param choose - Returns the page, once all pages asked for before are read.
+   */
+  private async readPage(choose: () => Page | undefined): Promise<void> {
     const read = async (): Promise<void> => {
-      for (let page = this.places.nextPage(); page && this.index.pagesRead < count; page = this.places.nextPage()) {
-        const end = page.offset + page.length;
-        const isHere = this.beginning.holds(end);
-        if (isHere) await this.beginning.waitFor(end, undefined);
-        await this.addPage(
-          page,
-          isHere ? this.beginning.available.slice(page.offset, end) : await this.reader.readAll(page, undefined),
-        );
-        this.index.crossCheck();
+      const page = choose();
+      if (page === undefined || this.index.isRead(page)) return;
+      const place = this.places.pageRange(page);
+      const end = place.offset + place.length;
+      const isHere = this.beginning.holds(end);
+      if (isHere) await this.beginning.waitFor(end, undefined);
+      const bytes = isHere
+        ? this.beginning.available.slice(place.offset, end)
+        : await this.reader.readAll(place, undefined);
+      try {
+        this.places.addPage(page, bytes);
+      } catch (error) {
+        if (!isDamaged(error)) throw error;
+        // One with a wrong CRC is fetched once more, bypassing caches.
+        this.places.addPage(page, await this.reader.readAll(place, undefined, true));
       }
     };
     // A page that failed for one caller is read again for the next.
     this.pages = this.pages.then(read, read);
     await this.pages;
   }
-}
-
-/** Return whether a page or its places were damaged; nothing of such a page is entered. */
-function isDamagedPage(error: unknown): boolean {
-  return error instanceof CogsplatError && (error.code === "page-crc" || error.code === "places-crc");
 }
 
 async function inlineService(index: DecoderIndex): Promise<ChunkService> {

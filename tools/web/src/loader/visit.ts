@@ -1,14 +1,14 @@
-import { parentsOf } from "../container/chunk_sets.js";
 import { SegmentKind } from "../container/tables.js";
-import { readViewTable, type ViewTable } from "../container/view_table.js";
+import { readViewTable } from "../container/view_table.js";
 import { SourceError } from "../errors.js";
-import { byBoxes, byViewTable, type PoseRatios, sumAlongPath } from "../schedule/chunk_ratios.js";
+import { sumAlongPath } from "../schedule/chunk_ratios.js";
+import { IndexRatios } from "../schedule/index_ratios.js";
 import type { Pose } from "../schedule/poses.js";
 import { EVICTED_SECONDS, type Holdings, Scheduler } from "../schedule/scheduler.js";
 import type { ChunkService } from "../workers/decode_task.js";
 import { PoseHistory } from "./pose_history.js";
 import { type ChunkRows, MOST_KEPT_BYTES, SceneFetch } from "./scene_fetch.js";
-import { type SegmentUnit, segmentUnits, unitsByChunk } from "./segment_units.js";
+import { SegmentUnits } from "./segment_units.js";
 import { bytesPerSplat, type StreamOptions } from "./stream_options.js";
 import type { StreamedScene } from "./streamed_scene.js";
 
@@ -48,11 +48,8 @@ export type VisitChange =
 export class Visit extends SceneFetch<VisitChange> {
   private readonly poses = new PoseHistory();
   private budget: number;
-  private units: SegmentUnit[] = [];
-  private unitOf = new Map<number, number>();
-  private unitsOf: readonly (readonly number[])[] = [];
+  private readonly units: SegmentUnits;
   private scheduler: Scheduler | undefined;
-  private parents: Int32Array = new Int32Array();
   /** Units that have arrived or cannot be fetched. */
   private readonly arrived = new Set<number>();
   /** Chunks whose rows were yielded and not evicted since. */
@@ -61,10 +58,10 @@ export class Visit extends SceneFetch<VisitChange> {
   private readonly early = new Map<number, ChunkRows>();
   /** Chunks that cannot be fetched or decoded; their children are yielded without a parent. */
   private readonly lost = new Set<number>();
-  /** Chunks evicted lately: their worth then, and the end of the time for which it counts, seconds. */
+  /** Rows evicted lately: their worth then, and the end of the time for which it counts, seconds. */
   private readonly evicted = new Map<number, { readonly worth: number; readonly until: number }>();
-  private table: ViewTable | undefined;
-  private poseRatios: PoseRatios | undefined;
+  private readonly poseRatios: IndexRatios;
+  /** Ratios along the path; undefined where an index or a view table has become known since. */
   private pathRatios: Float64Array | undefined;
   private evaluatedAt = -Infinity;
   private timer: ReturnType<typeof setTimeout> | undefined;
@@ -102,6 +99,8 @@ export class Visit extends SceneFetch<VisitChange> {
     const { format = "splats", memoryBudget = Infinity, splatBudget = Infinity } = visitOptions;
     this.budget = Math.min(splatBudget, Math.floor(memoryBudget / bytesPerSplat(format, this.degree)));
     this.queue.keepAtMost(MOST_KEPT_BYTES);
+    this.units = new SegmentUnits(this.index, this.degree, visitOptions.compensate ?? false);
+    this.poseRatios = new IndexRatios(this.index.indexes);
   }
 
   /** Set the pose of the camera; requests follow it and the path that its poses predict. */
@@ -117,27 +116,27 @@ export class Visit extends SceneFetch<VisitChange> {
   }
 
   /**
-   * Return for each chunk the ratio of its share in the picture of the latest pose to its share of contribution
-   * (docs/streaming.md, 4 and 5).
+   * Return the ratio of the share in the picture of the latest pose to the share of contribution (docs/streaming.md, 4 and
+   * 5).
    *
-   * @returns undefined before the first pose.
+   * @returns Ratio of each row of `SceneIndex.rows`; undefined before the first pose.
    */
   ratios(): Float64Array | undefined {
     const { latest } = this.poses;
-    return latest && this.ratiosOfPose()(latest);
+    return latest && this.poseRatios.of(latest);
   }
 
+  /** Pages are requested as units. */
+  protected override async readPages(): Promise<void> {}
+
   protected override onPage(): void {
-    this.units = segmentUnits(this.index, this.degree, this.visitOptions.compensate ?? false);
-    this.unitOf = new Map(this.units.map(({ segment }, unit) => [segment, unit]));
-    this.unitsOf = unitsByChunk(this.units, this.index.chunkCount);
-    this.parents = parentsOf(this.index.chunks.cell);
-    this.scheduler = new Scheduler(this.units, this.index.chunks.splats);
-    this.poseRatios = undefined;
+    for (const unit of this.units.enter()) this.arrived.add(unit);
+    this.scheduler = new Scheduler(this.units.units, this.units.splats);
+    this.pathRatios = undefined;
   }
 
   protected override get hasMore(): boolean {
-    return this.arrived.size < this.units.length;
+    return this.units.isBehind || this.arrived.size < this.units.units.length;
   }
 
   protected override onEnd(): void {
@@ -145,18 +144,19 @@ export class Visit extends SceneFetch<VisitChange> {
   }
 
   protected override choose(hasRoom: boolean): void {
-    if (this.scheduler === undefined) return;
+    if (this.units.isBehind) this.onPage();
+    const scheduler = this.scheduler!;
     const ratios = this.currentRatios();
-    let decision = this.scheduler.decide(ratios, this.holdings());
+    let decision = scheduler.decide(ratios, this.holdings());
     // A stopped request may contain units that the decision keeps. They are now missing: decide again.
     for (let isFinal = false; !isFinal; ) {
       isFinal = this.requests.stop(this.segmentsOf(decision.stop)) <= decision.stop.length;
-      for (const [chunk, worth] of decision.evict) this.evict(chunk, worth);
-      if (!isFinal) decision = this.scheduler.decide(ratios, this.holdings());
+      for (const [row, worth] of decision.evict) this.evict(row, worth);
+      if (!isFinal) decision = scheduler.decide(ratios, this.holdings());
     }
     if (hasRoom) this.request(decision.fetch, ratios);
     const isDone = hasRoom && decision.fetch.length === 0 && this.requests.inFlight.length === 0;
-    this.reportSettled(isDone && this.isIdle && !this.isPageMissing && this.timer === undefined);
+    this.reportSettled(isDone && this.isIdle && this.timer === undefined);
   }
 
   private reportSettled(isSettled: boolean): void {
@@ -165,12 +165,12 @@ export class Visit extends SceneFetch<VisitChange> {
   }
 
   private segmentsOf(units: readonly number[]): number[] {
-    return units.map((unit) => this.units[unit]!.segment);
+    return units.map((unit) => this.units.units[unit]!.segment);
   }
 
   private holdings(): Holdings {
     const { link, partial, inFlight } = this.requests;
-    const unit = (segment: number): number => this.unitOf.get(segment)!;
+    const unit = (segment: number): number => this.units.of(segment);
     const now = performance.now() / 1000;
     for (const [chunk, { until }] of this.evicted) if (until <= now) this.evicted.delete(chunk);
     return {
@@ -189,10 +189,11 @@ export class Visit extends SceneFetch<VisitChange> {
     const now = performance.now() / 1000;
     const path = this.poses.path(now);
     const isDue = now - this.evaluatedAt >= EVALUATION_SECONDS;
-    if (this.pathRatios === undefined || this.poseRatios === undefined || (isDue && this.poses.hasChanged)) {
-      const ratios = this.ratiosOfPose();
+    if (this.pathRatios === undefined || (isDue && this.poses.hasChanged)) {
       this.pathRatios =
-        path === undefined ? new Float64Array(this.index.chunkCount).fill(1) : sumAlongPath(ratios, path);
+        path === undefined
+          ? new Float64Array(this.index.rows.count).fill(1)
+          : sumAlongPath(this.poseRatios.of, path);
       this.evaluatedAt = now;
       this.poses.hasChanged = false;
     }
@@ -208,36 +209,39 @@ export class Visit extends SceneFetch<VisitChange> {
     return this.pathRatios;
   }
 
-  private ratiosOfPose(): PoseRatios {
-    const { box, contribution } = this.index.chunks;
-    // The view table covers all chunks of the file: it cannot be used until the boxes of all chunks are known.
-    this.poseRatios ??=
-      this.table !== undefined && this.index.complete
-        ? byViewTable(this.table, box, contribution)
-        : byBoxes(box, contribution);
-    return this.poseRatios;
-  }
-
   private request(units: readonly number[], ratios: Float64Array): void {
-    for (const unit of units) if (this.units[unit]!.chunk >= 0) this.queue.expect(this.units[unit]!.chunk);
+    const { chunks, pages } = this.index.rows;
+    for (const unit of units) {
+      const { chunk: row } = this.units.units[unit]!;
+      if (row >= 0 && pages[row] === undefined) this.queue.expect(chunks[row]!);
+    }
     const segments = this.acceptFromBeginning(this.segmentsOf(units));
     this.requests.fillConnection(segments, (segment) => {
-      const { chunk } = this.units[this.unitOf.get(segment)!]!;
-      return chunk < 0 || ratios[chunk]! >= 1 ? "high" : "low";
+      const { chunk: row } = this.units.units[this.units.of(segment)]!;
+      return row < 0 || ratios[row]! >= 1 ? "high" : "low";
     });
   }
 
+  /** Check a segment; check and enter a page. */
+  protected override check(segment: number, payload: Uint8Array): void {
+    const page = this.index.pages[-1 - segment];
+    if (page === undefined) super.check(segment, payload);
+    else this.source.places.addPage(page, payload);
+  }
+
   protected override use(segment: number, payload: Uint8Array): void {
-    this.arrived.add(this.unitOf.get(segment)!);
-    if (this.index.segments.kind[segment] === SegmentKind.viewTable) void this.useTable(payload, segment);
+    this.arrived.add(this.units.of(segment));
+    if (segment < 0) this.onPage();
+    else if (this.index.segments.kind[segment] === SegmentKind.viewTable) void this.useTable(payload, segment);
     else super.use(segment, payload);
   }
 
   private async useTable(payload: Uint8Array, segment: number): Promise<void> {
     try {
       const kernels = (await this.scene.loadKernels())();
-      this.table = readViewTable(kernels, payload, this.index.totalChunkCount);
-      this.poseRatios = undefined;
+      const [index] = [...this.index.viewTables].find(([, table]) => table === segment)!;
+      this.poseRatios.setTable(index, readViewTable(kernels, payload, index.contribution.length));
+      this.pathRatios = undefined;
       this.chooseSoon();
     } catch (error) {
       this.abandon(error, [segment]);
@@ -246,16 +250,16 @@ export class Visit extends SceneFetch<VisitChange> {
 
   /** Count a segment that cannot be fetched as arrived; after a lost head, yield the chunk's children without it. */
   protected override onLost(segment: number): void {
-    const unit = this.unitOf.get(segment)!;
+    const unit = this.units.of(segment);
     this.arrived.add(unit);
-    const { chunk, isHead } = this.units[unit]!;
-    if (isHead) this.onUndecodable(chunk);
+    const { chunk: row, isHead } = this.units.units[unit]!;
+    if (isHead && segment >= 0) this.onUndecodable(this.index.rows.chunks[row]!);
   }
 
   /** Mark a chunk as lost and yield its decoded children without it. */
   protected override onUndecodable(chunk: number): void {
     this.lost.add(chunk);
-    for (const rows of [...this.early.values()]) if (this.parents[rows.chunk] === chunk) this.onDecoded(rows);
+    this.yieldChildren(chunk);
   }
 
   /** Queue rows for the caller after the rows of the parent chunk; drop rows of a chunk evicted meanwhile. */
@@ -263,7 +267,7 @@ export class Visit extends SceneFetch<VisitChange> {
     const { chunk } = rows;
     this.chooseSoon();
     if (!this.isHeld(chunk)) return;
-    const parent = this.parents[chunk]!;
+    const parent = this.index.rows.parentOf(chunk);
     if (parent >= 0 && !this.yielded.has(parent) && !this.lost.has(parent)) {
       this.early.set(chunk, rows);
       return;
@@ -272,23 +276,34 @@ export class Visit extends SceneFetch<VisitChange> {
     this.push({ kind: "rows", ...rows });
     if (this.yielded.has(chunk)) return;
     this.yielded.add(chunk);
-    for (const child of [...this.early.values()]) if (this.parents[child.chunk] === chunk) this.onDecoded(child);
+    this.yieldChildren(chunk);
+  }
+
+  /** Queue the decoded rows that waited for a chunk. */
+  private yieldChildren(chunk: number): void {
+    for (const rows of [...this.early.values()]) {
+      if (this.index.rows.parentOf(rows.chunk) === chunk) this.onDecoded(rows);
+    }
   }
 
   /** Return whether the head of a chunk has arrived and is not evicted. */
   private isHeld(chunk: number): boolean {
-    return this.unitsOf[chunk]!.some((unit) => this.units[unit]!.isHead && this.arrived.has(unit));
+    const units = this.units.ofRow(this.index.rows.rowOf(chunk)!);
+    return units.some((unit) => this.units.units[unit]!.isHead && this.arrived.has(unit));
   }
 
-  /** Drop all bytes and rows of a chunk; if its rows were yielded, yield its eviction. */
-  private evict(chunk: number, worth: number): void {
-    this.evicted.set(chunk, { worth, until: performance.now() / 1000 + EVICTED_SECONDS });
-    for (const unit of this.unitsOf[chunk]!) {
-      const { segment } = this.units[unit]!;
+  /** Drop all bytes and rows of a chunk, or a page on its way; if the rows were yielded, yield their eviction. */
+  private evict(row: number, worth: number): void {
+    this.evicted.set(row, { worth, until: performance.now() / 1000 + EVICTED_SECONDS });
+    for (const unit of this.units.ofRow(row)) {
+      const { segment } = this.units.units[unit]!;
       this.arrived.delete(unit);
       this.uncancellable.delete(segment);
       this.requests.forget(segment);
     }
+    const { chunks, pages } = this.index.rows;
+    if (pages[row] !== undefined) return;
+    const chunk = chunks[row]!;
     this.queue.close(chunk);
     this.early.delete(chunk);
     if (this.yielded.delete(chunk)) this.push({ kind: "evicted", chunk });

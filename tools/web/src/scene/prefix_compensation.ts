@@ -4,14 +4,15 @@ import type { SceneIndex } from "../container/scene_index.js";
 /** Compensation for missing chunks (SPEC 5.9, 8.5): the layers received so far, for any prefix. */
 export class PrefixCompensation {
   private readonly layers: CompensationLayer[] = [];
-  /** Payloads whose previous layer, or the index page of whose chunks, is still missing. */
+  /** Payloads whose previous layer, or a page of whose chunks, is still missing. */
   private readonly waiting = new Map<number, Uint8Array>();
 
   constructor(private readonly index: SceneIndex) {}
 
-  /** Number of layers in use. */
-  get knownLayers(): number {
-    return this.layers.length;
+  /** Number of chunks of the last layer in use; 0 for none. */
+  get layerChunks(): number {
+    this.read();
+    return this.layers.at(-1)?.chunks ?? 0;
   }
 
   /** Add the segment of a layer, whose CRC was checked. */
@@ -28,12 +29,12 @@ export class PrefixCompensation {
    *
    * @param prefix - Number of chunks of the prefix.
    * @param chunk - Number of a chunk in the prefix.
-   * @returns undefined if the prefix is not compensated.
+   * @param share - For a chunk in a set, what {@link setStates} says beside the prefix.
+   * @returns undefined if the chunk is not compensated.
    */
-  shifts(prefix: number, chunk: number): Shifts | undefined {
+  shifts(prefix: number, chunk: number, share?: number): Shifts | undefined {
     this.read();
-    const scene = { chunks: this.index.totalChunkCount, splats: this.index.scene.splats };
-    return shiftsOf(this.layers, this.index.chunks, scene, prefix, chunk);
+    return shiftsOf(this.layers, this.index.rows, this.index.totalChunkCount, prefix, chunk, share);
   }
 
   /** Read the layers whose predecessors are known. */
@@ -41,7 +42,8 @@ export class PrefixCompensation {
     for (;;) {
       const payload = this.waiting.get(this.layers.length);
       if (payload === undefined) return;
-      const layer = readLayer(payload, this.index.chunks, this.index.totalChunkCount, this.layers.at(-1));
+      const chunks = { known: this.index.chunkCount, all: this.index.totalChunkCount };
+      const layer = readLayer(payload, this.index.rows, chunks, this.layers.at(-1));
       if (layer === undefined) return;
       this.waiting.delete(this.layers.length);
       this.layers.push(layer);

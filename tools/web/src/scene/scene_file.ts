@@ -7,8 +7,9 @@ import {
   type PictureName,
   readDescription,
 } from "../container/description.js";
+import type { SetState } from "../container/chunk_sets.js";
 import { ATTRIBUTE_TYPES, type SceneInfo } from "../container/root.js";
-import { SceneIndex } from "../container/scene_index.js";
+import { type Index, SceneIndex } from "../container/scene_index.js";
 import { readViewTable, type ViewTable } from "../container/view_table.js";
 import { CogsplatError } from "../errors.js";
 import type { Kernels } from "../kernels/kernels.js";
@@ -51,10 +52,10 @@ export class SceneFile {
   ) {
     this.index = SceneIndex.open(bytes, bytes.length, options.partial ?? false);
     for (let page = this.index.nextPage(); page !== undefined; page = this.index.nextPage()) {
-      if (page.offset + page.length > bytes.length) break;
-      this.index.addPage(bytes.slice(page.offset, page.offset + page.length));
+      const { offset, length } = page;
+      if (offset + length > bytes.length) break;
+      this.index.addPage(page, bytes.slice(offset, offset + length));
     }
-    this.index.crossCheck();
     this.decoder = new ChunkDecoder(k, this.index);
     this.maxDecodedBytes = options.maxDecodedBytes ?? defaultLimit(bytes.length);
   }
@@ -142,7 +143,7 @@ export class SceneFile {
     const parts = this.hasTail(chunk, degree) && degree > 0 ? [head, tail] : [head];
     for (const part of parts) {
       // Heads use shape codebooks alone, whatever their needs state.
-      for (const segment of this.index.codebookSegmentsOf(part, part === head ? 0 : degree)!) this.addCodebook(segment);
+      for (const segment of this.index.codebookSegmentsOf(part, part === head ? 0 : degree)) this.addCodebook(segment);
     }
   }
 
@@ -214,23 +215,26 @@ export class SceneFile {
     return payload;
   }
 
-  /** Return the view table of the file; undefined where it has none, or it is missing. */
-  viewTable(): ViewTable | undefined {
-    const [segment] = this.index.viewTables;
+  /**
+   * Return the view table of an index; undefined where it has none, or it is missing.
+   *
+   * @param index - One of `SceneIndex.indexes`; by default the root.
+   */
+  viewTable(index: Index = this.index.indexes[0]!): ViewTable | undefined {
+    const segment = this.index.viewTables.get(index);
     if (segment === undefined || !this.isPresent(segment)) return undefined;
-    return readViewTable(this.k, this.payload(segment), this.index.totalChunkCount, this.maxDecodedBytes);
+    return readViewTable(this.k, this.payload(segment), index.contribution.length, this.maxDecodedBytes);
   }
 
   /**
    * Add compensation for missing chunks (SPEC 8.5) to the rows of one chunk, in place.
    *
    * @param splats - Decoded rows of the chunk.
-   * @param prefix - Number of chunks of the prefix present; for another set of chunks, the result of
-   * {@link equivalentPrefixes} for this chunk.
+   * @param prefix - Number of chunks of the prefix present; for a set of chunks what {@link setStates} says of this chunk.
    */
-  compensate(splats: Splats, chunk: number, prefix: number): void {
-    this.layers ??= this.readLayers();
-    const shifts = this.layers.shifts(prefix, chunk);
+  compensate(splats: Splats, chunk: number, prefix: number | SetState): void {
+    const { prefix: chunks, share } = typeof prefix === "number" ? { prefix, share: undefined } : prefix;
+    const shifts = this.compensation.shifts(chunks, chunk, share);
     if (shifts === undefined) return;
     splats.scales.forEach((value, i) => {
       splats.scales[i] = value + shifts.scales[Math.floor(i / 3)]!;
@@ -261,7 +265,7 @@ export class SceneFile {
         throw new CogsplatError(
           "segment-hash",
           `the hash of segment ${segment} does not match`,
-          this.index.offsets[segment],
+          this.index.segments.offset[segment],
         );
       }
     }
@@ -269,7 +273,7 @@ export class SceneFile {
     for (const segment of this.index.allCodebookSegments()) this.addCodebook(segment);
     this.cameras();
     this.readLayers();
-    this.viewTable();
+    for (const index of this.index.indexes) this.viewTable(index);
     for (const name of PICTURE_NAMES) this.picture(name);
     for (let chunk = 0; chunk < this.index.chunkCount; chunk++) {
       this.checkBox(this.decodeChunk(chunk, 0, false), chunk);
@@ -293,6 +297,12 @@ export class SceneFile {
     }
   }
 
+  /** Layers of compensation that are present. */
+  get compensation(): PrefixCompensation {
+    this.layers ??= this.readLayers();
+    return this.layers;
+  }
+
   private readLayers(): PrefixCompensation {
     const layers = new PrefixCompensation(this.index);
     this.index.compensation.forEach((segment, layer) => {
@@ -308,8 +318,7 @@ export class SceneFile {
 
   /** Return whether the codebooks that a segment needs are present, colours up to a degree. */
   private hasCodebooks(segment: number, degree: number): boolean {
-    const books = this.index.codebookSegmentsOf(segment, degree);
-    return books?.every((book) => this.isPresent(book)) ?? false;
+    return this.index.codebookSegmentsOf(segment, degree).every((book) => this.isPresent(book));
   }
 
   private isPresent(segment: number): boolean {

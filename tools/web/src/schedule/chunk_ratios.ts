@@ -3,7 +3,7 @@ import { type Boxes, inPyramid, middleDepth, pictureShare } from "./boxes.js";
 import { cross, dot, type Pose, type WeightedPose } from "./poses.js";
 
 /** Smallest ratio of a chunk; a chunk that the pose does not show follows the chunks that it shows. */
-const LEAST_RATIO = 1 / 512;
+export const LEAST_RATIO = 1 / 512;
 /** Tangent of half the angle of view assumed for viewpoints, in both directions. */
 const TABLE_TANGENT = 1;
 /** Weight of the viewing direction: half a turn counts as much as 0.6 times the spread of the viewpoints. */

@@ -9,12 +9,13 @@ const ABORT_FACTOR = 16;
 /** Time after its eviction for which a chunk is fetched again only if it has become worth more, seconds. */
 export const EVICTED_SECONDS = 1;
 
-/** A segment that a client may fetch; units are in file order. */
+/** A segment or unread page that a client may fetch; units of an index are in file order. */
 export interface Unit {
-  /** Chunk of the segment; −1 for segments of no chunk, for example of codebooks. */
+  /** Chunk of the segment, or row of the page; −1 for segments of no chunk, for example of codebooks. */
   readonly chunk: number;
+  /** Whether it is the head of the chunk, or the page. */
   readonly isHead: boolean;
-  /** End of the segment in the file, bytes. */
+  /** Place of the unit: in the root the end of the segment in the file, bytes (docs/streaming.md, 7). */
   readonly end: number;
   readonly size: number;
   /** Units without which this one is useless: codebooks, and for a head that of the parent chunk. */
@@ -73,7 +74,7 @@ export class Scheduler {
 
   /**
    * Return the estimated gain per byte of each unit: its chunk's ratio, squared if it is below 1, over the square of
-   * its end in the file.
+   * its place.
    */
   urgency(ratios: Float64Array): Float64Array {
     return Float64Array.from(this.units, ({ chunk, end }) => {

@@ -190,13 +190,11 @@ export class CogsFeed implements SceneFeed {
       this.reportProgress();
     }
     // The scene is complete with every chunk in its own rows, as after a fetch in file order.
-    const { splats } = scene.index.chunks;
-    let firstRow = 0;
-    splats.forEach((count, chunk) => {
-      this.rowsOf.set(chunk, { firstRow, count });
-      firstRow += count;
-    });
-    this.prefix = splats.length;
+    const { index } = scene;
+    for (let chunk = 0; chunk < index.chunkCount; chunk++) {
+      this.rowsOf.set(chunk, { firstRow: index.rows.splatsBefore(chunk)!, count: index.chunks.splats[chunk]! });
+    }
+    this.prefix = index.chunkCount;
     this.visit = this.visited = undefined;
   }
 

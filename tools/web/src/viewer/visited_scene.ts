@@ -1,4 +1,4 @@
-import { equivalentPrefixes, isClosed, parentsOf } from "../container/chunk_sets.js";
+import { isClosed, type SetState, setStates } from "../container/chunk_sets.js";
 import type { StreamedScene } from "../loader/streamed_scene.js";
 import type { VisitChange } from "../loader/visit.js";
 import { type PackedSplats, SH_WORDS } from "../scene/packed_splats.js";
@@ -8,8 +8,6 @@ import type { SplatLayer } from "./splat_layer.js";
 
 /** Time for which the camera rests before chunks are changed for its view, ms (docs/streaming.md, 10). */
 const STILL_MILLISECONDS = 250;
-/** Layers of compensation of a scene at most, or more. */
-const LAYERS = 1 << 16;
 
 /** Fills a layer with the chunks of a visit, and removes evicted ones. */
 export class VisitedScene {
@@ -19,9 +17,9 @@ export class VisitedScene {
   private readonly rows = new Map<number, readonly RowRun[]>();
   /** Allocator of rows; undefined where the layer has room for the scene, so that each chunk has its own rows. */
   private readonly slots: RowSlots | undefined;
-  /** State of each chunk's compensation: chunks of the prefix, and layers known. */
-  private readonly compensatedFor = new Map<number, number>();
-  private waiting: { readonly chunk: number; readonly prefix: number }[] = [];
+  /** State of each chunk's compensation, and chunks of the last layer known then, as text. */
+  private readonly compensatedFor = new Map<number, string>();
+  private waiting: { readonly chunk: number; readonly state: SetState }[] = [];
   private isStale = false;
   /** Time of the last change of the pose, from `performance.now`, until chunks were changed for it. */
   private movedAt: number | undefined;
@@ -89,8 +87,8 @@ export class VisitedScene {
     if (this.isStale) this.plan();
     while (this.waiting.length > 0) {
       if (performance.now() > end) return true;
-      const { chunk, prefix } = this.waiting.pop()!;
-      this.compensate(chunk, prefix);
+      const { chunk, state } = this.waiting.pop()!;
+      this.compensate(chunk, state);
     }
     return this.movedAt !== undefined;
   }
@@ -99,25 +97,31 @@ export class VisitedScene {
     this.isStale = false;
     this.movedAt = undefined;
     const { index, compensation } = this.scene;
-    const { cell, splats } = index.chunks;
+    const { rows } = index;
     const held = [...this.rows.keys()].sort((a, b) => a - b);
-    const parents = parentsOf(cell);
     const isPrefix = held.every((chunk, i) => chunk === i);
-    const isDefined = isPrefix || (cell.every((number) => number > 0) && isClosed(held, parents));
     const ratios = this.ratios();
-    const counts = ratios === undefined ? splats : effectiveSplats(splats, ratios);
-    const prefixes = isDefined ? equivalentPrefixes(held, parents, counts) : held.map(() => index.totalChunkCount);
+    const counts = ratios === undefined ? rows.splats : effectiveSplats(rows.splats, ratios);
+    const states =
+      rows.isCut && isClosed(held, rows)
+        ? setStates(held, rows, compensation.layerChunks, counts)
+        : // A set that is neither is not compensated.
+          held.map(() => ({ prefix: isPrefix ? held.length : index.totalChunkCount, share: undefined }));
     this.waiting = [];
-    held.forEach((chunk, i) => {
-      const state = prefixes[i]! * LAYERS + compensation.knownLayers;
-      if (this.compensatedFor.get(chunk) !== state) this.waiting.push({ chunk, prefix: prefixes[i]! });
-    });
+    for (const [i, chunk] of held.entries()) {
+      const state = states[i]!;
+      if (this.compensatedFor.get(chunk) !== this.textOf(state)) this.waiting.push({ chunk, state });
+    }
   }
 
-  private compensate(chunk: number, prefix: number): void {
+  private textOf({ prefix, share }: SetState): string {
+    return `${prefix} ${share} ${this.scene.compensation.layerChunks}`;
+  }
+
+  private compensate(chunk: number, state: SetState): void {
     const { compensation } = this.scene;
-    this.compensatedFor.set(chunk, prefix * LAYERS + compensation.knownLayers);
-    const shifts = compensation.shifts(prefix, chunk);
+    this.compensatedFor.set(chunk, this.textOf(state));
+    const shifts = compensation.shifts(state.prefix, chunk, state.share);
     if (shifts === undefined && !this.shifted.has(chunk)) return;
     let from = 0;
     for (const { first, count } of this.rows.get(chunk)!) {
