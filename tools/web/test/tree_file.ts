@@ -40,8 +40,9 @@ export function chain(chunks: number, depth: number): Shape {
  *
  * @param file - A file without pages; its view table is left out.
  * @param padding - Bytes that are appended to each page as a segment that is skipped.
+ * @param newBoxes - Boxes of all chunks, in place of those of the file.
  */
-export function treeFile(file: Uint8Array, shape: Shape, padding = 0): Uint8Array {
+export function treeFile(file: Uint8Array, shape: Shape, padding = 0, newBoxes?: readonly number[]): Uint8Array {
   const view = new DataView(file.buffer, file.byteOffset);
   const rootEnd = 64 + view.getUint32(12, true);
   const root = parseMap(file.slice(64, rootEnd));
@@ -61,6 +62,7 @@ export function treeFile(file: Uint8Array, shape: Shape, padding = 0): Uint8Arra
     if (OF_CHUNKS.includes(kind)) ofChunks.set(chunk, [...(ofChunks.get(chunk) ?? []), placed]);
     else if (kind !== VIEW_TABLE) ofRoot.push(placed);
   }
+  if (newBoxes !== undefined) chunkMap.set("box", new Uint8Array(Float32Array.from(newBoxes).buffer));
   const counts = columnOf(chunkMap, "splats");
   const cells = chunkMap.has("cell") ? columnOf(chunkMap, "cell") : counts.map(() => 0);
   const boxes = floatsOf(chunkMap, "box", 4);

@@ -102,7 +102,7 @@ export abstract class SceneFetch<Change> {
    */
   protected abstract choose(hasRoom: boolean): void;
 
-  /** Whether segments are still to be requested. */
+  /** Whether segments or pages are still to be requested. */
   protected abstract get hasMore(): boolean;
 
   /** Queue the changes that follow from a decoded chunk. */
@@ -161,7 +161,7 @@ export abstract class SceneFetch<Change> {
 
   /** Whether all segments have arrived and all chunks are decoded. */
   protected get isComplete(): boolean {
-    return this.index.complete && !this.hasMore && this.isIdle;
+    return !this.hasMore && this.isIdle;
   }
 
   /** Whether nothing is in flight and nothing is being decoded. */

@@ -32,7 +32,7 @@ export class SceneStream extends SceneFetch<ChunkUpdate> {
   }
 
   protected override get hasMore(): boolean {
-    return this.wanted.length > 0 || this.plannedChunks < this.index.chunkCount;
+    return !this.index.complete || this.wanted.length > 0 || this.plannedChunks < this.index.chunkCount;
   }
 
   protected override onDecoded(rows: ChunkRows): void {
