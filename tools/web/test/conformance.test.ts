@@ -1,6 +1,8 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { isClosed, setStates } from "../src/container/chunk_sets.js";
+import type { Index } from "../src/container/scene_index.js";
+import type { ViewTable } from "../src/container/view_table.js";
 import { CogsplatError } from "../src/errors.js";
 import { loadKernels } from "../src/kernels/load.js";
 import { SceneFile } from "../src/scene/scene_file.js";
@@ -101,6 +103,19 @@ function checkDescription(file: SceneFile, vector: ValidVector): void {
   }
 }
 
+/** Return the rows of the pages on the way to an index. */
+function pathOf({ page }: Index): number[] {
+  return page === undefined ? [] : [...pathOf(page.listedBy), page.listedBy.pages.indexOf(page)];
+}
+
+function viewpointsOf(table: ViewTable): number[][][] {
+  return Array.from({ length: table.views }, (_, view) => [
+    Array.from(table.positions.subarray(3 * view, 3 * view + 3)),
+    Array.from(table.directions.subarray(3 * view, 3 * view + 3)),
+    Array.from(table.shares.subarray(table.chunks * view, table.chunks * (view + 1))),
+  ]);
+}
+
 function checkExtras(file: SceneFile, vector: ValidVector): void {
   const names = (vector.attributes ?? []).map(([name]) => name);
   for (const [chunk, hashes] of vector.attribute_chunks ?? []) {
@@ -115,15 +130,11 @@ function checkExtras(file: SceneFile, vector: ValidVector): void {
     assert.equal(file.attributes(chunk) !== undefined, withAttributes.has(chunk));
   }
   assert.deepEqual(file.cameras(), vector.cameras);
-  const table = file.viewTable();
-  const viewpoints =
-    table &&
-    Array.from({ length: table.views }, (_, view) => [
-      Array.from(table.positions.subarray(3 * view, 3 * view + 3)),
-      Array.from(table.directions.subarray(3 * view, 3 * view + 3)),
-      Array.from(table.shares.subarray(table.chunks * view, table.chunks * (view + 1))),
-    ]);
-  assert.deepEqual(viewpoints, vector.view_table);
+  const tables = file.index.indexes.flatMap((index) => {
+    const table = file.viewTable(index);
+    return table === undefined ? [] : [[pathOf(index), viewpointsOf(table)]];
+  });
+  assert.deepEqual(tables, vector.view_tables ?? []);
   checkDescription(file, vector);
   for (const [prefix, hash] of vector.compensated ?? []) {
     const drawn = Array.from({ length: prefix }, (_, chunk) => chunk).filter((chunk) =>

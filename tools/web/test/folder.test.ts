@@ -145,7 +145,10 @@ test("an object that is not there spoils no other", async () => {
   const files = vectorFolder("folders", "pages");
   const whole = new SceneFile(vectorBytes("valid", "pages"), kernels());
   const others = new Set(["manifest.cogsm", ...(await pageObjects(files))]);
-  const sizes = [...files].filter(([path]) => !others.has(path)).sort(([, a], [, b]) => a.length - b.length);
+  const asked = await withScene(new FolderServer(files), "", async (scene) => void (await lastUpdates(scene)));
+  const sizes = [...files]
+    .filter(([path]) => asked.includes(path) && !others.has(path))
+    .sort(([, a], [, b]) => a.length - b.length);
   files.delete(sizes[0]![0]);
   const damaged: unknown[] = [];
   await withScene(new FolderServer(files), "", async (scene) => {

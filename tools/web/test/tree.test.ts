@@ -38,9 +38,7 @@ function hashOf({ means, scales, opacities, shN }: Splats): string {
 
 function wholeRows(bytes: Uint8Array): Map<number, string> {
   const file = new SceneFile(bytes, kernels());
-  return new Map(
-    Array.from({ length: file.index.chunkCount }, (_, chunk) => [chunk, hashOf(file.decodeChunk(chunk))]),
-  );
+  return new Map(Array.from({ length: file.index.chunkCount }, (_, chunk) => [chunk, hashOf(file.decodeChunk(chunk))]));
 }
 
 const inOrder = <T>(rows: ReadonlyMap<number, T>): [number, T][] => [...rows].sort(([a], [b]) => a - b);

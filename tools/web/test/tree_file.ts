@@ -30,9 +30,7 @@ interface Laid {
 
 /** A shape all of whose chunks are listed by pages, `depth` deep, each of which lists one chunk and one page. */
 export function chain(chunks: number, depth: number): Shape {
-  return depth === 0 || chunks < 2
-    ? { chunks }
-    : { chunks: 1, pages: [chain(chunks - 1, depth - 1)] };
+  return depth === 0 || chunks < 2 ? { chunks } : { chunks: 1, pages: [chain(chunks - 1, depth - 1)] };
 }
 
 /**
@@ -75,8 +73,20 @@ export function treeFile(file: Uint8Array, shape: Shape, padding = 0, newBoxes?:
     const below = pages.map((page) => lay(page, [], true));
     const map: ValueMap = new Map();
     if (below.length > 0) map.set("pages", pagesOf(below));
-    map.set("segments", joinRows([...segmentMap.keys()], segments.map(({ row }) => row)));
-    map.set("chunks", joinRows([...chunkMap.keys()], numbers.map((chunk) => rowOf(chunkMap, chunk, counts.length))));
+    map.set(
+      "segments",
+      joinRows(
+        [...segmentMap.keys()],
+        segments.map(({ row }) => row),
+      ),
+    );
+    map.set(
+      "chunks",
+      joinRows(
+        [...chunkMap.keys()],
+        numbers.map((chunk) => rowOf(chunkMap, chunk, counts.length)),
+      ),
+    );
     return {
       map,
       rest: join(...segments.map(({ payload }) => payload), ...below.flatMap((page) => [encode(page.map), page.rest])),

@@ -27,8 +27,11 @@ export interface ValidVector {
   readonly description?: Readonly<Record<string, unknown>>;
   /** Media type, width, height and SHA-256 of each picture, by name. */
   readonly pictures?: Readonly<Partial<Record<"poster" | "sky", readonly [string, number, number, string]>>>;
-  /** Position, direction and shares of each viewpoint. */
-  readonly view_table?: readonly (readonly [readonly number[], readonly number[], readonly number[]])[];
+  /** Page rows on the way to each index with a view table, and position, direction and shares of each of its viewpoints. */
+  readonly view_tables?: readonly (readonly [
+    readonly number[],
+    readonly (readonly [readonly number[], readonly number[], readonly number[]])[],
+  ])[];
 }
 
 /** A file to refuse, as `manifest.json` has it. */

@@ -2,7 +2,6 @@ import { CogsplatError } from "../errors.js";
 import { crc32 } from "./crc32.js";
 import { hex, PREAMBLE_BYTES } from "./preamble.js";
 import type { ByteRange, Index, Page, SceneIndex, ScenePlaces } from "./scene_index.js";
-import { MAX_PAGES } from "./tables.js";
 
 /** Bytes of a row of a table of places: name and size of the object, offset of the segment or page in it (SPEC 3.4). */
 const ROW_BYTES = 24;
@@ -41,8 +40,8 @@ export class FolderIndex implements ScenePlaces {
   private readonly objects: FolderObject[] = [];
   private readonly numbers = new Map<string, number>();
   /** Address of each segment and of each page whose row was read, and the bytes of the page's object from there on. */
-  private readonly addresses: number[] = [];
-  private readonly pageAddresses: ByteRange[] = [];
+  private readonly addresses = new Map<number, number>();
+  private readonly pageAddresses = new Map<Page, ByteRange>();
   /** Bytes of the manifest. */
   readonly manifestBytes: number;
 
@@ -90,13 +89,16 @@ export class FolderIndex implements ScenePlaces {
   }
 
   range(segment: number): ByteRange {
-    return { offset: this.addresses[segment]!, length: this.index.segments.length[segment]! };
+    return { offset: this.addresses.get(segment)!, length: this.index.segments.length[segment]! };
   }
 
-  /** Return the range of a page and its places; the number of its rows is known from the page alone, so it may be longer. */
+  /**
+   * Return the range of a page and its places, or a longer one: the rows of the places are known from the page alone, where
+   * each has more bytes.
+   */
   pageRange(page: Page): ByteRange {
-    const { offset, length } = this.pageAddresses[page.number]!;
-    return { offset, length: Math.min(length, this.index.pageRange(page).length + placesBytes(page.segments + MAX_PAGES)) };
+    const { offset, length } = this.pageAddresses.get(page)!;
+    return { offset, length: Math.min(length, 2 * page.length + CRC_BYTES) };
   }
 
   addPage(page: Page, bytes: Uint8Array): void {
@@ -104,7 +106,7 @@ export class FolderIndex implements ScenePlaces {
     const { length } = page;
     const where = `page ${page.number}`;
     const tables = this.index.readPage(page, bytes.slice(0, length));
-    const end = length + placesBytes(page.segments + (tables.pages?.length.length ?? 0));
+    const end = length + placesBytes(tables.segments.kind.length + (tables.pages?.length.length ?? 0));
     if (bytes.length < end)
       throw new CogsplatError("places-range", `${where} with its places of ${end} bytes in ${bytes.length}`);
     // The places are checked before the page is entered, so that a damaged page can be fetched again.
@@ -124,11 +126,10 @@ export class FolderIndex implements ScenePlaces {
       if (page === undefined) {
         const segment = index.firstSegment + row;
         const bytes = this.index.segments.length[segment]!;
-        this.addresses.push(inside(row, bytes) ?? this.addressOf(place, bytes, `segment ${segment}`));
+        this.addresses.set(segment, inside(row, bytes) ?? this.addressOf(place, bytes, `segment ${segment}`));
       } else {
-        const least = page.length + placesBytes(page.segments);
-        const offset = this.addressOf(place, least, `page ${page.number}`);
-        this.pageAddresses.push({ offset, length: place.size - place.offset });
+        const offset = this.addressOf(place, page.length, `page ${page.number}`);
+        this.pageAddresses.set(page, { offset, length: place.size - place.offset });
       }
     }
   }

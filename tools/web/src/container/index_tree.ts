@@ -1,6 +1,7 @@
 import { CogsplatError } from "../errors.js";
 import { crc32 } from "./crc32.js";
 import { Fields } from "./fields.js";
+import type { Index, Page } from "./indexes.js";
 import { parseMap } from "./msgpack.js";
 import { SceneRows } from "./scene_rows.js";
 import {
@@ -17,53 +18,6 @@ import {
 
 /** Pages on the path from the root to a chunk at most (SPEC 9.1). */
 const MAX_DEPTH = 3;
-
-/** A byte range of a file or of an address space. */
-export interface ByteRange {
-  readonly offset: number;
-  readonly length: number;
-}
-
-/** An index page, as the index that lists it announces it (SPEC 5.6). */
-export interface Page extends ByteRange {
-  /** Place in `IndexTree.pages`. */
-  readonly number: number;
-  readonly crc: number;
-  /** Segments, chunks, bytes and splats below the page. */
-  readonly segments: number;
-  readonly chunks: number;
-  readonly span: number;
-  readonly splats: number;
-  readonly contribution: number;
-  /** Numbers of the first segment, chunk and splat below the page. */
-  readonly firstSegment: number;
-  readonly firstChunk: number;
-  readonly firstSplat: number;
-  /** Row in `SceneRows`. */
-  readonly row: number;
-  readonly listedBy: Index;
-}
-
-/** The root or a page that was read (SPEC 5.6). */
-export interface Index {
-  /** The page; undefined for the root. */
-  readonly page: Page | undefined;
-  /** Number of pages on the path from the root. */
-  readonly depth: number;
-  /** Offset of its first byte, 0 for the root, and of the end of its own segments. */
-  readonly start: number;
-  readonly end: number;
-  readonly firstSegment: number;
-  readonly segments: number;
-  readonly firstChunk: number;
-  readonly chunks: number;
-  readonly pages: readonly Page[];
-  /** First row in `SceneRows`. */
-  readonly firstRow: number;
-  /** Boxes and contributions of its own chunks, then of its pages. */
-  readonly boxes: Float32Array;
-  readonly contribution: Float64Array;
-}
 
 /** Rows of segment tables with the byte offset of each segment in the file. */
 export interface PlacedSegments extends SegmentTable {

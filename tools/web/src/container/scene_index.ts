@@ -1,13 +1,14 @@
 import { CogsplatError } from "../errors.js";
 import { crc32 } from "./crc32.js";
 import { PICTURE_NAMES, type PictureName } from "./description.js";
-import { type ByteRange, type Index, type IndexTables, IndexTree, type Page, type PlacedSegments } from "./index_tree.js";
+import { type IndexTables, IndexTree, type PlacedSegments } from "./index_tree.js";
+import type { ByteRange, Index, Page } from "./indexes.js";
 import { PREAMBLE_BYTES, readPreamble } from "./preamble.js";
 import { type CodebookEntry, readRoot, type SceneInfo } from "./root.js";
 import type { SceneRows } from "./scene_rows.js";
 import { type ChunkTable, SegmentKind } from "./tables.js";
 
-export type { ByteRange, Index, Page } from "./index_tree.js";
+export type { ByteRange, Index, Page } from "./indexes.js";
 
 /** Bytes of a description, and of a picture, at most (SPEC 9.1). */
 const MAX_DESCRIPTION = 1_048_576;
@@ -90,18 +91,22 @@ export class SceneIndex implements ScenePlaces {
   }
 
   /**
-   * Read preamble and root.
+   * Read and check preamble and root.
    *
    * @param bytes - First bytes of the file, at least to the end of the root.
    * @param sourceLength - Length of the source, compared with the length that the file states; undefined where unknown.
    * @param partial - Whether a source shorter than the file is accepted (SPEC 8.3).
    */
   static open(bytes: Uint8Array, sourceLength?: number, partial = false): SceneIndex {
-    const index = new SceneIndex(bytes);
+    const index = SceneIndex.begin(bytes);
     if (sourceLength !== undefined) index.checkSource(sourceLength, partial);
     index.checkRoot();
-    index.enterSegments(index.tree.root);
     return index;
+  }
+
+  /** Read preamble and root; `checkRoot` follows once other checks of the source have passed. */
+  static begin(bytes: Uint8Array): SceneIndex {
+    return new SceneIndex(bytes);
   }
 
   /** The root, then the pages in the order in which they were read. */
@@ -206,9 +211,7 @@ export class SceneIndex implements ScenePlaces {
   codebookSegmentsOf(segment: number, degree: number): number[] {
     const needs = this.segments.needs[segment]!;
     return this.codebookSegments.flatMap((segments, codebook) =>
-      ((needs >>> codebook) & 1) === 0
-        ? []
-        : this.kindsOf(codebook, degree).map((kind) => segments.get(kind)!),
+      ((needs >>> codebook) & 1) === 0 ? [] : this.kindsOf(codebook, degree).map((kind) => segments.get(kind)!),
     );
   }
 
@@ -222,7 +225,11 @@ export class SceneIndex implements ScenePlaces {
   /** Refuse a payload whose CRC differs from that of the segment table. */
   checkCrc(segment: number, payload: Uint8Array): void {
     if (payload.length !== this.segments.length[segment]! || crc32(payload) !== this.segments.crc[segment]!) {
-      throw new CogsplatError("segment-crc", `the CRC of segment ${segment} does not match`, this.segments.offset[segment]!);
+      throw new CogsplatError(
+        "segment-crc",
+        `the CRC of segment ${segment} does not match`,
+        this.segments.offset[segment]!,
+      );
     }
   }
 
@@ -236,8 +243,8 @@ export class SceneIndex implements ScenePlaces {
     }
   }
 
-  /** Check what the root states of the whole file. */
-  private checkRoot(): void {
+  /** Check what the root states of the whole file, then its own segments and chunks. */
+  checkRoot(): void {
     this.tree.checkCount();
     const { total, end } = this.tree;
     if (end !== this.fileLength) {
@@ -251,6 +258,7 @@ export class SceneIndex implements ScenePlaces {
     if (levelled !== undefined && levelled !== total.chunks) {
       throw new CogsplatError("level-chunks", `${levelled} chunks of ${total.chunks}`);
     }
+    this.enterSegments(this.tree.root);
   }
 
   /** Check the segments and chunks of an index, and enter each segment under its chunk or codebook. */
@@ -343,7 +351,8 @@ export class SceneIndex implements ScenePlaces {
     for (const kind of [SegmentKind.shapeCodebook, ...COLOUR_BANDS]) {
       for (const [segment, codebook] of this.ofKind(kind, index)) {
         const segments = this.codebookSegments[codebook];
-        const isAllowed = segments && index.page === undefined && this.kindsOf(codebook, this.scene.shDegree).includes(kind);
+        const isAllowed =
+          segments && index.page === undefined && this.kindsOf(codebook, this.scene.shDegree).includes(kind);
         if (!isAllowed || segments.has(kind)) {
           const found = `segment ${segment} of kind ${kind} has no place in codebook ${codebook}`;
           throw new CogsplatError("codebook-segments", found);

@@ -1,4 +1,4 @@
-import type { Index, Page } from "./index_tree.js";
+import type { Index, Page } from "./indexes.js";
 import type { ChunkTable } from "./tables.js";
 
 /**

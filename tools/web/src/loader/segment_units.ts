@@ -104,8 +104,7 @@ export class SegmentUnits {
     const { rows } = this.index;
     const numbers = Array.from({ length: index.segments }, (_, i) => index.firstSegment + i);
     const wanted = numbers.filter((segment) => this.isWanted(segment));
-    const rowOf = (segment: number): number =>
-      OF_CHUNKS.includes(kind[segment]!) ? rows.rowOf(owner[segment]!)! : -1;
+    const rowOf = (segment: number): number => (OF_CHUNKS.includes(kind[segment]!) ? rows.rowOf(owner[segment]!)! : -1);
     for (const [i, segment] of wanted.entries()) {
       this.unitOf.set(segment, this.units.length + i);
       if (kind[segment] === SegmentKind.head) this.heads.set(rowOf(segment), this.units.length + i);

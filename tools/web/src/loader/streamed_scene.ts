@@ -180,13 +180,14 @@ export class StreamedScene implements FetchSource {
     // The first 64 KiB contain the whole manifest (SPEC 3.4).
     await beginning.waitFor(FIRST_BYTES, options.signal);
     const { available, total, sequential } = beginning;
-    const index = SceneIndex.open(fileBeginning(available));
+    const index = SceneIndex.begin(fileBeginning(available));
     const length = total ?? (available.length < FIRST_BYTES ? available.length : undefined);
     const { places, source: objects } = options.folders.open(
       manifest,
       { available, length, hasRanges: !sequential },
       index,
     );
+    index.checkRoot();
     const reader = new RetryingReader(objects, { ...DEFAULT_RETRY, ...options.retry });
     return new StreamedScene(index, places, reader, beginning, source, options, isReopened);
   }

@@ -191,9 +191,7 @@ export class Visit extends SceneFetch<VisitChange> {
     const isDue = now - this.evaluatedAt >= EVALUATION_SECONDS;
     if (this.pathRatios === undefined || (isDue && this.poses.hasChanged)) {
       this.pathRatios =
-        path === undefined
-          ? new Float64Array(this.index.rows.count).fill(1)
-          : sumAlongPath(this.poseRatios.of, path);
+        path === undefined ? new Float64Array(this.index.rows.count).fill(1) : sumAlongPath(this.poseRatios.of, path);
       this.evaluatedAt = now;
       this.poses.hasChanged = false;
     }

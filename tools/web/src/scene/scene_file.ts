@@ -1,5 +1,6 @@
 import type { AttributeArray } from "../container/attributes.js";
 import { type Camera, readCameras } from "../container/cameras.js";
+import type { SetState } from "../container/chunk_sets.js";
 import {
   checkPicture,
   type Description,
@@ -7,7 +8,6 @@ import {
   type PictureName,
   readDescription,
 } from "../container/description.js";
-import type { SetState } from "../container/chunk_sets.js";
 import { ATTRIBUTE_TYPES, type SceneInfo } from "../container/root.js";
 import { type Index, SceneIndex } from "../container/scene_index.js";
 import { readViewTable, type ViewTable } from "../container/view_table.js";

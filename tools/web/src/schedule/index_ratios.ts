@@ -26,10 +26,10 @@ export class IndexRatios {
     const last = this.indexes.at(-1)!;
     const found = new Float64Array(last.firstRow + last.contribution.length);
     for (const index of this.indexes) {
+      const { page, firstRow } = index;
       const own = this.ratiosOf(index)(pose);
-      const { page } = index;
-      if (page !== undefined) own.forEach((ratio, row) => (own[row] = Math.max(found[page.row]! * ratio, LEAST_RATIO)));
-      found.set(own, index.firstRow);
+      const ofPage = page && found[page.row]!;
+      found.set(ofPage === undefined ? own : own.map((ratio) => Math.max(ofPage * ratio, LEAST_RATIO)), firstRow);
     }
     return found;
   };
