@@ -68,7 +68,7 @@ export class IndexTree {
   }
 
   /** Refuse more segments than a file may have. */
-  checkCount(): void {
+  protected checkCount(): void {
     const { segments } = this.total;
     if (segments > MAX_SEGMENTS) throw new CogsplatError("segment-count", `${segments} segments`);
   }
@@ -113,8 +113,13 @@ export class IndexTree {
   }
 
   /** Number of chunks before the first unread page. */
-  get prefixChunks(): number {
+  get chunkCount(): number {
     return this.nextPage()?.firstChunk ?? this.total.chunks;
+  }
+
+  /** Number of chunks of the whole file. */
+  get totalChunkCount(): number {
+    return this.total.chunks;
   }
 
   /** Check the bytes of a page and read their tables. */

@@ -1,12 +1,11 @@
 import { CogsplatError } from "../errors.js";
 import { crc32 } from "./crc32.js";
 import { PICTURE_NAMES, type PictureName } from "./description.js";
-import { type IndexTables, IndexTree, type PlacedSegments } from "./index_tree.js";
+import { type IndexTables, IndexTree } from "./index_tree.js";
 import type { ByteRange, Index, Page } from "./indexes.js";
-import { PREAMBLE_BYTES, readPreamble } from "./preamble.js";
-import { type CodebookEntry, readRoot, type SceneInfo } from "./root.js";
-import type { SceneRows } from "./scene_rows.js";
-import { type ChunkTable, SegmentKind } from "./tables.js";
+import { PREAMBLE_BYTES, type Preamble, readPreamble } from "./preamble.js";
+import { type CodebookEntry, type Root, readRoot, type SceneInfo } from "./root.js";
+import { SegmentKind } from "./tables.js";
 
 export type { ByteRange, Index, Page } from "./indexes.js";
 
@@ -50,7 +49,7 @@ interface OwnSegments extends ChunkSegments {
  *
  * Files are refused in the order of SPEC 8.1: each index is checked alone, when it is read.
  */
-export class SceneIndex implements ScenePlaces {
+export class SceneIndex extends IndexTree implements ScenePlaces {
   readonly scene: SceneInfo;
   readonly codebooks: readonly CodebookEntry[];
   readonly fileLength: number;
@@ -65,28 +64,16 @@ export class SceneIndex implements ScenePlaces {
   /** Segments of the pictures, by name. */
   readonly pictures = new Map<PictureName, number>();
 
-  private readonly tree: IndexTree;
   private readonly parts = new Map<number, OwnSegments>();
   /** Segment of each kind, for each codebook. */
   private readonly codebookSegments: Map<number, number>[];
 
-  private constructor(bytes: Uint8Array) {
-    const preamble = readPreamble(bytes);
-    const rootEnd = PREAMBLE_BYTES + preamble.rootLength;
-    if (bytes.length < rootEnd) {
-      const found = `${bytes.length} of ${preamble.fileLength} bytes, the root ends at ${rootEnd}`;
-      throw new CogsplatError("root-truncated", found, PREAMBLE_BYTES);
-    }
-    const rootBytes = bytes.slice(PREAMBLE_BYTES, rootEnd);
-    if (crc32(rootBytes) !== preamble.rootCrc) {
-      throw new CogsplatError("root-crc", "the root's CRC does not match", PREAMBLE_BYTES);
-    }
-    const root = readRoot(rootBytes);
+  private constructor(preamble: Preamble, root: Root) {
+    super(root, PREAMBLE_BYTES + preamble.rootLength);
     this.scene = root.scene;
     this.codebooks = root.codebooks;
     this.fileLength = preamble.fileLength;
     this.rootLength = preamble.rootLength;
-    this.tree = new IndexTree(root, rootEnd);
     this.codebookSegments = root.codebooks.map(() => new Map<number, number>());
   }
 
@@ -106,42 +93,17 @@ export class SceneIndex implements ScenePlaces {
 
   /** Read preamble and root; `checkRoot` follows once other checks of the source have passed. */
   static begin(bytes: Uint8Array): SceneIndex {
-    return new SceneIndex(bytes);
-  }
-
-  /** The root, then the pages in the order in which they were read. */
-  get indexes(): readonly Index[] {
-    return this.tree.indexes;
-  }
-
-  /** Pages that the indexes read so far list. */
-  get pages(): readonly Page[] {
-    return this.tree.pages;
-  }
-
-  /** Chunks and pages of the indexes read so far, as rows of one table. */
-  get rows(): SceneRows {
-    return this.tree.rows;
-  }
-
-  /** Segment tables by segment number, with the place of each segment in the file; zeros for those of unread pages. */
-  get segments(): PlacedSegments {
-    return this.tree.segments;
-  }
-
-  /** Chunk tables by chunk number; zeros for chunks of unread pages. */
-  get chunks(): ChunkTable {
-    return this.tree.chunks;
-  }
-
-  /** Whether a page was read. */
-  isRead(page: Page): boolean {
-    return this.tree.isRead(page);
-  }
-
-  /** Return the first unread page in the order of the file; undefined where all are read. */
-  nextPage(): Page | undefined {
-    return this.tree.nextPage();
+    const preamble = readPreamble(bytes);
+    const rootEnd = PREAMBLE_BYTES + preamble.rootLength;
+    if (bytes.length < rootEnd) {
+      const found = `${bytes.length} of ${preamble.fileLength} bytes, the root ends at ${rootEnd}`;
+      throw new CogsplatError("root-truncated", found, PREAMBLE_BYTES);
+    }
+    const rootBytes = bytes.slice(PREAMBLE_BYTES, rootEnd);
+    if (crc32(rootBytes) !== preamble.rootCrc) {
+      throw new CogsplatError("root-crc", "the root's CRC does not match", PREAMBLE_BYTES);
+    }
+    return new SceneIndex(preamble, readRoot(rootBytes));
   }
 
   /** Return the byte range of a page in the file. */
@@ -149,33 +111,15 @@ export class SceneIndex implements ScenePlaces {
     return page;
   }
 
-  /** Check the bytes of a page and read their tables. */
-  readPage(page: Page, bytes: Uint8Array): IndexTables {
-    return this.tree.readPage(page, bytes);
-  }
-
-  /** Enter the tables of an unread page. */
-  enterPage(page: Page, tables: IndexTables): void {
-    this.enterSegments(this.tree.enterPage(page, tables));
+  /** Enter the tables of an unread page, and check its segments. */
+  override enterPage(page: Page, tables: IndexTables): Index {
+    const index = super.enterPage(page, tables);
+    this.enterSegments(index);
+    return index;
   }
 
   addPage(page: Page, bytes: Uint8Array): void {
     if (!this.isRead(page)) this.enterPage(page, this.readPage(page, bytes));
-  }
-
-  /** Number of chunks before the first unread page. */
-  get chunkCount(): number {
-    return this.tree.prefixChunks;
-  }
-
-  /** Number of chunks of the whole file. */
-  get totalChunkCount(): number {
-    return this.tree.total.chunks;
-  }
-
-  /** Whether the root and all pages are read. */
-  get complete(): boolean {
-    return this.tree.complete;
   }
 
   /** Return the segments of an available chunk. */
@@ -245,8 +189,8 @@ export class SceneIndex implements ScenePlaces {
 
   /** Check what the root states of the whole file, then its own segments and chunks. */
   checkRoot(): void {
-    this.tree.checkCount();
-    const { total, end } = this.tree;
+    this.checkCount();
+    const { total, end } = this;
     if (end !== this.fileLength) {
       const found = `root, segments and pages end at ${end}, the file at ${this.fileLength}`;
       throw new CogsplatError("segments-length", found);
@@ -258,7 +202,7 @@ export class SceneIndex implements ScenePlaces {
     if (levelled !== undefined && levelled !== total.chunks) {
       throw new CogsplatError("level-chunks", `${levelled} chunks of ${total.chunks}`);
     }
-    this.enterSegments(this.tree.root);
+    this.enterSegments(this.root);
   }
 
   /** Check the segments and chunks of an index, and enter each segment under its chunk or codebook. */
@@ -330,7 +274,7 @@ export class SceneIndex implements ScenePlaces {
   private checkEnds({ firstChunk, chunks }: Index): void {
     for (let chunk = firstChunk; chunk < firstChunk + chunks; chunk++) {
       const until = this.chunks.until[chunk]!;
-      if (until > 0 && (until < chunk + 2 || until > this.totalChunkCount)) {
+      if (until > 0 && (until < chunk + 2 || until > this.total.chunks)) {
         throw new CogsplatError("chunk-until", `chunk ${chunk} ends at ${until}`);
       }
     }
@@ -409,7 +353,7 @@ export class SceneIndex implements ScenePlaces {
 
   /** Page that lists the pictures: the last one that the root lists; undefined for the root. */
   get picturesPage(): Page | undefined {
-    return this.tree.root.pages.at(-1);
+    return this.root.pages.at(-1);
   }
 
   private enterPictures(index: Index): void {

@@ -75,53 +75,71 @@ export interface PageTable {
   readonly cell: Uint32Array;
 }
 
+type Column = Uint8Array | Uint32Array | Float32Array | Float64Array | BigUint64Array;
+type ColumnType = new (numbers: number | ArrayBuffer) => Column;
+
+/** Numbers of a row in columns that have more than one. */
+const ROW_WIDTHS: Readonly<Record<string, number>> = { hash: 16, box: 6 };
+
+/**
+ * Read the columns of a table.
+ *
+ * @param needed - Columns in their order; the first sets the number of rows.
+ * @param optional - Columns that are zeros where they are absent.
+ */
+function readColumns(
+  fields: Fields,
+  needed: Readonly<Record<string, ColumnType>>,
+  optional: Readonly<Record<string, ColumnType>> = {},
+): Record<string, Column> {
+  const table: Record<string, Column> = {};
+  let rows: number | undefined;
+  for (const [key, Type] of Object.entries({ ...needed, ...optional })) {
+    const width = ROW_WIDTHS[key] ?? 1;
+    if (Object.hasOwn(optional, key) && !fields.has(key)) {
+      table[key] = new Type(width * rows!);
+      continue;
+    }
+    const bytes = fields.column(key, width * new Type(0).BYTES_PER_ELEMENT, rows);
+    // Bins are not aligned; columns and memory are little-endian.
+    const column = new Type(bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.byteLength) as ArrayBuffer);
+    table[key] = column;
+    rows ??= column.length / width;
+  }
+  fields.finish();
+  return table;
+}
+
 /** Read the field `segments` of a root or a page. */
 export function readSegmentTable(fields: Fields): SegmentTable {
-  const kind = Uint8Array.from(bytesOf(fields.column("kind", 1)));
-  const rows = kind.length;
-  const table: SegmentTable = {
-    kind,
-    owner: uint32Column(fields.column("owner", 4, rows)),
-    length: uint32Column(fields.column("length", 4, rows)),
-    crc: uint32Column(fields.column("crc", 4, rows)),
-    hash: Uint8Array.from(bytesOf(fields.column("hash", 16, rows))),
-    needs: uint32Column(fields.column("needs", 4, rows)),
-  };
-  fields.finish();
+  const table = readColumns(fields, {
+    kind: Uint8Array,
+    owner: Uint32Array,
+    length: Uint32Array,
+    crc: Uint32Array,
+    hash: Uint8Array,
+    needs: Uint32Array,
+  }) as unknown as SegmentTable;
   const known = new Set<number>(Object.values(SegmentKind));
-  const unknown = kind.findIndex((value) => value < FIRST_SKIPPABLE_KIND && !known.has(value));
+  const unknown = table.kind.findIndex((value) => value < FIRST_SKIPPABLE_KIND && !known.has(value));
   if (unknown >= 0) {
-    throw new CogsplatError("segment-kind-unknown", `${fields.where}: segment ${unknown} is of kind ${kind[unknown]}`);
+    const found = `${fields.where}: segment ${unknown} is of kind ${table.kind[unknown]}`;
+    throw new CogsplatError("segment-kind-unknown", found);
   }
-  const empty = table.length.indexOf(0);
-  if (empty >= 0) throw fields.outOfRange("length", `segment ${empty} has no bytes`);
+  checkRange(fields, "length", table.length, 1);
   return table;
 }
 
 /** Read the field `chunks` of a root or a page. */
 export function readChunkTable(fields: Fields): ChunkTable {
-  const splats = uint32Column(fields.column("splats", 4));
-  const rows = splats.length;
-  const box = float32Column(fields.column("box", 24, rows));
-  const contribution = float64Column(fields.column("contribution", 8, rows));
-  const optional = (key: string) =>
-    fields.has(key) ? uint32Column(fields.column(key, 4, rows)) : new Uint32Array(rows);
-  const table: ChunkTable = {
-    splats,
-    box,
-    contribution,
-    layer: optional("layer"),
-    cell: optional("cell"),
-    object: optional("object"),
-    quality: fields.has("quality") ? float32Column(fields.column("quality", 4, rows)) : new Float32Array(rows),
-    until: optional("until"),
-  };
-  fields.finish();
-  checkRange(fields, "splats", splats, 1, MAX_CHUNK_SPLATS);
-  checkBoxes(fields, box);
-  checkContribution(fields, contribution);
-  const wrong = table.quality.findIndex((quality) => !(quality >= 0 && quality <= 100));
-  if (wrong >= 0) throw fields.outOfRange("quality", `row ${wrong} has ${table.quality[wrong]} dB`);
+  const table = readColumns(
+    fields,
+    { splats: Uint32Array, box: Float32Array, contribution: Float64Array },
+    { layer: Uint32Array, cell: Uint32Array, object: Uint32Array, quality: Float32Array, until: Uint32Array },
+  ) as unknown as ChunkTable;
+  checkRange(fields, "splats", table.splats, 1, MAX_CHUNK_SPLATS);
+  checkBoxes(fields, table);
+  checkRange(fields, "quality", table.quality, 0, 100);
   return table;
 }
 
@@ -131,58 +149,55 @@ export function readChunkTable(fields: Fields): ChunkTable {
  * @param most - Number of rows at most.
  */
 export function readPageTable(fields: Fields, most: number): PageTable {
-  const length = uint32Column(fields.column("length", 4));
-  const rows = length.length;
-  const table: PageTable = {
-    length,
-    crc: uint32Column(fields.column("crc", 4, rows)),
-    segments: uint32Column(fields.column("segments", 4, rows)),
-    chunks: uint32Column(fields.column("chunks", 4, rows)),
-    span: uint64Column(fields.column("span", 8, rows)),
-    splats: uint32Column(fields.column("splats", 4, rows)),
-    box: float32Column(fields.column("box", 24, rows)),
-    contribution: float64Column(fields.column("contribution", 8, rows)),
-    cell: fields.has("cell") ? uint32Column(fields.column("cell", 4, rows)) : new Uint32Array(rows),
-  };
-  fields.finish();
-  if (rows > most) throw fields.outOfRange("length", `${rows} pages, at most ${most}`);
+  const columns = readColumns(
+    fields,
+    {
+      length: Uint32Array,
+      crc: Uint32Array,
+      segments: Uint32Array,
+      chunks: Uint32Array,
+      span: BigUint64Array,
+      splats: Uint32Array,
+      box: Float32Array,
+      contribution: Float64Array,
+    },
+    { cell: Uint32Array },
+  );
+  // Numbers of 2^53 and more stay out of range.
+  const table = { ...columns, span: Float64Array.from(columns["span"]!, Number) } as unknown as PageTable;
+  const { length, segments, chunks } = table;
+  if (length.length > most) throw fields.outOfRange("length", `${length.length} pages, at most ${most}`);
   checkRange(fields, "length", length, 1, MAX_PAGE_BYTES);
-  checkRange(fields, "segments", table.segments, 1, MAX_SEGMENTS);
-  const wrong = table.chunks.findIndex((chunks, row) => chunks > table.segments[row]!);
-  if (wrong >= 0) throw fields.outOfRange("chunks", `page ${wrong} has more chunks than segments`);
+  checkRange(fields, "segments", segments, 1, MAX_SEGMENTS);
+  const wrong = chunks.findIndex((count, row) => count > segments[row]!);
+  if (wrong >= 0) throw fields.outOfRange("chunks", `row ${wrong} has more chunks than segments`);
   checkRange(fields, "span", table.span, 1, Number.MAX_SAFE_INTEGER);
   checkRange(fields, "splats", table.splats, 0, 2 ** 31 - 1);
-  checkBoxes(fields, table.box);
-  checkContribution(fields, table.contribution);
+  checkBoxes(fields, table);
   return table;
 }
 
-function checkRange(fields: Fields, key: string, column: ArrayLike<number>, least: number, most: number): void {
-  const row = Array.from(column).findIndex((value) => value < least || value > most);
-  if (row >= 0) throw fields.outOfRange(key, `row ${row} has ${column[row]}, outside ${least} to ${most}`);
-}
-
-/** Refuse boxes that are not finite, or with a minimum above its maximum. */
-function checkBoxes(fields: Fields, box: Float32Array): void {
-  for (let i = 0; i < box.length; i += i % 6 === 2 ? 4 : 1) {
-    const least = box[i]!;
-    const most = box[i + 3]!;
-    // NaN fails the comparison.
-    if (!(least <= most && least > -Infinity && most < Infinity)) {
-      throw fields.outOfRange("box", `row ${Math.floor(i / 6)} from ${least} to ${most}`);
-    }
+/** Refuse a number outside a range, or that is none. */
+function checkRange(
+  fields: Fields,
+  key: string,
+  column: Uint32Array | Float32Array | Float64Array,
+  least: number,
+  most = Number.MAX_VALUE,
+): void {
+  for (const [row, value] of column.entries()) {
+    if (!(value >= least && value <= most)) throw fields.outOfRange(key, `row ${row} has ${value}`);
   }
 }
 
-function checkContribution(fields: Fields, contribution: Float64Array): void {
-  const row = contribution.findIndex((value) => !(value >= 0 && value < Infinity));
-  if (row >= 0) throw fields.outOfRange("contribution", `row ${row} has ${contribution[row]}`);
+/** Refuse boxes that are not finite, or with a minimum above its maximum, and contributions below 0. */
+function checkBoxes(fields: Fields, { box, contribution }: Pick<ChunkTable, "box" | "contribution">): void {
+  checkRange(fields, "box", box, -Number.MAX_VALUE);
+  for (const [i, least] of box.entries()) {
+    if (i % 6 < 3 && least > box[i + 3]!) throw fields.outOfRange("box", `row ${Math.floor(i / 6)} is turned`);
+  }
+  checkRange(fields, "contribution", contribution, 0);
 }
-
-/** Numbers of a row in columns that have more than one. */
-const ROW_WIDTHS: Readonly<Record<string, number>> = { hash: 16, box: 6 };
-
-type Column = Uint8Array | Uint32Array | Float32Array | Float64Array;
 
 /** A table whose rows become known index by index; rows between are zeros. */
 export class GrowingTable<T extends SegmentTable | ChunkTable> {
@@ -204,12 +219,12 @@ export class GrowingTable<T extends SegmentTable | ChunkTable> {
       this.capacity = Math.max(this.count, 2 * this.capacity);
       this.columns = this.map((column, width) => {
         const longer = new (column.constructor as new (length: number) => Column)(width * this.capacity);
-        longer.set(column);
+        longer.set(column as never);
         return longer;
       });
     }
     for (const [key, column] of Object.entries(this.columns) as [keyof T & string, Column][]) {
-      column.set(rows[key] as Column, (ROW_WIDTHS[key] ?? 1) * at);
+      column.set(rows[key] as never, (ROW_WIDTHS[key] ?? 1) * at);
     }
     this.table = this.map((column, width) => column.subarray(0, width * this.count));
   }
@@ -222,25 +237,7 @@ export class GrowingTable<T extends SegmentTable | ChunkTable> {
   }
 }
 
-function bytesOf(view: DataView): Uint8Array {
-  return new Uint8Array(view.buffer, view.byteOffset, view.byteLength);
-}
-
-/** Read a column of u32; bins are not aligned, so each number is read separately. */
-export function uint32Column(view: DataView): Uint32Array {
-  return Uint32Array.from({ length: view.byteLength / 4 }, (_, i) => view.getUint32(4 * i, true));
-}
-
-function float32Column(view: DataView): Float32Array {
-  return Float32Array.from({ length: view.byteLength / 4 }, (_, i) => view.getFloat32(4 * i, true));
-}
-
-/** Read a column of u64; numbers of 2^53 and more become larger than any that is in range. */
-function uint64Column(view: DataView): Float64Array {
-  return Float64Array.from({ length: view.byteLength / 8 }, (_, i) => Number(view.getBigUint64(8 * i, true)));
-}
-
-/** Read a column of f64. */
+/** Read a column of f64; bins are not aligned, so each number is read separately. */
 export function float64Column(view: DataView): Float64Array {
   return Float64Array.from({ length: view.byteLength / 8 }, (_, i) => view.getFloat64(8 * i, true));
 }
