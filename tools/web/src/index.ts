@@ -4,6 +4,17 @@
  * @packageDocumentation
  */
 
+// biome-ignore-all assist/source/organizeImports: The bundle has the modules in this order. The pool holds the program of
+// its workers as a text, behind the same code in the module: gzip finds what repeats within 32 KiB.
+export { type KernelsMaker, loadKernels } from "./kernels/load.js";
+export {
+  type ChunkFormat,
+  type ChunkService,
+  type DecodedChunk,
+  type DecodeTask,
+  InlineService,
+} from "./workers/decode_task.js";
+export { DecoderPool, type PoolOptions } from "./workers/decoder_pool.js";
 export { axesMatrix, axesRotation } from "./adapters/axes.js";
 export { type PlyOptions, toPly } from "./adapters/ply.js";
 export type { AttributeArray } from "./container/attributes.js";
@@ -28,7 +39,6 @@ export type { SceneRows } from "./container/scene_rows.js";
 export type { ViewTable } from "./container/view_table.js";
 export { CogsplatError, REASON_CODES, type ReasonCode, type RefusalClass, SourceError } from "./errors.js";
 export type { Kernels } from "./kernels/kernels.js";
-export { type KernelsMaker, loadKernels } from "./kernels/load.js";
 export { type Answer, BlobSource, type ByteSource, type ReadOptions } from "./loader/byte_source.js";
 export { type HttpOptions, HttpSource } from "./loader/http_source.js";
 export type { RetryOptions } from "./loader/retry.js";
@@ -47,12 +57,4 @@ export { PrefixCompensation } from "./scene/prefix_compensation.js";
 export { type FileOptions, SceneFile } from "./scene/scene_file.js";
 export { concatenate, type Splats } from "./scene/splats.js";
 export { trainingPixel } from "./scene/training_pixel.js";
-export {
-  type ChunkFormat,
-  type ChunkService,
-  type DecodedChunk,
-  type DecodeTask,
-  InlineService,
-} from "./workers/decode_task.js";
-export { DecoderPool, type PoolOptions } from "./workers/decoder_pool.js";
 export type { WorkerLike } from "./workers/worker_start.js";

@@ -1,4 +1,4 @@
-import { CogsplatError } from "../errors.js";
+import { CogsplatError, type ReasonCode } from "../errors.js";
 import { crc32 } from "./crc32.js";
 import { PICTURE_NAMES, type PictureName } from "./description.js";
 import { type IndexTables, IndexTree } from "./index_tree.js";
@@ -59,8 +59,7 @@ export class SceneIndex extends IndexTree implements ScenePlaces {
   readonly cameras: number[] = [];
   /** View table of each index that has one (SPEC 5.12). */
   readonly viewTables = new Map<Index, number>();
-  /** Segment of the description; undefined where there is none. */
-  description: number | undefined;
+  private readonly descriptions: number[] = [];
   /** Segments of the pictures, by name. */
   readonly pictures = new Map<PictureName, number>();
 
@@ -104,6 +103,11 @@ export class SceneIndex extends IndexTree implements ScenePlaces {
       throw new CogsplatError("root-crc", "the root's CRC does not match", PREAMBLE_BYTES);
     }
     return new SceneIndex(preamble, readRoot(rootBytes));
+  }
+
+  /** Segment of the description; undefined where there is none. */
+  get description(): number | undefined {
+    return this.descriptions[0];
   }
 
   /** Return the byte range of a page in the file. */
@@ -216,26 +220,23 @@ export class SceneIndex extends IndexTree implements ScenePlaces {
     this.enterCodebooks(index);
     const hasAttributes = this.scene.attributes.length > 0;
     this.enterOnce(index, SegmentKind.attributes, "attributes", "attribute-segments", hasAttributes);
-    this.enterCameras(index);
-    this.enterCompensation(index);
+    this.enterOfRoot(index, SegmentKind.cameras, "camera-segments", this.cameras, 1);
+    this.enterOfRoot(index, SegmentKind.compensation, "compensation-segments", this.compensation, Infinity);
     this.enterViewTable(index);
     this.enterDescription(index);
-    this.enterPictures(index);
   }
 
   private enterHeads(index: Index): void {
     let next = index.firstChunk;
     for (const [head, owner] of this.ofKind(SegmentKind.head, index)) {
-      if (owner !== next) throw new CogsplatError("chunk-heads", `a head of chunk ${owner}, expected chunk ${next}`);
+      if (owner !== next) throw this.misplaced("chunk-heads", head);
       this.parts.set(next++, { head, refinement: NONE, tail: NONE, attributes: NONE, opacities: [] });
     }
     const heads = next - index.firstChunk;
-    if (heads !== index.chunks) {
-      throw new CogsplatError("chunk-heads", `an index of ${heads} heads and ${index.chunks} chunks`);
-    }
+    if (heads !== index.chunks) throw new CogsplatError("chunk-heads", `${heads} heads of ${index.chunks} chunks`);
   }
 
-  /** Return the segments of a chunk whose head an index lists before a segment. */
+  /** Return the segments of a chunk of an index whose head is before a segment. */
   private partsBefore(segment: number, chunk: number, { firstChunk, chunks }: Index): OwnSegments | undefined {
     const parts = chunk >= firstChunk && chunk < firstChunk + chunks ? this.parts.get(chunk) : undefined;
     return parts && parts.head < segment ? parts : undefined;
@@ -246,16 +247,12 @@ export class SceneIndex extends IndexTree implements ScenePlaces {
     index: Index,
     kind: number,
     part: "tail" | "refinement" | "attributes",
-    code: "chunk-tails" | "chunk-refinements" | "attribute-segments",
+    code: ReasonCode,
     isAllowed: boolean,
   ): void {
     for (const [segment, chunk] of this.ofKind(kind, index)) {
-      if (!isAllowed) throw new CogsplatError(code, `segment ${segment} has no place in this scene`);
       const parts = this.partsBefore(segment, chunk, index);
-      if (parts === undefined || parts[part] !== NONE) {
-        const found = `segment ${segment} is the second of chunk ${chunk}, before its head, or of no chunk of its index`;
-        throw new CogsplatError(code, found);
-      }
+      if (!isAllowed || parts?.[part] !== NONE) throw this.misplaced(code, segment);
       parts[part] = segment;
     }
   }
@@ -263,11 +260,11 @@ export class SceneIndex extends IndexTree implements ScenePlaces {
   /** Enter the opacities of later levels, after their chunks' heads and at most one per level. */
   private enterOpacities(index: Index): void {
     for (const [segment, chunk] of this.ofKind(SegmentKind.opacities, index)) {
-      const parts = this.partsBefore(segment, chunk, index);
-      if (parts === undefined || parts.opacities.length >= this.levelsOf(chunk).length - 1) {
-        throw new CogsplatError("chunk-opacities", `segment ${segment} of chunk ${chunk} has no place`);
+      const found = this.partsBefore(segment, chunk, index)?.opacities;
+      if (found === undefined || found.length >= this.levelsOf(chunk).length - 1) {
+        throw this.misplaced("chunk-opacities", segment);
       }
-      parts.opacities.push(segment);
+      found.push(segment);
     }
   }
 
@@ -282,11 +279,11 @@ export class SceneIndex extends IndexTree implements ScenePlaces {
 
   private checkNeeds({ firstSegment, segments }: Index): void {
     const count = this.codebooks.length;
-    if (count === 32) return;
-    const needs = this.segments.needs.subarray(firstSegment, firstSegment + segments);
-    const wrong = needs.findIndex((books) => books >>> count !== 0);
-    if (wrong >= 0) {
-      throw new CogsplatError("needs-range", `segment ${firstSegment + wrong} needs a codebook that is not listed`);
+    for (let segment = firstSegment; segment < firstSegment + segments; segment++) {
+      // A shift by 32 is one by 0.
+      if (count < 32 && this.segments.needs[segment]! >>> count !== 0) {
+        throw new CogsplatError("needs-range", `segment ${segment} needs a codebook that is not listed`);
+      }
     }
   }
 
@@ -294,13 +291,9 @@ export class SceneIndex extends IndexTree implements ScenePlaces {
   private enterCodebooks(index: Index): void {
     for (const kind of [SegmentKind.shapeCodebook, ...COLOUR_BANDS]) {
       for (const [segment, codebook] of this.ofKind(kind, index)) {
-        const segments = this.codebookSegments[codebook];
-        const isAllowed =
-          segments && index.page === undefined && this.kindsOf(codebook, this.scene.shDegree).includes(kind);
-        if (!isAllowed || segments.has(kind)) {
-          const found = `segment ${segment} of kind ${kind} has no place in codebook ${codebook}`;
-          throw new CogsplatError("codebook-segments", found);
-        }
+        const segments = index.page === undefined ? this.codebookSegments[codebook] : undefined;
+        const isAllowed = segments && !segments.has(kind) && this.kindsOf(codebook, this.scene.shDegree).includes(kind);
+        if (!isAllowed) throw this.misplaced("codebook-segments", segment);
         segments.set(kind, segment);
       }
     }
@@ -312,42 +305,18 @@ export class SceneIndex extends IndexTree implements ScenePlaces {
     });
   }
 
-  private enterCameras(index: Index): void {
-    for (const [segment, owner] of this.ofKind(SegmentKind.cameras, index)) {
-      if (owner !== 0 || index.page !== undefined || this.cameras.length > 0) {
-        throw new CogsplatError("camera-segments", `cameras of owner ${owner}, in a page, or a second segment of them`);
-      }
-      this.cameras.push(segment);
-    }
-  }
-
-  private enterCompensation(index: Index): void {
-    for (const [segment, layer] of this.ofKind(SegmentKind.compensation, index)) {
-      if (index.page !== undefined || layer !== this.compensation.length) {
-        const found = `layer ${layer} in a page, or not layer ${this.compensation.length}`;
-        throw new CogsplatError("compensation-segments", found);
-      }
-      this.compensation.push(segment);
+  /** Enter the segments of a kind that the root lists, owned by 0, 1 and so on, at most `most` of them. */
+  private enterOfRoot(index: Index, kind: number, code: ReasonCode, found: number[], most: number): void {
+    for (const [segment, owner] of this.ofKind(kind, index)) {
+      if (index.page !== undefined || owner !== found.length || owner >= most) throw this.misplaced(code, segment);
+      found.push(segment);
     }
   }
 
   private enterViewTable(index: Index): void {
     for (const [segment, owner] of this.ofKind(SegmentKind.viewTable, index)) {
-      if (owner !== 0 || this.viewTables.has(index)) {
-        throw new CogsplatError("view-table-segments", `a view table of owner ${owner}, or a second one of its index`);
-      }
+      if (owner !== 0 || this.viewTables.has(index)) throw this.misplaced("view-table-segments", segment);
       this.viewTables.set(index, segment);
-    }
-  }
-
-  private enterDescription(index: Index): void {
-    for (const [segment, owner] of this.ofKind(SegmentKind.description, index)) {
-      const length = this.segments.length[segment]!;
-      if (owner !== 0 || index.page !== undefined || this.description !== undefined || length > MAX_DESCRIPTION) {
-        const found = `a description of owner ${owner} and ${length} bytes, in a page, or a second one`;
-        throw new CogsplatError("description-segments", found);
-      }
-      this.description = segment;
     }
   }
 
@@ -356,17 +325,34 @@ export class SceneIndex extends IndexTree implements ScenePlaces {
     return this.root.pages.at(-1);
   }
 
-  private enterPictures(index: Index): void {
+  private enterDescription(index: Index): void {
+    this.enterOfRoot(index, SegmentKind.description, "description-segments", this.descriptions, 1);
     for (const [segment, owner] of this.ofKind(SegmentKind.picture, index)) {
       const name = PICTURE_NAMES[owner];
-      const length = this.segments.length[segment]!;
-      const isElsewhere = index.page !== this.picturesPage;
-      const isAlone = this.description === undefined;
-      if (name === undefined || this.pictures.has(name) || isElsewhere || isAlone || length > MAX_PICTURE) {
-        throw new CogsplatError("description-segments", `a picture of owner ${owner} and ${length} bytes has no place`);
+      const isAllowed = index.page === this.picturesPage && this.description !== undefined;
+      if (!isAllowed || name === undefined || this.pictures.has(name)) {
+        throw this.misplaced("description-segments", segment);
       }
       this.pictures.set(name, segment);
     }
+    for (const [segments, most] of [
+      [this.descriptions, MAX_DESCRIPTION],
+      [this.pictures.values(), MAX_PICTURE],
+    ] as const) {
+      for (const segment of segments) {
+        const length = this.segments.length[segment]!;
+        if (length > most) throw new CogsplatError("description-segments", `${length} bytes, at most ${most}`);
+      }
+    }
+  }
+
+  /** Return the error of a segment that the index of its owner does not list, or more than once. */
+  private misplaced(code: ReasonCode, segment: number): CogsplatError {
+    const { kind, owner } = this.segments;
+    return new CogsplatError(
+      code,
+      `segment ${segment} of kind ${kind[segment]} and owner ${owner[segment]} has no place`,
+    );
   }
 
   /** Iterate over the segments of a kind that an index lists, each with its owner. */
