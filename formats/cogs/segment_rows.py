@@ -6,7 +6,7 @@ segments in the whole file.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -94,7 +94,7 @@ def find_rows(name: str, root: Root, node: IndexNode) -> IndexRows:
     """
     heads = _head_rows(name, node)
     tails = _tail_rows(name, root, node, heads)
-    refinements = _rows_by_chunk(name, node, heads, SegmentKind.REFINEMENT, "chunk-refinements")
+    refinements = _refinement_rows(name, node, heads)
     opacities = _opacity_rows(name, root, node, heads)
     _check_ends(name, root, node)
     _check_needs(name, root, node)
@@ -105,7 +105,7 @@ def find_rows(name: str, root: Root, node: IndexNode) -> IndexRows:
         opacities=opacities,
         codebooks=_codebook_rows(name, root, node),
         attributes=_attribute_rows(name, root, node, heads),
-        cameras=_root_row(name, node, SegmentKind.CAMERAS, "camera-segments", "5.8"),
+        cameras=_camera_row(name, node),
         layers=_layer_rows(name, node),
         view_table=_view_table_row(name, node),
         description=_description_row(name, node),
@@ -142,7 +142,24 @@ def _tail_rows(name: str, root: Root, node: IndexNode, heads: I64) -> I64:
             f"{name}: a tail in a scene of SH degree 0, expected none",
             clause="5.4",
         )
-    return _rows_by_chunk(name, node, heads, SegmentKind.TAIL, "chunk-tails")
+    return _rows_by_chunk(
+        name,
+        node,
+        heads,
+        SegmentKind.TAIL,
+        lambda message: FormatError("chunk-tails", message, clause="5.4"),
+    )
+
+
+def _refinement_rows(name: str, node: IndexNode, heads: I64) -> I64:
+    """Return the row of each chunk's refinement (SPEC 5.4); -1 for none."""
+    return _rows_by_chunk(
+        name,
+        node,
+        heads,
+        SegmentKind.REFINEMENT,
+        lambda message: FormatError("chunk-refinements", message, clause="5.4"),
+    )
 
 
 def _opacity_rows(name: str, root: Root, node: IndexNode, heads: I64) -> dict[int, list[int]]:
@@ -175,7 +192,13 @@ def _attribute_rows(name: str, root: Root, node: IndexNode, heads: I64) -> I64:
             f"{name}: a segment of attributes, expected none: the root lists no attributes",
             clause="5.7",
         )
-    return _rows_by_chunk(name, node, heads, SegmentKind.ATTRIBUTES, "attribute-segments", "5.7")
+    return _rows_by_chunk(
+        name,
+        node,
+        heads,
+        SegmentKind.ATTRIBUTES,
+        lambda message: FormatError("attribute-segments", message, clause="5.7"),
+    )
 
 
 def _own_chunks(node: IndexNode, rows: I64) -> I64:
@@ -192,18 +215,23 @@ def _are_behind_heads(node: IndexNode, rows: I64, own: I64, heads: I64) -> bool:
 
 
 def _rows_by_chunk(
-    name: str, node: IndexNode, heads: I64, kind: SegmentKind, code: str, clause: str = "5.4"
+    name: str,
+    node: IndexNode,
+    heads: I64,
+    kind: SegmentKind,
+    refusal: Callable[[str], FormatError],
 ) -> I64:
-    """Return the row of each chunk's segment of a kind, -1 for none; refuse a misplaced one."""
+    """Return the row of each chunk's segment of a kind, -1 for none; raise the error if misplaced.
+
+    `refusal` returns the error to raise, from a description.
+    """
     rows = _rows_of(node, kind)
     own = _own_chunks(node, rows)
     if len(np.unique(own)) != len(own) or not _are_behind_heads(node, rows, own, heads):
-        raise FormatError(
-            code,
+        raise refusal(
             f"{name}: {kind.name.lower()} segments of chunks "
             f"{(own + node.first_chunk).tolist()[:8]}, expected at most one for each of "
-            f"{len(heads)} chunks of the index, behind its head",
-            clause=clause,
+            f"{len(heads)} chunks of the index, behind its head"
         )
     found = np.full(len(heads), -1, np.int64)
     found[own] = rows + node.first_segment
@@ -273,15 +301,15 @@ def _codebook_rows(name: str, root: Root, node: IndexNode) -> list[dict[SegmentK
     return found
 
 
-def _root_row(name: str, node: IndexNode, kind: SegmentKind, code: str, clause: str) -> int:
-    """Return the row of the only segment of a kind, which the root lists; -1 for none."""
-    row, owners = _single_row(node, kind)
+def _camera_row(name: str, node: IndexNode) -> int:
+    """Return the row of the cameras' segment, which the root lists (SPEC 5.8); -1 for none."""
+    row, owners = _single_row(node, SegmentKind.CAMERAS)
     if owners or (row >= 0 and node.path):
         raise FormatError(
-            code,
-            f"{name}: {kind.name.lower()} with owners {owners}, in a page or twice, expected at "
-            "most one segment, with owner 0, in the root",
-            clause=clause,
+            "camera-segments",
+            f"{name}: cameras with owners {owners}, in a page or twice, expected at most one "
+            "segment, with owner 0, in the root",
+            clause="5.8",
         )
     return row
 
