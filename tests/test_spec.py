@@ -30,8 +30,8 @@ from cogsplat.formats.cogs import (
     decoded_rows,
     description_segment,
     folder_map,
+    index_tables,
     layout,
-    root,
 )
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.tools.lab import make_vectors
@@ -233,9 +233,10 @@ def test_keys_are_those_the_code_writes():
             name.strip("` ") for row in tables(section(clause))[0] for name in row[0].split(", ")
         ]
 
-    blank = root.no_segments()
-    assert keys("5.3 ") == list(root.segment_columns(blank))
+    blank = index_tables.no_segments()
+    assert keys("5.3 ") == list(index_tables.segment_columns(blank))
     source = (ROOT / "formats" / "cogs" / "root.py").read_text(encoding="utf-8")
+    source += (ROOT / "formats" / "cogs" / "index_tables.py").read_text(encoding="utf-8")
     for clause in ("4.2 ", "4.4 ", "5.4 ", "5.5 ", "5.6 ", "5.7 ", "5.11 "):
         assert [key for key in keys(clause) if f'"{key}"' not in source] == []
     source = (ROOT / "formats" / "cogs" / "camera_segment.py").read_text(encoding="utf-8")
@@ -256,8 +257,9 @@ def test_limits_are_the_constants():
         "splats of a file": layout.MAX_SPLATS,
         "splats of a chunk": payload_limits.MAX_CHUNK_SPLATS,
         "segments of a file": layout.MAX_SEGMENTS,
-        "index pages": layout.MAX_PAGES,
-        "bytes of an index page": layout.MAX_PAGE_BYTES,
+        "pages that an index lists": layout.MAX_PAGES,
+        "pages on the way from the root to a chunk": layout.MAX_PAGE_DEPTH,
+        "bytes of a page": layout.MAX_PAGE_BYTES,
         "attributes": MAX_EXTRAS,
         "components of an attribute": MAX_EXTRA_COMPONENTS,
         "cameras": layout.MAX_CAMERAS,
@@ -268,7 +270,7 @@ def test_limits_are_the_constants():
         "width and height of a picture, px": description_segment.MAX_PICTURE_SIDE,
         "views, and annotations, of a description": description_segment.MAX_VIEWS,
         "stops of a path": description_segment.MAX_STOPS,
-        "nesting of root and pages": canonical_msgpack.MAX_DEPTH,
+        "nesting of values in root and pages": canonical_msgpack.MAX_DEPTH,
         "values of a msgpack map": canonical_msgpack.MAX_VALUES,
         "values of a map of cameras, and of a description": layout.MAX_CAMERA_VALUES,
         "codebooks": layout.MAX_CODEBOOKS,

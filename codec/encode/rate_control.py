@@ -230,7 +230,7 @@ def search_finished_size(
     """Search for a file size that includes compensation and predictions, and finish the scene.
 
     The sizes of these additions are known before the search, but the additions change the order of
-    segments. This order decides where index pages end, and so the size of the index. If the
+    segments. This order decides where pages end, and so the size of the index. If the
     finished file is too large, the search is repeated with a target that is lower by the excess,
     `MAX_ROUNDS` times at most. If it is still too large, its segments keep the order of the search,
     for which the size is known.

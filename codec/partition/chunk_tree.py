@@ -1,7 +1,7 @@
 """Tree of the chunks of a scene cut into cells: which chunks one index of the file lists.
 
 The root lists the first chunks, which show the whole scene coarsely. All others are below pages,
-those of one cell below one page, so that a client at one place of a city reads few pages.
+those inside one cell below one page, so that a client at one place of a city reads few pages.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 I64 = NDArray[np.int64]
 
 ROOT_CHUNKS: Final = 64
-"""Chunks that the root lists at most: with the pages, 14 of its 16 KiB."""
+"""Maximum number of chunks that the root lists: with 32 pages they take 14 of its 16 KiB."""
 
 _ROOT_PAGES: Final = 32
 """Pages that the root lists at most."""
@@ -92,7 +92,7 @@ def _tree(chunks: I64, cells: I64, own: int, pages: int, depth: int) -> ChunkTre
 
 
 def _groups(chunks: I64, cells: I64, most: int) -> list[I64]:
-    """Return the chunks in at most `most` groups, each of one cell, depth first by cell."""
+    """Return the chunks in at most `most` groups, each inside one cell, depth first by cell."""
     groups = [chunks]
     # Sizes of the groups that can still be halved, 0 for the others.
     sizes = [len(chunks)]

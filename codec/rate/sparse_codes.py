@@ -13,9 +13,9 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 # Price of a bit here, relative to the error that it removes from a value elsewhere. At 0.5, four
-# trained scenes (pruned to 12 to 29 % of their splats, in 36 to 109 kB) are shown 0.02 to 0.16 dB
+# trained scenes (pruned to 12 to 29 % of their splats, in 36 to 109 kB) are shown 0.02 to 0.17 dB
 # better than with rounded codes in equal bytes. At 0.35 they lose up to 0.05 dB of that; at 1 two
-# of them lose 0.07 and 0.16 dB.
+# of them lose 0.06 and 0.16 dB.
 _PRICE: Final = 0.5
 # Least cost of an error, relative to the mean of the chunk. Views other than those that a scene was
 # scored in may show a splat of no cost, and without this limit all of its coordinates are zero.

@@ -35,8 +35,8 @@ BLOCK_SPLATS: Final = 256
 """Splats of a block. Scoring a view of a city of three million splats takes 0.58 of the time of all
 splats at once with blocks of 64, 0.59 with 256, and 0.66 with 1,024."""
 
-LEAST_SPLATS_IN_BLOCKS = 100_000
-"""Splats of a scene from which blocks are worth their sort."""
+MIN_BLOCKED_SPLATS = 100_000
+"""Minimum splats of a scene that is grouped into blocks: in smaller ones the sort takes longer."""
 
 # Bits of a mean's place along each axis, three digits of `key_order` in all, and the number of
 # means that tell the extent of the scene: few distant splats must not push all others together.
@@ -161,7 +161,7 @@ def _bound(
 
 def blocks_if_large(splats: Splats, workspace: Workspace = IN_MEMORY) -> SplatBlocks | None:
     """Return the blocks of a scene; None of a small one, which is drawn as a whole."""
-    return splat_blocks(splats, workspace) if len(splats) >= LEAST_SPLATS_IN_BLOCKS else None
+    return splat_blocks(splats, workspace) if len(splats) >= MIN_BLOCKED_SPLATS else None
 
 
 def splat_blocks(splats: Splats, workspace: Workspace = IN_MEMORY) -> SplatBlocks:

@@ -13,7 +13,8 @@ TOP_K = 20
 """Number of a pixel's largest weights that count (PRoGS, section 3.1, Zoomers et al. 2024)."""
 
 LEAST_WEIGHT = 0.01
-"""`ScoreConfig.least_weight` for scoring without top K; the 20th weight is at most 1/20.
+"""Value of `ScoreConfig.least_weight` for scoring without top K. Top K drops no weight above 1/20,
+because the weights of a pixel sum to at most 1.
 
 Ordered by either contribution, a captured room differs by less than 0.2 dB in its first 16 to 256
 KiB, and files of three scenes by less than 0.5 % in bytes at equal PSNR.

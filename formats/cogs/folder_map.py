@@ -258,8 +258,8 @@ class FolderMap:
     def page_range(self, page: PagePlace) -> ObjectRange:
         """Return a range of the object of an unknown page with the page and its table of places.
 
-        How long the table is the page says: the range has room for the longest, as far as the
-        object goes.
+        Only the page states the length of its table, so the range has room for the longest one, up
+        to the end of the object.
         """
         at = self._number_of(page)
         part = self._parts[at]

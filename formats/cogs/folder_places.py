@@ -1,6 +1,6 @@
 """Table of places: position of each segment of an index in a folder's objects (SPEC 3.4).
 
-The root's table also has the position of each index page.
+A table also has the position of each page that the index lists.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class Unpacked:
 
 @dataclass(frozen=True)
 class FolderIndex:
-    """Manifest of a folder, and the objects of its index pages.
+    """Manifest of a folder, and the objects of its pages.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ class FolderIndex:
 
 
 def build_index(file: CogsFile, found: Sequence[SegmentPlace]) -> FolderIndex:
-    """Return the manifest of a file and the objects of its index pages.
+    """Return the manifest of a file and the objects of its pages.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def unpack_cogs(
 
     Notes
     -----
-    The segments of a chunk form one object, those of all codebooks another, each index page with
+    The segments of a chunk form one object, those of all codebooks another, each page with
     its places one more. The description is in the manifest. A segment that another manifest of the
     folder lists stays in its existing object. Existing objects are compared
     with their hash, and damaged or half-written ones replaced. Another manifest that cannot be read

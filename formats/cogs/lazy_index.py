@@ -84,13 +84,13 @@ class LazyIndex:
     def for_description(self, *, pictures: bool) -> Index:
         """Return an index with the row of the description and, on request, of its pictures.
 
-        The root lists the description, its last page the pictures (SPEC 5.13, 5.14). Rows of other
-        pages are placeholders.
+        The root lists the description, the root's last page the pictures (SPEC 5.13, 5.14). Rows of
+        other pages are placeholders.
 
         Parameters
         ----------
         pictures : bool
-            Whether to read that page.
+            Whether to read the page of the pictures.
 
         Raises
         ------

@@ -14,7 +14,7 @@ from .lazy_index import LazyIndex
 def missing_segment_bytes(source: Source, index: Index | LazyIndex) -> int:
     """Return the total size of the segments that a source with gaps lacks, bytes.
 
-    From a missing index page on, the rest of the source counts as missing. Bytes behind the end of
+    From a missing page on, the rest of the source counts as missing. Bytes behind the end of
     the source are not counted. 0 for a file, which has no gaps.
     """
     missing = sum(int(index.whole().segments.length[row]) for row in _gaps(source, index))
@@ -22,7 +22,7 @@ def missing_segment_bytes(source: Source, index: Index | LazyIndex) -> int:
 
 
 def _bytes_from_missing_page(source: Source, index: Index | LazyIndex) -> int:
-    """Return the bytes of a source from its first missing index page on; 0 if none is missing."""
+    """Return the bytes of a source from its first missing page on; 0 if none is missing."""
     if not hasattr(source, "holds"):
         return 0
     page = index.whole().gap

@@ -17,7 +17,7 @@ class ObjectSource(ABC):
     Parameters
     ----------
     folder_map : FolderMap
-        Map of the folder; reads add index pages to it as needed.
+        Map of the folder; reads add pages to it as needed.
     """
 
     def __init__(self, folder_map: FolderMap) -> None:
@@ -61,7 +61,7 @@ class ObjectSource(ABC):
     def _object_ranges(self, offset: int, length: int) -> list[ObjectRange]:
         """Return the ranges of objects that make up a range of the file.
 
-        First reads those index pages of the range that are not yet in the map.
+        First reads those pages of the range that are not yet in the map.
         """
         with self._lock:
             while pages := self._map.pages_for(offset, length):

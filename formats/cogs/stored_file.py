@@ -396,7 +396,7 @@ class StoredFile:
         if not 0 <= chunk < self._pages.all_chunks:
             raise ValueError(f"chunk {chunk}, expected 0 to {self._pages.all_chunks - 1}")
         if chunk >= self.num_chunks:
-            raise self._missing_error(f"the index page of chunk {chunk}")
+            raise self._missing_error(f"the page of chunk {chunk}")
 
     def _missing_error(self, what: str) -> TruncatedError:
         """Return the error for a part of the file that a partial source lacks."""

@@ -210,7 +210,7 @@ def plan_index(root: Root, table: SegmentTable) -> IndexPlan:
     -------
     IndexPlan
         Plan of the root. It lists all where that fits. Else pages follow the cells of chunks that
-        stand in the order of `chunk_tree`, and have others in sequence.
+        stand in the order of `chunk_tree`; the root lists pages of consecutive chunks otherwise.
     """
     kinds = table.kind.tolist()
     weights = _chunk_weights(root, table)

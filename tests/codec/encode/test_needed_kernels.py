@@ -28,7 +28,7 @@ from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 # Otherwise numpy decodes until the kernels are loaded in the background.
 decoding_tiers.use_compiled(True)
 # As if the scene were large.
-splat_blocks.LEAST_SPLATS_IN_BLOCKS = 0
+splat_blocks.MIN_BLOCKED_SPLATS = 0
 config = EncodeConfig(chunk_splats=300, threads=1)
 for cameras in (synth_cameras(4, 64, 48), None):
     splats = synth(3000)

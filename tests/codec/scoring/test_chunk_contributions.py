@@ -43,7 +43,7 @@ def test_shares_are_the_same_with_blocks(monkeypatch):
     splats = oracle.scene(7, n=4000)
     chunks = np.arange(4000, dtype=np.int32) // 500
     whole = chunk_contributions(splats, chunks, 8, CAMERAS)
-    monkeypatch.setattr(splat_blocks, "LEAST_SPLATS_IN_BLOCKS", 1)
+    monkeypatch.setattr(splat_blocks, "MIN_BLOCKED_SPLATS", 1)
     monkeypatch.setattr(front_to_back, "_FIRST", 512)
     np.testing.assert_array_equal(chunk_contributions(splats, chunks, 8, CAMERAS), whole)
     assert whole.any()

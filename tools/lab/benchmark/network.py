@@ -57,7 +57,7 @@ class LargeFile:
     Parameters
     ----------
     file_bytes, chunks, pages : int
-        Size of the file, number of its chunks and of its index pages.
+        Size of the file, number of its chunks and of its pages.
     opening_requests, opening_bytes : int
         Requests and bytes for opening the file.
     chunk_requests, chunk_bytes : int

@@ -94,7 +94,7 @@ def two_chunks() -> Draft:
 
 
 def paged_chunks() -> Draft:
-    """Return the draft of `two_chunks` with the second chunk listed in an index page."""
+    """Return the draft of `two_chunks` with the second chunk listed in a page."""
     whole = two_chunks()
     segments = whole.groups[0].segments
     parts = [Group(segments[:2], [ChunkRow(2)]), Group(segments[2:], [ChunkRow(2)])]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.formats.cogs.layout import COLOUR_BANDS, SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.tools.lab.scheduling.index_tree import segment_places
+from cogsplat.tools.lab.scheduling.index_ratios import segment_places
 from cogsplat.tools.lab.scheduling.scheduler import best_chain
 
 from .traces import Trace

@@ -21,7 +21,7 @@ from cogsplat.tools.lab.scheduling.chunk_ratios import (
     ratios_from_boxes,
     ratios_from_view_table,
 )
-from cogsplat.tools.lab.scheduling.index_tree import index_ratios
+from cogsplat.tools.lab.scheduling.index_ratios import index_ratios
 from cogsplat.tools.lab.scheduling.poses import Pose
 
 from .client import Arrivals, Link, Priorities, Units, fetch_order, simulate_fetch, units_of

@@ -4,7 +4,7 @@ export interface ByteRange {
   readonly length: number;
 }
 
-/** An index page, as the index that lists it announces it (SPEC 5.6). */
+/** A page of the index, as the index that lists it announces it (SPEC 5.6). */
 export interface Page extends ByteRange {
   /** Place in `IndexTree.pages`. */
   readonly number: number;

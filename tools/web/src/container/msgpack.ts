@@ -19,7 +19,7 @@ const MAX_VALUES = 4_096;
 const UTF8 = new TextDecoder("utf-8", { fatal: true, ignoreBOM: true });
 
 /**
- * Read the single map of a root, an index page or a metadata payload.
+ * Read the single map of a root, a page or a metadata payload.
  *
  * @param bytes - The bytes of the map, nothing after it.
  * @param maxValues - Values at most, counting maps, keys and elements.

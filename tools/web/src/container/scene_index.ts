@@ -16,7 +16,7 @@ const COLOUR_BANDS = [SegmentKind.colourBand1, SegmentKind.colourBand2, SegmentK
 /** Segment number of a kind that a chunk does not have. */
 const NONE = -1;
 
-/** Byte ranges of a scene's segments and index pages, in a file or in the objects of a folder. */
+/** Byte ranges of a scene's segments and pages, in a file or in the objects of a folder. */
 export interface ScenePlaces {
   /** Return the byte range of a segment. */
   range(segment: number): ByteRange;

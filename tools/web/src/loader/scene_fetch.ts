@@ -46,7 +46,7 @@ export interface FetchSource {
 }
 
 /**
- * One pass through a scene: reads index pages; requests, checks and decodes segments; reports damage.
+ * One pass through a scene: reads pages; requests, checks and decodes segments; reports damage.
  *
  * Where a page is requested like a segment, −1 − n stands for page n of `SceneIndex.pages`. Subclasses choose which segments to request next, and turn decoded chunks into changes for the caller.
  */
@@ -92,7 +92,7 @@ export abstract class SceneFetch<Change> {
     });
   }
 
-  /** Enter chunks whose index page has become known. */
+  /** Enter chunks whose page has become known. */
   protected abstract onPage(): void;
 
   /**
@@ -202,7 +202,7 @@ export abstract class SceneFetch<Change> {
     this.wake();
   }
 
-  /** Read the index pages in the order of the file, and enter the chunks of each. */
+  /** Read the pages in the order of the file, and enter the chunks of each. */
   protected async readPages(): Promise<void> {
     try {
       while (!this.index.complete) {
