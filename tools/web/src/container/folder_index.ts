@@ -69,11 +69,13 @@ export class FolderIndex implements ScenePlaces {
     requireBytes(this.manifestBytes);
     this.objects.push({ name: "", size: this.manifestBytes });
     let end = placesEnd;
-    this.enter(places, index.indexes[0]!, (row, bytes) => {
+    const pages = index.pages.map((page) => page.length);
+    const ranges = this.rangesOf(places, length, pages, "the root", (row, bytes) => {
       if (!isInside[row]) return undefined;
       end += bytes;
-      return end - bytes;
+      return { offset: end - bytes, length: bytes };
     });
+    this.enter(ranges, index.indexes[0]!);
   }
 
   /** Compare the length of the manifest with the length that its root implies. */
@@ -111,26 +113,33 @@ export class FolderIndex implements ScenePlaces {
       throw new CogsplatError("places-range", `${where} with its places of ${end} bytes in ${bytes.length}`);
     // The places are checked before the page is entered, so that a damaged page can be fetched again.
     const places = readPlaces(bytes.subarray(length, end), where);
-    this.index.enterPage(page, tables);
-    this.enter(places, this.index.indexes.at(-1)!);
+    const ranges = this.rangesOf(places, tables.segments.length, tables.pages?.length ?? [], where);
+    this.enter(ranges, this.index.enterPage(page, tables));
   }
 
-  /** Enter the places of an index. */
-  private enter(
+  /** Return for each segment and page of an index its address, and the bytes of its object from there on. */
+  private rangesOf(
     places: readonly Place[],
-    index: Index,
-    inside: (row: number, bytes: number) => number | undefined = () => undefined,
-  ): void {
-    for (const [row, place] of places.entries()) {
+    segments: ArrayLike<number>,
+    pages: ArrayLike<number>,
+    where: string,
+    inside: (row: number, bytes: number) => ByteRange | undefined = () => undefined,
+  ): ByteRange[] {
+    return places.map((place, row) => {
+      const bytes = segments[row] ?? pages[row - segments.length]!;
+      const found = inside(row, bytes);
+      if (found !== undefined) return found;
+      const offset = this.addressOf(place, bytes, `row ${row} of the places of ${where}`);
+      return { offset, length: place.size - place.offset };
+    });
+  }
+
+  /** Enter the ranges of an index. */
+  private enter(ranges: readonly ByteRange[], index: Index): void {
+    for (const [row, range] of ranges.entries()) {
       const page = index.pages[row - index.segments];
-      if (page === undefined) {
-        const segment = index.firstSegment + row;
-        const bytes = this.index.segments.length[segment]!;
-        this.addresses.set(segment, inside(row, bytes) ?? this.addressOf(place, bytes, `segment ${segment}`));
-      } else {
-        const offset = this.addressOf(place, page.length, `page ${page.number}`);
-        this.pageAddresses.set(page, { offset, length: place.size - place.offset });
-      }
+      if (page === undefined) this.addresses.set(index.firstSegment + row, range.offset);
+      else this.pageAddresses.set(page, range);
     }
   }
 
