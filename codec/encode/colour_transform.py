@@ -241,7 +241,7 @@ def _rows_that_pay(
     lagrangian: float,
     chunks: Sequence[slice],
 ) -> int:
-    """Return how many rows of a full basis, at least one, remove more error than bytes are worth.
+    """Return the number of rows of a full basis that are worth their bytes, at least one.
 
     Parameters
     ----------

@@ -226,7 +226,7 @@ def compensate_prefixes(
 
 
 def _of_first_chunks(compensation: Compensation, encoded: EncodedScene) -> Compensation:
-    """Return the layers of the chunks that the root lists, where pages list the others.
+    """Return the layers without those of chunks in pages that follow the cells.
 
     In longer prefixes some cells are whole and others coarse, which no client fetches. From the
     last layer on, shifts fade with the missing descendants of each chunk (SPEC 8.5).

@@ -79,7 +79,7 @@ def chunk_tree(cells: NDArray[np.integer]) -> ChunkTree:
 
 
 def _tree(chunks: I64, cells: I64, own: int, pages: int, depth: int) -> ChunkTree:
-    """Return the tree of some chunks, whose index lists the first of them."""
+    """Return the tree of some chunks; its index lists the first `own` chunks."""
     if len(chunks) <= own or not depth:
         return ChunkTree(chunks)
     return ChunkTree(
@@ -105,7 +105,7 @@ def _groups(chunks: I64, cells: I64, most: int) -> list[I64]:
 
 
 def _halves(chunks: I64, cells: I64) -> list[I64]:
-    """Return the chunks on both sides of the smallest cell around them; all where one has it."""
+    """Split chunks by the two halves of their common cell; one group if a chunk fills that cell."""
     own = cells[chunks]
     around = common_cell(own)
     if (own == around).any():
@@ -116,7 +116,7 @@ def _halves(chunks: I64, cells: I64) -> list[I64]:
 
 
 def common_cell(cells: NDArray[np.integer]) -> int:
-    """Return the smallest cell that contains some cells; 0 where one of them is 0, or for none.
+    """Return the smallest cell that contains all given cells; 0 without cells, or with a cell 0.
 
     Examples
     --------

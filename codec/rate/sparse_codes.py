@@ -17,8 +17,8 @@ I64 = NDArray[np.int64]
 # better than with rounded codes in equal bytes. At 0.35 they lose up to 0.05 dB of that; at 1 two
 # of them lose 0.06 and 0.16 dB.
 _PRICE: Final = 0.5
-# Least cost of an error, relative to the mean of the chunk. Views other than those that a scene was
-# scored in may show a splat of no cost, and without this limit all of its coordinates are zero.
+# Least cost of an error, relative to the mean cost in the chunk. A splat that no scored view shows
+# costs nothing, and would get zeros as coordinates. Other views may show it.
 _LEAST_COST: Final = 1 / 16
 # Added to each count, so that unused codes have a finite cost (Krichevsky and Trofimov 1981).
 _PRIOR_COUNT: Final = 0.5

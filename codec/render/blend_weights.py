@@ -69,8 +69,8 @@ def _weigh(
     least_weight : float32
         Smaller weights are left out of Σw.
     lefts : (T or 0, PIXELS) float32
-        What nearer splats leave of the light of each pixel of all tiles, changed in place
-        (`open_tiles`); without rows, nothing is nearer.
+        Transmittance of nearer splats by pixel of all tiles (`open_tiles`), changed in place;
+        without rows, nothing is nearer.
     sums : (P, 3) float32
         Output: Σw, Σw² and the largest w of each pair.
     acts : (P,) bool
@@ -287,8 +287,8 @@ def add_weights(
     least_weight : float
         Minimum of the weights that count in Σw; ignored unless `top_k` is 0.
     lefts : (T, 256) float32, optional
-        What nearer splats leave of the light of each pixel (`open_tiles`), changed in place; not
-        with `top_k`. By default nothing is nearer.
+        Transmittance of nearer splats by pixel (`open_tiles`), changed in place; not with
+        `top_k`. By default nothing is nearer.
 
     Returns
     -------

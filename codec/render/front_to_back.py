@@ -57,8 +57,8 @@ class FrontToBack:
     Attributes
     ----------
     lefts : (T, 256) float32 or None
-        What the slabs so far leave of the light of each pixel, which the caller updates
-        (`add_weights`); None for one slab.
+        Transmittance of each pixel behind the slabs so far; the caller updates it by
+        `add_weights`. None for one slab.
     is_open : (T,) bool
         Tiles with a pixel that has not ended.
     hidden : (h,) int64

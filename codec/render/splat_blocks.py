@@ -101,7 +101,7 @@ class SplatBlocks:
 
 @dataclass(frozen=True, eq=False)
 class BlockViews:
-    """Where a camera sees blocks; bounds hold for every splat of a block.
+    """Positions of blocks in a camera's picture; bounds hold for every splat of a block.
 
     Parameters
     ----------
@@ -241,7 +241,7 @@ def _locate(
     furthest: F64,
     pixels: NDArray[np.int32],
 ) -> None:
-    """Find where a camera sees each block; the outputs are those of `BlockViews`."""
+    """Compute the arrays of `BlockViews` for a camera."""
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     guard_x = GUARD * width / (2.0 * fx)
     guard_y = GUARD * height / (2.0 * fy)

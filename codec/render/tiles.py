@@ -65,7 +65,7 @@ class TileLists:
         return TileLists(self.first, self.last, self.starts, places[self.members])
 
     def bands(self, pairs_at_once: int) -> Iterator[TileLists]:
-        """Yield consecutive ranges of the tiles with at most so many pairs, or a single tile."""
+        """Yield consecutive ranges of tiles: one tile, or at most `pairs_at_once` pairs."""
         at = 0
         while at < self.last - self.first:
             before = int(self.starts[at])
@@ -342,7 +342,7 @@ def _append(
     cursors: NDArray[np.int64],
     joined: NDArray[np.int32],
 ) -> None:
-    """Append the lists from the tile `first` on to those in `joined`, and move the cursors."""
+    """Append lists, the first of them that of tile `first`, to `joined`, and move the cursors."""
     for tile in range(len(starts) - 1):
         to = cursors[first + tile]
         for pair in range(starts[tile], starts[tile + 1]):
@@ -352,7 +352,7 @@ def _append(
 
 
 def join_lists(parts: Sequence[TileLists]) -> TileLists:
-    """Return for each tile its lists in several parts, one after the other.
+    """Join several parts: the list of a tile is its lists in all parts, one after the other.
 
     Parameters
     ----------

@@ -122,7 +122,7 @@ def score_view(
 
 
 class _Found:
-    """What the slabs of a view have shown so far."""
+    """Rows and sums of the splats found in the slabs of a view so far."""
 
     def __init__(self) -> None:
         self._covered: list[NDArray[np.int32]] = []
