@@ -40,11 +40,12 @@ _BETWEEN_LOOKS_MS: Final = 200
 _ATTEMPTS: Final = 60
 
 # The policy of the page forbids style elements, not sheets that scripts make; a shadow root has
-# sheets of its own.
+# sheets of its own. Without transitions, because a cover that fades would stay over the canvas.
 _SHOW_CANVAS_ALONE: Final = """() => {
   const sheet = new CSSStyleSheet();
   sheet.replaceSync(
-    "* { visibility: hidden !important } canvas { visibility: visible !important }"
+    "* { visibility: hidden !important; transition: none !important }"
+    + " canvas { visibility: visible !important }"
   );
   const roots = [document];
   for (const root of roots) {
