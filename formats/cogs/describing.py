@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import warnings
-from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.codec.views.view_text import unit_up
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, check_output, is_folder
 from cogsplat.formats.storage.limits import Limits
-from cogsplat.formats.storage.source import BytesSource, Source, require_within
+from cogsplat.formats.storage.pieced_source import Piece, PiecedSource
+from cogsplat.formats.storage.source import BytesSource, Source
 
 from . import canonical_msgpack, layout
 from .canonical_msgpack import Value
@@ -26,12 +26,12 @@ from .description_segment import description_map, pack_segments, parse_descripti
 from .folder_map import MANIFEST_NAME, MANIFEST_SUFFIX
 from .folder_source import names_folder
 from .folder_writer import copy_cogs, unpack_cogs
-from .index_tables import SegmentTable
 from .layout import SegmentKind
 from .open_file import open_source
 from .packing import folder_files
 from .reader import CogsFile, open_cogs
 from .root import parse_root, root_map
+from .table_rows import concatenate, take
 from .writer import lay_out_index, plan_of_file, segment_table
 
 _DESCRIPTION_KEYS: Final = frozenset(field.name for field in fields(Description))
@@ -196,20 +196,20 @@ def described_source(
         up=file.root.up if up is None else unit_up(up),
         first_view=file.first_view(view=view, up=up),
     )
-    pieces: list[_Piece] = []
+    pieces: list[Piece] = []
     added = segment_table(new)
     plan = plan_of_file(file.nodes, kept, added.kind)
-    for part in lay_out_index(root, _concatenate_tables(file.segments, kept, added), plan):
-        pieces.append(_Piece(BytesSource(part.index), 0, len(part.index)))
+    for part in lay_out_index(root, concatenate([take(file.segments, kept), added]), plan):
+        pieces.append(Piece(BytesSource(part.index), 0, len(part.index)))
         for row in part.rows:
             if row < len(kept):
                 old = int(kept[row])
                 length = int(file.segments.length[old])
-                pieces.append(_Piece(file.source, int(file.offsets[old]), length))
+                pieces.append(Piece(file.source, int(file.offsets[old]), length))
             else:
                 payload = new[row - len(kept)].payload
-                pieces.append(_Piece(BytesSource(payload), 0, len(payload)))
-    return _JoinedSource(file.name, pieces)
+                pieces.append(Piece(BytesSource(payload), 0, len(payload)))
+    return PiecedSource(file.name, pieces)
 
 
 def _unknown_keys(file: CogsFile) -> dict[str, Value]:
@@ -251,54 +251,3 @@ def _lost_keys(stored: Value, kept: Value, where: str) -> Iterator[str]:
     elif isinstance(stored, list) and isinstance(kept, list):
         for number, (value, other) in enumerate(zip(stored, kept, strict=False)):
             yield from _lost_keys(value, other, f"{where}[{number}]")
-
-
-def _concatenate_tables(
-    table: SegmentTable, rows: NDArray[np.int64], other: SegmentTable
-) -> SegmentTable:
-    """Return a segment table: selected rows of a table, then all rows of another table."""
-    names = [field.name for field in fields(SegmentTable)]
-    return SegmentTable(
-        **{
-            name: np.concatenate([getattr(table, name)[rows], getattr(other, name)])
-            for name in names
-        }
-    )
-
-
-@dataclass(frozen=True)
-class _Piece:
-    """Range of a source."""
-
-    source: Source
-    offset: int
-    length: int
-
-
-class _JoinedSource:
-    """Concatenation of byte ranges of open sources; `close` leaves the sources open."""
-
-    def __init__(self, name: str, pieces: Sequence[_Piece]) -> None:
-        self.name = name
-        self._pieces = pieces
-        self._starts: list[int] = []
-        self.size = 0
-        for piece in pieces:
-            self._starts.append(self.size)
-            self.size += piece.length
-
-    def read(self, offset: int, length: int) -> bytes:
-        """Return exactly `length` bytes from `offset`; see `Source.read`."""
-        require_within(self, offset, length)
-        parts = []
-        number = bisect_right(self._starts, offset) - 1
-        while length:
-            piece = self._pieces[number]
-            first = offset - self._starts[number]
-            count = min(length, piece.length - first)
-            parts.append(piece.source.read(piece.offset + first, count))
-            offset, length, number = offset + count, length - count, number + 1
-        return b"".join(parts)
-
-    def close(self) -> None:
-        """Do nothing: the sources belong to their files."""

@@ -23,7 +23,6 @@ from . import canonical_msgpack, layout
 from . import root as cogs_root
 from .index_tables import (
     HASH_BYTES,
-    ChunkTable,
     Extent,
     IndexTables,
     PageTable,
@@ -36,6 +35,7 @@ from .layout import SegmentKind
 from .page_tree import IndexNode
 from .root import Root
 from .segment_rows import CHUNK_KINDS
+from .table_rows import take
 from .view_table_segment import pack_view_table, unpack_view_table
 
 # Target size of pages in sequence, bytes, for one quick request each; and target number of pages,
@@ -277,7 +277,7 @@ def lay_out_index(root: Root, table: SegmentTable, plan: IndexPlan) -> list[Inde
     """
     parts: list[IndexPart] = []
     pages = _pages(root, table, plan, parts)
-    whole = replace(_listing(root, plan.chunks), segments=_rows(table, plan.rows), pages=pages)
+    whole = replace(_listing(root, plan.chunks), segments=take(table, plan.rows), pages=pages)
     root_bytes = canonical_msgpack.pack(cogs_root.root_map(whole))
     try:
         cogs_root.parse_root(canonical_msgpack.unpack(root_bytes, "root"), "root")
@@ -304,13 +304,13 @@ def _pages(root: Root, table: SegmentTable, plan: IndexPlan, parts: list[IndexPa
     for page in plan.pages:
         at = len(parts)
         below = _pages(root, table, page, parts)
-        tables = IndexTables(_rows(table, page.rows), _chunk_rows(root.chunks, page.chunks), below)
+        tables = IndexTables(take(table, page.rows), take(root.chunks, page.chunks), below)
         data = pack_page(tables)
         if len(data) > layout.MAX_PAGE_BYTES:
             raise ValueError(f"a page of {len(data)} bytes: expected chunks of smaller cells")
         parts.insert(at, IndexPart(data, page.rows))
         rows.append((len(data), zlib.crc32(data), tables.extent, page.chunks_below()))
-    chunks = [_chunk_rows(root.chunks, below) for *_, below in rows]
+    chunks = [take(root.chunks, below) for *_, below in rows]
     extents = [extent for _, _, extent, _ in rows]
     return PageTable(
         length=np.array([length for length, *_ in rows], np.uint32),
@@ -382,32 +382,6 @@ def segment_table(segments: Sequence[Segment]) -> SegmentTable:
     )
 
 
-def _rows(table: SegmentTable, rows: list[int]) -> SegmentTable:
-    """Return rows of a segment table."""
-    return SegmentTable(
-        table.kind[rows],
-        table.owner[rows],
-        table.length[rows],
-        table.crc[rows],
-        table.hash[rows],
-        table.needs[rows],
-    )
-
-
-def _chunk_rows(table: ChunkTable, rows: slice) -> ChunkTable:
-    """Return a slice of a chunk table."""
-    return ChunkTable(
-        table.splats[rows],
-        table.box[rows],
-        table.contribution[rows],
-        table.layer[rows],
-        table.cell[rows],
-        table.object[rows],
-        table.quality[rows],
-        table.until[rows],
-    )
-
-
 # Bytes of a row in an index with all columns (SPEC 5.3, 5.4, 5.6).
 _SEGMENT_ROW: Final = 1 + 4 + 4 + 4 + HASH_BYTES + 4
 _CHUNK_ROW: Final = 4 + 24 + 8 + 12 + 4
@@ -423,9 +397,7 @@ _FIRST_VIEW: Final = 288
 
 def _listing(root: Root, chunks: slice) -> Root:
     """Return a root that lists some chunks, and no segments and pages."""
-    return replace(
-        root, segments=no_segments(), chunks=_chunk_rows(root.chunks, chunks), pages=no_pages()
-    )
+    return replace(root, segments=no_segments(), chunks=take(root.chunks, chunks), pages=no_pages())
 
 
 def _chunk_weights(root: Root, table: SegmentTable) -> list[int]:
