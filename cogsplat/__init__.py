@@ -40,6 +40,7 @@ from .formats.cogs.description import (
 )
 from .formats.cogs.description_json import read_description
 from .formats.cogs.folder_writer import Unpacked
+from .formats.cogs.joining import Joined, join
 from .formats.cogs.open_file import open_scene, with_open_scene
 from .formats.cogs.packing import pack, unpack
 from .formats.cogs.reader import CogsFile
@@ -74,6 +75,7 @@ __all__ = [
     "EncodeRequest",
     "FormatError",
     "Georeference",
+    "Joined",
     "LevelsConfig",
     "LimitError",
     "Limits",
@@ -94,6 +96,7 @@ __all__ = [
     "decode",
     "describe",
     "encode",
+    "join",
     "layers",
     "open",
     "pack",

@@ -26,6 +26,7 @@ _MODULES: Final = {
     "decode": "cli.decode.decode",
     "convert": "cli.convert.convert",
     "merge": "cli.merge.merge",
+    "join": "cli.join.join",
     "filter": "cli.filter.filter_scene",
     "decimate": "cli.decimate.decimate",
     "view": "cli.view.view",

@@ -74,16 +74,6 @@ class ColourBasis:
         flat = missed.reshape(len(missed), -1)
         return float(allocation.shn_cost(energy) @ ((flat @ self.metric) * flat).sum(axis=1))
 
-    def with_decoded_rows(self, decoded: F32) -> ColourBasis:
-        """Return the basis with its quantised rows.
-
-        Parameters
-        ----------
-        decoded : (B, K-1, 3) float32
-            Basis rows as a decoder reads them.
-        """
-        return replace(self, rows=decoded.reshape(len(decoded), -1))
-
     @property
     def projection(self) -> F64:
         """Matrix from flattened SH coefficients to basis coordinates, (3(K-1), B)."""
@@ -206,11 +196,8 @@ def fit(
     principal : bool
         Use principal axes; otherwise single coefficients, by descending energy in quantiser steps.
     """
-    count = coefficients_of(slice(0, 0)).shape[1]
-    spread = basis_spread[:count, :count]
-    even = _EVEN_SHARE if spread.any() else 1.0
-    directions = (1 - even) * spread + even * _EVEN * np.eye(count)
-    metric: F64 = np.kron(directions, np.eye(3)).astype(np.float64)
+    directions = _directions(basis_spread, coefficients_of(slice(0, 0)).shape[1])
+    metric = _metric(directions)
     values, vectors = np.linalg.eigh(directions)
     root = np.kron((vectors * np.sqrt(values)) @ vectors.T, np.eye(3))
     inverse = np.kron((vectors / np.sqrt(values)) @ vectors.T, np.eye(3))
@@ -232,6 +219,35 @@ def fit(
     basis = ColourBasis(np.ascontiguousarray(rows), metric)
     count = _rows_that_pay(basis, coefficients_of, energy, lagrangian, chunks)
     return replace(basis, rows=basis.rows[:count])
+
+
+def given_basis(rows: F32, basis_spread: F64) -> ColourBasis:
+    """Return a basis of another scene, with the metric of the views of this one.
+
+    Parameters
+    ----------
+    rows : (B, K-1, 3) float32
+        Basis rows as a decoder reads them.
+    basis_spread : (15, 15) float64
+        `Scores.basis_spread` of this scene.
+    """
+    return ColourBasis(
+        rows.reshape(len(rows), -1), _metric(_directions(basis_spread, rows.shape[1]))
+    )
+
+
+def _directions(basis_spread: F64, count: int) -> F64:
+    """Return the quadratic form of the views for `count` coefficients of one channel."""
+    spread = basis_spread[:count, :count]
+    even = _EVEN_SHARE if spread.any() else 1.0
+    directions: F64 = (1 - even) * spread + even * _EVEN * np.eye(count)
+    return directions
+
+
+def _metric(directions: F64) -> F64:
+    """Return the quadratic form for the coefficients of three channels."""
+    metric: F64 = np.kron(directions, np.eye(3)).astype(np.float64)
+    return metric
 
 
 def _rows_that_pay(

@@ -8,7 +8,7 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Final
 
-from cogsplat.codec.errors import CogsplatWarning
+from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.codec.order import objects
 from cogsplat.codec.order.orders import split_name
 from cogsplat.codec.progress import Progress, TimedProgress, silent
@@ -69,7 +69,7 @@ def encode(
     DataError
         ``invalid-rows``, ``value-range``, ``scores-mismatch``; ``no-cameras`` and
         ``cameras-see-nothing``; ``empty-scene`` where no view can be planned;
-        ``target-out-of-reach``.
+        ``target-out-of-reach``; ``basis-mismatch`` where the basis has another SH degree.
     ValueError
         A target PSNR without views to measure it in; a target size without `size_of`; a preview
         without views to compensate in, or without its maker.
@@ -101,6 +101,7 @@ def encode(
         jitter=scored.jitter,
         references=references,
         effort=request.effort.gain,
+        basis=request.basis,
         workspace=request.workspace,
         executor=request.view_executor,
         progress=timed,
@@ -136,6 +137,12 @@ def _require_encodable(
     if request.config.preview is not None and preview is None:
         raise ValueError("a preview without its maker, expected `fit.preview_training`")
     splats.require_valid()
+    if request.basis is not None and len(request.basis.payloads) != splats.sh_degree:
+        raise DataError(
+            "basis-mismatch",
+            f"a basis of SH degree {len(request.basis.payloads)}, expected that of the scene, "
+            f"{splats.sh_degree}",
+        )
     if request.config.ordering.by_object:
         objects.require_objects(splats, request.config.ordering.object_budgets)
 

@@ -71,6 +71,8 @@ class ChunkedScene:
         Allocator of long arrays.
     codebooks : sequence of EncodedCodebook
         Initial codebooks of the profile ``vq``, as in `PreparedScene`.
+    basis : EncodedCodebook or None
+        Basis of shN of another file, as in `PreparedScene`.
     """
 
     source: Splats
@@ -83,6 +85,7 @@ class ChunkedScene:
     config: EncodeConfig
     workspace: Workspace
     codebooks: Sequence[EncodedCodebook] = ()
+    basis: EncodedCodebook | None = None
 
     def part(self, run: slice) -> Splats:
         """Return the splats of a range of `rows`, copied from the source.
@@ -116,6 +119,8 @@ class PreparedScene:
     codebooks : sequence of EncodedCodebook
         Codebooks of an earlier encode of nearly the same scene, from which the profile ``vq``
         starts; empty to start afresh.
+    basis : EncodedCodebook or None
+        Basis of shN of another file, to use as it is; None to fit one.
     regions : Region
         Regions of a scene that is cut into cells.
     """
@@ -126,6 +131,7 @@ class PreparedScene:
     config: EncodeConfig
     workspace: Workspace = IN_MEMORY
     codebooks: Sequence[EncodedCodebook] = ()
+    basis: EncodedCodebook | None = None
     regions: Region = WHOLE_SCENE
     # Kept rows and chunks of the last call. A search for a target often keeps the same splats in
     # every trial, and cutting a large scene takes longer than comparing row numbers.
@@ -158,6 +164,7 @@ def prepare(
     jitter: bool = True,
     references: ReferenceViews | None = None,
     effort: GainEffort | None = None,
+    basis: EncodedCodebook | None = None,
     workspace: Workspace = IN_MEMORY,
     executor: Executor | None = None,
     progress: Progress = silent,
@@ -180,6 +187,8 @@ def prepare(
         Pictures of the scene in the views, if they are rendered already.
     effort : GainEffort, optional
         Effort of the order by marginal gain.
+    basis : EncodedCodebook, optional
+        Basis of shN of another file, to use as it is.
     workspace : Workspace
         Allocator of decoded splats.
     executor : Executor, optional
@@ -225,7 +234,9 @@ def prepare(
             executor=executor or LocalThreads(config.threads),
             progress=progress,
         )
-    return PreparedScene(splats, rows[kept[rows]], scores, config, workspace, regions=regions)
+    return PreparedScene(
+        splats, rows[kept[rows]], scores, config, workspace, basis=basis, regions=regions
+    )
 
 
 def _cut_chunks(
@@ -271,6 +282,7 @@ def _cut_chunks(
         config=config,
         workspace=workspace,
         codebooks=prepared.codebooks,
+        basis=prepared.basis,
     )
 
 

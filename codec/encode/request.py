@@ -21,6 +21,7 @@ from .config import EncodeConfig, Target
 from .presets import DEFAULT_PRESET, PRESETS, Preset
 
 if TYPE_CHECKING:
+    from cogsplat.codec.encode.encoded import EncodedCodebook
     from cogsplat.codec.scoring.contribution import Scores
     from cogsplat.codec.scoring.score_config import ScoreConfig
 
@@ -63,6 +64,9 @@ class EncodeRequest:
         One of `presets.PRESETS`: numbers of views, effort of ordering and compensation.
     target : Target, optional
         PSNR or file size to search for; it replaces `EncodeConfig.quality_db`.
+    basis : EncodedCodebook, optional
+        Codebook of another file (`CogsFile.stored_codebook`) to use in place of a new one, for
+        profile ``transform`` and a scene with shN: files with the same codebooks can be joined.
     memory_bytes : int, optional
         Resident-memory limit of the process. Larger arrays are kept in mapped files next to the
         output: for a scene given as the path of a PLY, with any profile but `vq`.
@@ -75,7 +79,8 @@ class EncodeRequest:
     ------
     ValueError
         An unknown preset; the order ``gain`` with scores and no cameras; a target for the profile
-        `near-lossless`; an executor or a preview together with a memory limit.
+        `near-lossless`; a basis for another profile than `transform`; an executor or a preview
+        together with a memory limit.
     DataError
         ``bad-view-text``: `up`, `view` or `trained_at` cannot be parsed.
 
@@ -99,6 +104,7 @@ class EncodeRequest:
     score_config: ScoreConfig | None = None
     preset: str = DEFAULT_PRESET
     target: Target | None = None
+    basis: EncodedCodebook | None = None
     memory_bytes: int | None = None
     workspace: Workspace = IN_MEMORY
     executor: Executor | None = None
@@ -124,6 +130,13 @@ class EncodeRequest:
             raise ValueError(
                 "a target for the profile 'near-lossless', expected a profile for viewing"
             )
+        if self.basis is not None:
+            if self.config.profile != "transform":
+                raise ValueError(
+                    f"a basis for the profile {self.config.profile!r}, expected 'transform'"
+                )
+            if self.basis.attribute != "colour":
+                raise ValueError(f"a basis of {self.basis.attribute}, expected colour")
         if self.memory_bytes is not None or self.workspace.in_files:
             if self.executor is not None:
                 raise ValueError("an executor and a memory limit, expected one of them")

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.encode.encoded import EncodedCodebook
 from cogsplat.codec.errors import LimitError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.segments import codebooks
@@ -448,6 +449,28 @@ class ChunkDecoder(StoredFile):
             The segments break SPEC 7.1 or the limits.
         """
         return self._load_codebook(book, self.root.sh_degree)
+
+    def stored_codebook(self, book: int) -> EncodedCodebook:
+        """Return a codebook as it is stored, for files that shall have the same.
+
+        Parameters
+        ----------
+        book : int
+            Number of the codebook.
+
+        Raises
+        ------
+        TruncatedError
+            ``file-truncated``: a partial source lacks a segment of it.
+        FormatError
+            ``segment-crc``.
+        """
+        entry = self.root.codebooks[book]
+        rows = self._codebook_rows(book, self.root.sh_degree)
+        if rows is None:
+            raise self._missing_error(f"a segment of codebook {book}")
+        payloads = tuple(bytes(self.read_segment(row)) for row in rows)
+        return EncodedCodebook(entry.attribute, entry.rows, payloads)
 
     def require_size(self) -> None:
         """Refuse a file whose splats, decoded at full SH degree, exceed the limits.

@@ -131,6 +131,7 @@ _GROUPS: Final = {
         "--chunk-splats",
         "--no-view-table",
         "--no-morton",
+        "--codebooks-of",
     ),
     "Memory": ("--memory",),
     "Edits of the scene": (
@@ -266,6 +267,13 @@ _GROUPS: Final = {
     metavar="SIZE",
     help="Memory limit, such as 8GiB. Arrays of a larger PLY lie in files in the folder of OUT; "
     "not with --profile vq. It does not change the result.",
+)
+@click.option(
+    "--codebooks-of",
+    type=PATH,
+    metavar="FILE.cogs",
+    help="Use the codebooks of this file in place of new ones, so that both can be joined by "
+    "`cogsplat join`; with --profile transform.",
 )
 @format_option(["cogs"], "Without it, a name with the extension of another format is refused.")
 @background_option

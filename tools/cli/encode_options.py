@@ -10,12 +10,16 @@ import click
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.config import EncodeConfig, Target
+from cogsplat.codec.encode.encoded import EncodedCodebook
 from cogsplat.codec.encode.request import EncodeRequest
+from cogsplat.codec.errors import DataError
 from cogsplat.codec.order.chunk_plan import DEFAULT_CHUNK_SPLATS
 from cogsplat.codec.partition.nested_cells import DEFAULT_CELL_SPLATS
 from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.codec.workspace import Workspace
+from cogsplat.formats.cogs.open_file import open_scene
 from cogsplat.formats.storage.byte_counts import ByteCount
+from cogsplat.tools.terminal.limits_option import current_limits
 from cogsplat.tools.terminal.output_names import COGS, HTML, check_name
 from cogsplat.tools.terminal.usage import usage_errors
 from cogsplat.tools.terminal.values import Colour
@@ -59,6 +63,7 @@ class EncodeOptions:
     report: Path | None
     images: Path | None
     memory: int | None
+    codebooks_of: Path | None
     describe: Path | None
     format_name: str | None
     background: Colour
@@ -127,8 +132,26 @@ class EncodeOptions:
             )
             target = None if self.target_psnr is None else Target(psnr_db=self.target_psnr)
             return EncodeRequest(
-                config=config, preset=self.preset, target=target, memory_bytes=self.memory
+                config=config,
+                preset=self.preset,
+                target=target,
+                basis=self._basis(),
+                memory_bytes=self.memory,
             )
+
+    def _basis(self) -> EncodedCodebook | None:
+        """Return the basis of ``--codebooks-of``; None where that file has no codebooks."""
+        if self.codebooks_of is None:
+            return None
+        with open_scene(self.codebooks_of, limits=current_limits()) as file:
+            books = file.root.codebooks
+            if len(books) > 1 or any(book.attribute != "colour" for book in books):
+                raise DataError(
+                    "basis-mismatch",
+                    f"{self.codebooks_of}: {len(books)} codebooks, expected one of colour, as a "
+                    "file of the profile transform has",
+                )
+            return file.stored_codebook(0) if books else None
 
     def complete(
         self,

@@ -112,6 +112,7 @@ def _transform(scene: ChunkedScene, quality_db: float, progress: Progress) -> Pl
         config.ablation,
         scores.contribution[scene.rows] if config.refine else None,
         segment_order.MISSING_COMPENSATED if config.compensate else segment_order.MISSING_ALL,
+        scene.basis,
     )
     if config.profile == "vq":
         # A basis has at most one row per coefficient; the codebook of shN stands behind it.

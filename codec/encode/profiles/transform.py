@@ -17,7 +17,7 @@ from cogsplat.codec.rate import allocation, refinement_split, segment_order
 from cogsplat.codec.rate import costs as rate_costs
 from cogsplat.codec.rate.costs import Costs
 from cogsplat.codec.rate.head_coarseness import FINE, HeadCoarseness, head_coarseness
-from cogsplat.codec.segments.codebooks import decode_colour_codebook
+from cogsplat.codec.segments.codebooks import ColourCodebook as DecodedColourCodebook
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams import grid as grids
@@ -126,6 +126,7 @@ def plan(
     ablation: Ablation,
     contribution: F64 | None = None,
     missing_all: float = segment_order.MISSING_ALL,
+    given: EncodedCodebook | None = None,
 ) -> TransformPlan:
     """Fit the basis of shN and choose the coarseness of each head of an ordered scene.
 
@@ -153,22 +154,27 @@ def plan(
         without refinements.
     missing_all : float
         Squared error of an empty picture (`head_coarseness`).
+    given : EncodedCodebook, optional
+        Basis of shN to use; None to fit one.
     """
     coarseness = {}
     if contribution is not None:
         coarseness = head_coarseness(contribution, lagrangian, chunks, missing_all)
     basis: ColourBasis | None = None
-    payloads: tuple[bytes, ...] = ()
     if sh_degree:
         spread = basis_spread if ablation.view_metric else np.zeros_like(basis_spread)
-        limited = rate_costs.limit_colour_steps(energy, lagrangian)
-        basis = colour_transform.fit(
-            coefficients_of, limited, spread, lagrangian, chunks, principal=ablation.colour_basis
-        )
-        payloads = tuple(records.pack([b], digits=ablation.digits) for b in basis.streams())
-        views = {band: memoryview(data) for band, data in enumerate(payloads, start=1)}
-        stored = decode_colour_codebook(views, len(basis.rows), sh_degree, "basis")
-        basis = basis.with_decoded_rows(stored.shN)
+        if given is None:
+            limited = rate_costs.limit_colour_steps(energy, lagrangian)
+            principal = ablation.colour_basis
+            fitted = colour_transform.fit(
+                coefficients_of, limited, spread, lagrangian, chunks, principal=principal
+            )
+            payloads = tuple(records.pack([b], digits=ablation.digits) for b in fitted.streams())
+            given = EncodedCodebook("colour", len(fitted.rows), payloads)
+        stored = given.decode(sh_degree)
+        assert isinstance(stored, DecodedColourCodebook)
+        basis = colour_transform.given_basis(stored.shN, spread)
+    payloads = () if given is None else given.payloads
     return TransformPlan(lagrangian, costs_of, basis, payloads, ablation, coarseness)
 
 

@@ -1,0 +1,401 @@
+"""Join the files of neighbouring parts of a scene into one, without decoding: `cogsplat.join`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cogsplat.codec.capture import merged_capture
+from cogsplat.codec.encode.joined_compensation import join_compensations, layers_of_chunks
+from cogsplat.codec.errors import DataError
+from cogsplat.codec.partition.chunk_tree import ROOT_CHUNKS, chunk_tree
+from cogsplat.codec.partition.nested_cells import WHOLE
+from cogsplat.codec.partition.part_cells import cell_within, part_cells
+from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.segments.view_shares import ViewTable
+from cogsplat.formats.storage.atomic import StrPath, atomic_write, check_output
+from cogsplat.formats.storage.limits import Limits
+from cogsplat.formats.storage.pieced_source import Piece, PiecedSource
+from cogsplat.formats.storage.source import BytesSource, Source
+
+from . import layout
+from .camera_segment import pack_cameras
+from .compensation_segment import pack_layer
+from .description_segment import pack_segments
+from .folder_writer import copy_cogs
+from .index_tables import ChunkTable, SegmentTable
+from .layout import SegmentKind
+from .open_file import open_source
+from .packing import folder_files
+from .reader import CogsFile, open_cogs
+from .root import Root
+from .segment_rows import CHUNK_KINDS, codebook_kinds
+from .table_rows import concatenate, take
+from .view_table_segment import pack_view_table
+from .writer import IndexPlan, Segment, lay_out_index, plan_index, segment_table, table_of_index
+
+I64 = NDArray[np.int64]
+
+_CODE: Final = "cannot-join"
+
+_BOOK_KINDS: Final = (SegmentKind.SHAPE_CODEBOOK, *layout.COLOUR_BANDS)
+
+
+@dataclass(frozen=True)
+class Joined:
+    """Result of `join`.
+
+    Parameters
+    ----------
+    path : Path
+        Written file.
+    size_bytes : int
+        Its length, bytes.
+    parts, splats, chunks : int
+        Numbers of parts, and of splats and chunks of the file.
+    """
+
+    path: Path
+    size_bytes: int
+    parts: int
+    splats: int
+    chunks: int
+
+
+def join(
+    paths: Sequence[StrPath],
+    output: StrPath,
+    *,
+    force: bool = False,
+    limits: Limits | None = None,
+    progress: Progress = silent,
+) -> Joined:
+    """Join COGS files of neighbouring parts of a scene into one file, without decoding.
+
+    Heads, refinements, tails and codebooks keep their bytes; the index is made anew, so that a
+    client at one place reads the pages of what is around it. To replace a part, encode it again and
+    join all files again.
+
+    Parameters
+    ----------
+    paths : sequence of path
+        Files or folders of the parts, with means in one space. Of the first come first view,
+        direction against gravity and description.
+    output : path
+        New file.
+    force : bool
+        Whether to replace an existing file.
+    limits : Limits, optional
+        Memory and size limits.
+    progress : Progress
+        Callback, called with ``("pack", segments done, segments)``.
+
+    Raises
+    ------
+    DataError
+        ``cannot-join``: the files differ in SH degree, frame, colours, attributes or codebooks
+        (encode the others with the codebooks of one of them, `EncodeRequest.codebooks`), or have
+        levels or preview splats. ``root-size``, ``too-many-cameras``.
+    CogsplatError
+        A part cannot be read, or the output cannot be written.
+    ValueError
+        No path.
+
+    Examples
+    --------
+    >>> import cogsplat
+    >>> cogsplat.join(["scene.cogs", "scene.cogs"], "twice.cogs").parts
+    2
+    """
+    if not paths:
+        raise ValueError("no files, expected those of one part or more")
+    target = Path(output)
+    given = [file for path in paths for file in folder_files(Path(path))]
+    check_output(target, force=force, inputs=given)
+    with ExitStack() as stack:
+        files = [
+            stack.enter_context(open_cogs(open_source(Path(path)), limits=limits)) for path in paths
+        ]
+        source = joined_source(files, target.name)
+        with open_cogs(source, limits=limits) as whole:
+            chunks, splats = whole.num_chunks, int(whole.root.splats)
+            with atomic_write(target, force=force) as out:
+                copy_cogs(whole, out, progress=progress)
+                # Windows replaces no file that is open.
+                stack.close()
+    return Joined(target, source.size, len(files), splats, chunks)
+
+
+def joined_source(files: Sequence[CogsFile], name: str) -> Source:
+    """Return a source of the bytes of a file that joins others.
+
+    Parameters
+    ----------
+    files : sequence of CogsFile
+        Open files of the parts; keep them open as long as the source.
+    name : str
+        Name of the source in messages.
+
+    Raises
+    ------
+    DataError
+        ``cannot-join``, ``root-size``, ``too-many-cameras``.
+    """
+    joint = _Joint(files)
+    plan = plan_index(joint.root, joint.table)
+    added = [*joint.added, *_add_view_tables(joint, plan)]
+    table = concatenate([joint.table, segment_table(added[len(joint.added) :])])
+    kept = len(joint.rows)
+    pieces: list[Piece] = []
+    for part in lay_out_index(joint.root, table, plan):
+        pieces.append(Piece(BytesSource(part.index), 0, len(part.index)))
+        for row in part.rows:
+            if row < kept:
+                file = files[joint.rows[row, 0]]
+                own = int(joint.rows[row, 1])
+                length = int(file.segments.length[own])
+                pieces.append(Piece(file.source, int(file.offsets[own]), length))
+            else:
+                payload = added[row - kept].payload
+                pieces.append(Piece(BytesSource(payload), 0, len(payload)))
+    return PiecedSource(name, pieces)
+
+
+class _Joint:
+    """Tables of a joined file, from those of its parts."""
+
+    def __init__(self, files: Sequence[CogsFile]) -> None:
+        self.files = files
+        _require_alike(files)
+        self._compensations = [file.compensation() for file in files]
+        cells = self._cells()
+        chunks = concatenate([self._chunks(file) for file in files])
+        ranks = np.concatenate([_ranks(file) for file in files])
+        layers = np.concatenate([layers_of_chunks(each) for each in self._compensations])
+        least = min(len(each.layers) for each in self._compensations)
+        density = chunks.contribution / chunks.splats
+        # What a first layer shows of every part comes first, then what the next layer adds.
+        order = np.lexsort((-density, ranks, np.minimum(layers, least)))
+        tree = order[chunk_tree(cells[order]).order()]
+        counts = [file.num_chunks for file in files]
+        numbers = np.empty(len(tree), np.int64)
+        numbers[tree] = np.arange(len(tree))
+        turns = np.empty(len(order), np.int64)
+        turns[order] = np.arange(len(order))
+        stops = np.cumsum(counts)[:-1]
+        self.numbers: list[I64] = np.split(numbers, stops)
+        self._turns: list[I64] = np.split(turns, stops)
+        self.parts: I64 = np.repeat(np.arange(len(files)), counts)[tree]
+        self.chunks: ChunkTable = take(replace(chunks, cell=cells.astype(np.uint32)), tree)
+        self.rows, own = self._segments()
+        self.added = self._added()
+        self.table: SegmentTable = concatenate([own, segment_table(self.added)])
+
+    @cached_property
+    def root(self) -> Root:
+        """Root of the joined file; segments and pages are those of the first part."""
+        first = self.files[0].root
+        capture = merged_capture([file.root.info.capture for file in self.files])
+        boxes = np.array([file.root.box for file in self.files if file.root.splats]).reshape(-1, 6)
+        splats = sum(int(file.root.splats) for file in self.files)
+        if splats > layout.MAX_SPLATS:
+            raise DataError(_CODE, f"{splats} splats, expected at most {layout.MAX_SPLATS}")
+        cores = [file.root.core_box for file in self.files if file.root.splats]
+        known = [core for core in cores if core is not None]
+        return replace(
+            first,
+            splats=splats,
+            info=replace(first.info, capture=capture),
+            box=_around(boxes) if len(boxes) else first.box,
+            core_box=_around(np.array(known)) if known and len(known) == len(cores) else None,
+            chunks=self.chunks,
+        )
+
+    def view_table(self, part: int) -> ViewTable | None:
+        """Return the view table of a part, with all of its chunks as columns; None without one."""
+        file = self.files[part]
+        whole = file.view_table()
+        if whole is None:
+            return None
+        views = {self._viewpoint(whole, row): row for row in range(len(whole.positions))}
+        codes = np.zeros((len(whole.positions), file.num_chunks), np.uint8)
+        for node in file.nodes:
+            table = file.view_table(node.path)
+            if table is None:
+                continue
+            rows = [views[self._viewpoint(table, row)] for row in range(len(table.positions))]
+            count = len(node.tables.chunks)
+            codes[rows, node.first_chunk : node.first_chunk + count] = table.codes[:, :count]
+        return ViewTable(whole.positions, whole.directions, codes)
+
+    @staticmethod
+    def _viewpoint(table: ViewTable, row: int) -> bytes:
+        """Return the bytes of a viewpoint, by which it is found again in the tables of pages."""
+        return table.positions[row].tobytes() + table.directions[row].tobytes()
+
+    def _cells(self) -> I64:
+        """Return the cell of each part's chunks in the joined file."""
+        roots = [file.root for file in self.files]
+        boxes = [root.box if root.core_box is None else root.core_box for root in roots]
+        places = part_cells(np.array(boxes).reshape(-1, 6))
+        return np.concatenate(
+            [
+                [cell_within(place, max(cell, WHOLE)) for cell in file.chunks.cell.tolist()]
+                for place, file in zip(places, self.files, strict=True)
+            ]
+        ).astype(np.int64)
+
+    @staticmethod
+    def _chunks(file: CogsFile) -> ChunkTable:
+        """Return the chunks of a part as the joined file lists them.
+
+        Parts are scored in views of their own: their sums are made comparable by splats. What was
+        predicted for prefixes of the part is not true of the joined file.
+        """
+        table = file.chunks
+        whole = float(table.contribution.sum())
+        factor = float(table.splats.sum()) / whole if whole else 1.0
+        return replace(
+            table,
+            contribution=table.contribution * factor,
+            quality=np.zeros_like(table.quality),
+        )
+
+    def _segments(self) -> tuple[I64, SegmentTable]:
+        """Return part and row of each segment that is kept, in order, and their table."""
+        places: list[I64] = []
+        tables: list[SegmentTable] = []
+        keys: list[I64] = []
+        for part, file in enumerate(self.files):
+            kinds = _BOOK_KINDS + CHUNK_KINDS if part == 0 else CHUNK_KINDS
+            rows = np.flatnonzero(np.isin(file.segments.kind, kinds))
+            kept = take(file.segments, rows)
+            owner = kept.owner.copy()
+            of_chunk = np.isin(kept.kind, CHUNK_KINDS)
+            owner[of_chunk] = self.numbers[part][owner[of_chunk]]
+            tables.append(replace(kept, owner=owner))
+            places.append(np.stack([np.full(len(rows), part), rows], axis=1))
+            turn = self._turns[part][_last_heads(file)[rows]]
+            keys.append(np.stack([turn, np.full(len(rows), part), rows], axis=1))
+        key = np.concatenate(keys)
+        order = np.lexsort((key[:, 2], key[:, 1], key[:, 0]))
+        return np.concatenate(places)[order], take(concatenate(tables), order)
+
+    def _added(self) -> list[Segment]:
+        """Return the segments that the joined file has in place of those of its parts."""
+        compensation = join_compensations(self._compensations, self.numbers, ROOT_CHUNKS)
+        added = [
+            Segment(SegmentKind.COMPENSATION, number, pack_layer(layer))
+            for number, layer in enumerate(compensation.layers)
+        ]
+        cameras = {}
+        for file in self.files:
+            for camera in file.cameras():
+                cameras.setdefault(pack_cameras([camera]), camera)
+        if cameras:
+            added.append(Segment(SegmentKind.CAMERAS, 0, pack_cameras(list(cameras.values()))))
+        return [*added, *pack_segments(self.files[0].description(pictures=True))]
+
+
+def _add_view_tables(joint: _Joint, plan: IndexPlan) -> list[Segment]:
+    """Return the view tables of the indices below which one part is, and add them to the plan.
+
+    What the viewpoints of a part see of another is not known.
+    """
+    tables = [joint.view_table(part) for part in range(len(joint.files))]
+    local = np.empty(len(joint.parts), np.int64)
+    for numbers in joint.numbers:
+        local[numbers] = np.arange(len(numbers))
+    segments: list[Segment] = []
+    for index in plan.every():
+        below = index.chunks_below()
+        parts = np.unique(joint.parts[below])
+        table = tables[parts[0]] if len(parts) == 1 else None
+        if table is None:
+            continue
+        index.rows.insert(0, len(joint.table) + len(segments))
+        pages = [local[page.chunks_below()] for page in index.pages]
+        own = table_of_index(table, local[index.chunks], pages, every_viewpoint=index is plan)
+        segments.append(Segment(SegmentKind.VIEW_TABLE, 0, pack_view_table(own)))
+    return segments
+
+
+def _require_alike(files: Sequence[CogsFile]) -> None:
+    """Refuse files that one root cannot describe."""
+    first, books = files[0].root, _codebooks(files[0])
+    for file in files:
+        root = file.root
+        if file.missing_bytes:
+            raise DataError(_CODE, f"{file.name}: {file.missing_bytes} bytes are missing")
+        if root.levels or file.chunks.until.any():
+            raise DataError(_CODE, f"{file.name}: has levels or preview splats, expected neither")
+        for what, one, other in (
+            ("SH degree", root.sh_degree, first.sh_degree),
+            ("frame or colours", _info(root), _info(first)),
+            ("attributes", list(root.attributes), list(first.attributes)),
+        ):
+            if one != other:
+                raise DataError(
+                    _CODE, f"{file.name}: {what} {one}, expected {other} as in {files[0].name}"
+                )
+        if _codebooks(file) != books:
+            raise DataError(
+                _CODE,
+                f"{file.name}: has other codebooks than {files[0].name}, expected the same: encode "
+                f"it with --codebooks-of {files[0].name}",
+            )
+
+
+def _info(root: Root) -> object:
+    """Return what joined files must have in common of their scenes."""
+    return replace(root.info, capture=())
+
+
+def _codebooks(file: CogsFile) -> list[tuple[str, int, bytes]]:
+    """Return attribute, number of rows and hashes of each codebook."""
+    found = []
+    for number, entry in enumerate(file.root.codebooks):
+        kinds = codebook_kinds(entry.attribute, file.root.sh_degree)
+        rows = [row for kind in kinds for row in file.segment_rows(kind, number)]
+        found.append((entry.attribute, entry.rows, file.segments.hash[rows].tobytes()))
+    return found
+
+
+def _ranks(file: CogsFile) -> I64:
+    """Return how many chunks come before each chunk on the way to it, (c,) int64.
+
+    These are the chunks of the indices above, and those before it in its own index.
+    """
+    above: dict[tuple[int, ...], int] = {}
+    found: list[I64] = []
+    for node in file.nodes:
+        before = above.get(node.path[:-1], 0) if node.path else 0
+        count = len(node.tables.chunks)
+        above[node.path] = before + count
+        found.append(before + np.arange(count))
+    return np.concatenate(found)
+
+
+def _last_heads(file: CogsFile) -> I64:
+    """Return the chunk whose head is the last before each segment, (s,) int64.
+
+    The search is in the index of the segment; before its first head, that is its first chunk.
+    """
+    found: list[I64] = []
+    for node in file.nodes:
+        heads = np.cumsum(node.tables.segments.kind == SegmentKind.HEAD)
+        last = max(node.first_chunk + len(node.tables.chunks) - 1, 0)
+        found.append(np.minimum(node.first_chunk + np.maximum(heads - 1, 0), last))
+    return np.concatenate(found).astype(np.int64)
+
+
+def _around(boxes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the box around boxes, (6,) float64."""
+    return np.concatenate([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
