@@ -20,6 +20,7 @@ _SWITCH_SECONDS: Final = 0.0003
 # modules of the lab.
 _MODULES: Final = {
     "encode": "cli.encode.encode",
+    "split": "cli.split.split",
     "batch": "cli.batch.batch",
     "tune": "cli.tune.tune",
     "layers": "cli.layers.layers",

@@ -339,7 +339,9 @@ def _cut(
         return
     cell.pending = []
     if len(places) > largest:
-        plane = _plane(means[places], smallest, largest) if cell.number <= _MAX_HALVED else None
+        plane = None
+        if cell.number <= _MAX_HALVED:
+            plane = dividing_plane(means[places], smallest, largest)
         if plane is not None:
             cell.axis, cell.plane = plane
             cell.halves = (_Cell(2 * cell.number), _Cell(2 * cell.number + 1))
@@ -354,11 +356,29 @@ def _cut(
         chunks.append(_Chunk(layer, cell.number, part))
 
 
-def _plane(means: F64, smallest: int, largest: int) -> tuple[int, float] | None:
-    """Return axis and position of a plane with at least `smallest` splats on each side, or None."""
+def dividing_plane(means: F64, smallest: int, largest: int) -> tuple[int, float] | None:
+    """Return the plane that cuts splats across the longest side of their inner box.
+
+    Parameters
+    ----------
+    means : (n, 3) float64
+        Means of the splats, scene units.
+    smallest : int
+        Least number of splats on each side of the plane.
+    largest : int
+        Splats of a chunk: each side gets a whole number of equal chunks, as even as possible.
+
+    Returns
+    -------
+    axis : int
+        Axis that the plane is perpendicular to.
+    plane : float
+        Coordinate of the plane; lower coordinates are on its first side. None instead of both if no
+        plane has enough splats on both sides.
+    """
     parts = -(-len(means) // largest)
     wanted = len(means) * (parts // 2) // parts
-    low, high = np.quantile(means, [_OUTLIERS, 1.0 - _OUTLIERS], axis=0)
+    low, high = inner_box(means)
     for axis in np.argsort(low - high, kind="stable").tolist():
         values = np.sort(means[:, axis])
         plane = float(values[wanted])
@@ -366,6 +386,12 @@ def _plane(means: F64, smallest: int, largest: int) -> tuple[int, float] | None:
         if min(below, len(means) - below) >= smallest:
             return axis, plane
     return None
+
+
+def inner_box(means: F64) -> tuple[F64, F64]:
+    """Return both corners of the box of (n, 3) means without 2 % of them at each end of an axis."""
+    low, high = np.quantile(means, [_OUTLIERS, 1.0 - _OUTLIERS], axis=0)
+    return low, high
 
 
 def _chunk_pending(cell: _Cell, largest: int, chunks: list[_Chunk]) -> None:

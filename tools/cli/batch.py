@@ -7,17 +7,19 @@ import os
 import subprocess
 import threading
 import time
-from collections.abc import Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Final
 
 import click
 
-from cogsplat.codec.errors import CogsplatError
+from cogsplat.codec.errors import CogsplatError, DataError
 from cogsplat.formats.network.object_output import ObjectOutput
 from cogsplat.formats.network.urls import is_url
 from cogsplat.formats.storage.atomic import TargetExistsError, is_file
@@ -30,8 +32,8 @@ from cogsplat.tools.terminal.options import (
 )
 from cogsplat.tools.terminal.output import display_name, print_error_line, print_json, print_line
 from cogsplat.tools.terminal.standard_streams import PATH, WRITTEN_PATH, is_file_name
-from cogsplat.tools.workflow.batch_log import BATCH_LOG, BatchLog
-from cogsplat.tools.workflow.batch_manifest import BatchScene, read_manifest
+from cogsplat.tools.workflow.batch_log import BATCH_LOG, BatchLog, output_keys
+from cogsplat.tools.workflow.batch_manifest import BatchScene, read_manifest, scene_order
 from cogsplat.tools.workflow.child_process import child_process
 from cogsplat.tools.workflow.output_files import check_outputs
 
@@ -71,11 +73,60 @@ class _Batch:
     stopped: bool = False
     lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def encode_if_changed(self, scene: BatchScene) -> dict[str, object]:
-        """Encode a scene in a process unless its output is up to date; return the log line."""
+    def run(self, scenes: Sequence[BatchScene], jobs: int) -> Generator[dict[str, object]]:
+        """Encode scenes, each after those whose outputs it reads; yield log lines in their order.
+
+        Parameters
+        ----------
+        scenes : sequence of BatchScene
+            Scenes of the manifest.
+        jobs : int
+            Number of scenes encoded at once.
+        """
+        order = scene_order(scenes, self.folder)
+        order.prepare()
+        lines: dict[int, dict[str, object]] = {}
+        failed: set[str] = set()
+        begun: dict[Future[dict[str, object]], int] = {}
+        ended: SimpleQueue[Future[dict[str, object]]] = SimpleQueue()
+        pool = ThreadPoolExecutor(jobs)
+        try:
+            for number in range(len(scenes)):
+                while number not in lines:
+                    for ready in sorted(order.get_ready()):
+                        future = pool.submit(self.encode_if_changed, scenes[ready], failed)
+                        begun[future] = ready
+                        future.add_done_callback(ended.put)
+                    future = ended.get()
+                    finished = begun.pop(future)
+                    lines[finished] = future.result()
+                    if lines[finished]["status"] == "failed":
+                        failed |= output_keys(self.folder, scenes[finished].made)
+                    order.done(finished)
+                yield lines[number]
+        finally:
+            # Terminate the encodes first, because the pool waits for them.
+            self.stop()
+            pool.shutdown(cancel_futures=True)
+
+    def encode_if_changed(
+        self, scene: BatchScene, failed: AbstractSet[str] = frozenset()
+    ) -> dict[str, object]:
+        """Encode a scene in a process unless its output is up to date; return the log line.
+
+        Parameters
+        ----------
+        scene : BatchScene
+            The scene.
+        failed : set of str
+            Keys of the outputs of failed scenes (`output_key`). A scene that reads one of them
+            fails.
+        """
         line: dict[str, object] = {"input": scene.input, "output": scene.output}
         start = time.monotonic()
         try:
+            scene.require_well_formed()
+            self._require_encoded(scene, failed)
             line["fingerprint"] = scene.fingerprint(self.folder)
             if self._is_up_to_date(scene, line["fingerprint"]):
                 return {**line, "status": "skipped"}
@@ -115,6 +166,16 @@ class _Batch:
             return ObjectOutput(scene.output).size() == done.size_bytes
         path = self.folder / scene.output
         return is_file(path) and path.stat().st_size == done.size_bytes
+
+    def _require_encoded(self, scene: BatchScene, failed: AbstractSet[str]) -> None:
+        """Refuse a scene that reads the output of a failed one, even if an earlier one exists."""
+        for name in scene.inputs:
+            if any(key in failed for key in output_keys(self.folder, [name])):
+                raise DataError(
+                    "input-failed",
+                    f"{scene.output}: reads {name}, which could not be encoded, expected it to be "
+                    "encoded first",
+                )
 
     def _require_absent(self, scene: BatchScene) -> None:
         """Refuse outputs that exist."""
@@ -178,10 +239,12 @@ def batch(
     """Encode every scene of a manifest.
 
     A manifest is JSON lines such as {"input": "a.ply", "output": "a.cogs", "options": {"quality":
-    38}}, or TOML with the same keys in [[scene]]. Options are those of encode, true for a flag.
-    Paths are relative to the folder of the manifest; URLs such as s3://bucket/a.ply are accepted.
+    38}}, or TOML with the same keys in [[scene]], and a table [options] of options of all scenes,
+    which a scene can override. Options are those of encode, true for a flag. Paths are relative to
+    the folder of the manifest; URLs such as s3://bucket/a.ply are accepted.
 
-    A line of JSON is printed for each scene. A failed scene or a malformed entry does not stop the
+    A scene whose input or option names the output of another scene is encoded after it. A line of
+    JSON is printed for each scene. A failed scene or a malformed entry does not stop the
     others; the exit status is then 3. After an interruption, the same command continues.
     """
     options = settable_options(encode)
@@ -198,18 +261,15 @@ def batch(
         others=_local_paths(folder, chain.from_iterable(scene.outputs for scene in scenes)),
     )
     lines: list[dict[str, object]] = []
-    with BatchLog(log, folder) as opened:
-        run = _Batch(folder, opened, tuple(common))
-        pool = ThreadPoolExecutor(jobs)
-        try:
-            for future in [pool.submit(run.encode_if_changed, scene) for scene in scenes]:
-                lines.append(future.result())
-                if not (quiet or as_json):
-                    print_line(json.dumps(lines[-1], allow_nan=False))
-        finally:
-            # Terminate the encodes first, because the pool waits for them.
-            run.stop()
-            pool.shutdown(cancel_futures=True)
+    # Closed, so that a failure to print ends the encodes before the log is closed.
+    with (
+        BatchLog(log, folder) as opened,
+        closing(_Batch(folder, opened, tuple(common)).run(scenes, jobs)) as encoded,
+    ):
+        for line in encoded:
+            lines.append(line)
+            if not (quiet or as_json):
+                print_line(json.dumps(line, allow_nan=False))
     counts = {
         status: sum(line["status"] == status for line in lines)
         for status in ("done", "skipped", "failed")

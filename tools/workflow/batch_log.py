@@ -6,7 +6,7 @@ import json
 import os
 import re
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -154,3 +154,16 @@ def output_key(folder: Path, output: str) -> str:
         Path or URL.
     """
     return output if is_url(output) else os.path.normcase(os.path.realpath(folder / output))
+
+
+def output_keys(folder: Path, names: Iterable[str]) -> set[str]:
+    """Return the identities (`output_key`) of several files, without names that no file can have.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder where relative paths begin.
+    names : iterable of str
+        Paths or URLs.
+    """
+    return {output_key(folder, name) for name in names if is_file_name(name)}

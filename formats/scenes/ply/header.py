@@ -172,6 +172,23 @@ def parse_header(head: bytes, where: str) -> PlyHeader:
     return _Parser(where).parse([line.removesuffix("\r") for line in lines[1:]], end.end())
 
 
+def with_count(head: bytes, count: int) -> bytes:
+    """Return a header whose element ``vertex`` has another number of rows; all else is kept.
+
+    Parameters
+    ----------
+    head : bytes
+        Header that `parse_header` accepts, up to and with its last line.
+    count : int
+        Number of rows.
+    """
+    lines = head.split(b"\n")
+    for number, line in enumerate(lines):
+        if line.split()[:2] == [b"element", b"vertex"]:
+            lines[number] = b"element vertex %d" % count + b"\r" * line.endswith(b"\r")
+    return b"\n".join(lines)
+
+
 class _Parser:
     """Parser of the lines of a PLY header."""
 
