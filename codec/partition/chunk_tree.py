@@ -50,7 +50,7 @@ class ChunkTree:
         return np.concatenate([self.chunks, *(page.order() for page in self.pages)])
 
 
-def chunk_tree(cells: NDArray[np.integer]) -> ChunkTree:
+def chunk_tree(cells: NDArray[np.integer], parts: NDArray[np.integer] | None = None) -> ChunkTree:
     """Distribute chunks over the root and pages that follow the cells.
 
     Each index lists the first chunks of what is below it. The others are grouped by cells: the
@@ -60,6 +60,9 @@ def chunk_tree(cells: NDArray[np.integer]) -> ChunkTree:
     ----------
     cells : (c,) integer
         Cell number of each chunk, at least 1, in the order in which pictures need the chunks.
+    parts : (c,) integer, optional
+        Number of the part of the scene that each chunk belongs to, of parts that share no cell.
+        Chunks of several parts are below one page only where there are too many pages otherwise.
 
     Returns
     -------
@@ -75,32 +78,38 @@ def chunk_tree(cells: NDArray[np.integer]) -> ChunkTree:
     (64, [80, 80])
     """
     numbers = cells.astype(np.int64)
-    return _tree(np.arange(len(numbers)), numbers, ROOT_CHUNKS, _ROOT_PAGES, _DEPTH)
+    of_parts = np.zeros(len(cells), np.int64) if parts is None else parts.astype(np.int64)
+    return _tree(np.arange(len(numbers)), numbers, of_parts, ROOT_CHUNKS, _ROOT_PAGES, _DEPTH)
 
 
-def _tree(chunks: I64, cells: I64, own: int, pages: int, depth: int) -> ChunkTree:
+def _tree(chunks: I64, cells: I64, parts: I64, own: int, pages: int, depth: int) -> ChunkTree:
     """Return the tree of some chunks; its index lists the first `own` chunks."""
     if len(chunks) <= own or not depth:
         return ChunkTree(chunks)
     return ChunkTree(
         chunks[:own],
         tuple(
-            _tree(group, cells, _PAGE_CHUNKS, _PAGE_PAGES, depth - 1)
-            for group in _groups(chunks[own:], cells, pages)
+            _tree(group, cells, parts, _PAGE_CHUNKS, _PAGE_PAGES, depth - 1)
+            for group in _groups(chunks[own:], cells, parts, pages)
         ),
     )
 
 
-def _groups(chunks: I64, cells: I64, most: int) -> list[I64]:
+def _groups(chunks: I64, cells: I64, parts: I64, most: int) -> list[I64]:
     """Return the chunks in at most `most` groups, each inside one cell, depth first by cell."""
+
+    def excess(group: I64) -> int:
+        """Return the chunks of a group that should be halved, 0 for others."""
+        is_mixed = len(group) and (parts[group] != parts[group[0]]).any()
+        return len(group) if is_mixed or len(group) > _PAGE_CHUNKS else 0
+
     groups = [chunks]
-    # Sizes of the groups that can still be halved, 0 for the others.
-    sizes = [len(chunks)]
-    while len(groups) < most and max(sizes) > _PAGE_CHUNKS:
+    sizes = [excess(chunks)]
+    while len(groups) < most and max(sizes):
         largest = sizes.index(max(sizes))
         halves = _halves(groups[largest], cells)
         groups[largest : largest + 1] = halves
-        sizes[largest : largest + 1] = map(len, halves) if len(halves) == 2 else [0]
+        sizes[largest : largest + 1] = map(excess, halves) if len(halves) == 2 else [0]
     return groups
 
 

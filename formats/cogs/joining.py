@@ -149,7 +149,7 @@ def joined_source(files: Sequence[CogsFile], name: str) -> Source:
         ``cannot-join``, ``root-size``, ``too-many-cameras``.
     """
     joint = _Joint(files)
-    plan = plan_index(joint.root, joint.table)
+    plan = plan_index(joint.root, joint.table, joint.parts)
     added = [*joint.added, *_add_view_tables(joint, plan)]
     table = concatenate([joint.table, segment_table(added[len(joint.added) :])])
     kept = len(joint.rows)
@@ -183,16 +183,13 @@ class _Joint:
         density = chunks.contribution / chunks.splats
         # What a first layer shows of every part comes first, then what the next layer adds.
         order = np.lexsort((-density, ranks, np.minimum(layers, least)))
-        tree = order[chunk_tree(cells[order]).order()]
         counts = [file.num_chunks for file in files]
+        parts = np.repeat(np.arange(len(files)), counts)
+        tree = order[chunk_tree(cells[order], parts[order]).order()]
         numbers = np.empty(len(tree), np.int64)
         numbers[tree] = np.arange(len(tree))
-        turns = np.empty(len(order), np.int64)
-        turns[order] = np.arange(len(order))
-        stops = np.cumsum(counts)[:-1]
-        self.numbers: list[I64] = np.split(numbers, stops)
-        self._turns: list[I64] = np.split(turns, stops)
-        self.parts: I64 = np.repeat(np.arange(len(files)), counts)[tree]
+        self.numbers: list[I64] = np.split(numbers, np.cumsum(counts)[:-1])
+        self.parts: I64 = parts[tree]
         self.chunks: ChunkTable = take(replace(chunks, cell=cells.astype(np.uint32)), tree)
         self.rows, own = self._segments()
         self.added = self._added()
@@ -282,8 +279,8 @@ class _Joint:
             owner[of_chunk] = self.numbers[part][owner[of_chunk]]
             tables.append(replace(kept, owner=owner))
             places.append(np.stack([np.full(len(rows), part), rows], axis=1))
-            turn = self._turns[part][_last_heads(file)[rows]]
-            keys.append(np.stack([turn, np.full(len(rows), part), rows], axis=1))
+            behind = self.numbers[part][_last_heads(file)[rows]]
+            keys.append(np.stack([behind, np.full(len(rows), part), rows], axis=1))
         key = np.concatenate(keys)
         order = np.lexsort((key[:, 2], key[:, 1], key[:, 0]))
         return np.concatenate(places)[order], take(concatenate(tables), order)

@@ -196,7 +196,9 @@ class IndexPlan:
             plan.rows.insert(0, row)
 
 
-def plan_index(root: Root, table: SegmentTable) -> IndexPlan:
+def plan_index(
+    root: Root, table: SegmentTable, parts: NDArray[np.int64] | None = None
+) -> IndexPlan:
     """Distribute chunks and segments over the root and pages.
 
     Parameters
@@ -205,6 +207,8 @@ def plan_index(root: Root, table: SegmentTable) -> IndexPlan:
         Root of the file; its segment table and pages are not used.
     table : SegmentTable
         Segments in file order.
+    parts : (c,) int64, optional
+        Number of the part of each chunk in a scene of parts (`chunk_tree`).
 
     Returns
     -------
@@ -225,7 +229,7 @@ def plan_index(root: Root, table: SegmentTable) -> IndexPlan:
         # Room for a description and a first view, so that a first title changes no page.
         room -= _SEGMENT_ROW * (SegmentKind.DESCRIPTION not in kinds)
         room -= _FIRST_VIEW * (root.first_view is None)
-        plan = _plan_by_cells(root, weights, room) or _plan_in_sequence(weights, room)
+        plan = _plan_by_cells(root, weights, room, parts) or _plan_in_sequence(weights, room)
     _assign_rows(plan, table)
     return plan
 
@@ -437,12 +441,14 @@ def _most_chunks(weights: Sequence[int], room: int) -> int:
     return int(np.searchsorted(np.cumsum(weights), room, side="right"))
 
 
-def _plan_by_cells(root: Root, weights: Sequence[int], room: int) -> IndexPlan | None:
+def _plan_by_cells(
+    root: Root, weights: Sequence[int], room: int, parts: NDArray[np.int64] | None
+) -> IndexPlan | None:
     """Return a plan whose pages follow the cells; None where chunks do not stand in that order."""
     cells = root.chunks.cell
     if not cells.all():
         return None
-    tree = chunk_tree(cells)
+    tree = chunk_tree(cells, parts)
     if not np.array_equal(tree.order(), np.arange(len(cells))):
         return None
     plan = _plan_of_tree(tree)
