@@ -15,9 +15,8 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import StorageError
 from cogsplat.codec.partition.part_planes import part_cameras
 from cogsplat.formats.cameras.inria import write_cameras_json
-from cogsplat.formats.scenes.ply.ply_scene import ply_size
 from cogsplat.formats.scenes.ply.splitting import plan_parts, write_parts
-from cogsplat.formats.storage.atomic import atomic_write, storage_errors
+from cogsplat.formats.storage.atomic import atomic_write, is_folder, storage_errors
 from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import cameras_option, force_option, json_option, quiet_option
 from cogsplat.tools.terminal.output import (
@@ -93,11 +92,9 @@ def split(
     for `cogsplat batch`, parts.toml. Options of encode for all parts can be added to its table
     [options]. A scene of any size takes about 0.2 GB of memory.
     """
-    size = ply_size(path)
-    with storage_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
     manifest = folder / _MANIFEST
-    check_outputs(manifest, force=force)
+    if is_folder(folder):
+        check_outputs(manifest, force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
         views = [] if cameras is None else load_cameras(cameras)
         planned = plan_parts(path, splats, progress=stages)
@@ -108,6 +105,8 @@ def split(
                 zip(planned.counts, planned.samples, strict=True)
             )
         ]
+        with storage_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
         _require_no_others(folder, [part.name for part in parts])
         rows = [folder / f"{part.name}.ply" for part in parts]
         seen = [folder / part.cameras_name for part in parts if part.cameras]
@@ -119,14 +118,14 @@ def split(
                     write_cameras_json(part.cameras, folder / part.cameras_name, force=force)
             # Last: a folder with a manifest is complete.
             with atomic_write(manifest, force) as file:
-                file.write(_manifest(parts, has_codebooks=size.sh_degree > 0).encode())
+                file.write(_manifest(parts, has_codebooks=planned.has_sh).encode())
     place = shlex.quote(display_name(folder))
     following = [f"cogsplat batch {place}/{_MANIFEST}", f"cogsplat join {place}/*.cogs OUT.cogs"]
     if as_json:
         print_json(
             {
                 "source": display_name(path),
-                "source_splats": size.splats,
+                "source_splats": sum(planned.counts),
                 "output": display_name(folder),
                 "manifest": display_name(manifest),
                 "parts": [

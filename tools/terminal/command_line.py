@@ -54,6 +54,7 @@ _HINTS: Final = {
         "`cogsplat tune` trains fewer splats to show the scene in a size; `cogsplat decimate` "
         "removes the splats that matter least, without training",
     ),
+    "ply-magic": ("--splats", "`cogsplat convert` writes a PLY"),
     "ply-not-plain": ("--splats", "`cogsplat convert` writes such a PLY"),
     "invalid-rows": ("--drop-invalid", "--drop-invalid leaves those splats out"),
     "decoded-size": ("--limits", "--limits memory=8GiB,expansion=4096 or larger values allow it"),

@@ -33,6 +33,9 @@ Rows = NDArray[np.void]
 _SAMPLE: Final = 1 << 20
 _RUN_ROWS: Final = 64
 
+# Least centres of a part that is cut again, so that a plane can halve it.
+_LEAST_SAMPLE: Final = 16
+
 # Ratio of a part's splats to the wanted number up to which the part is not cut again. A sample of
 # 16,384 runs misses the splats of a part in 64 by some percent.
 _TOLERANCE: Final = 1.25
@@ -58,6 +61,8 @@ class PlyParts:
         Splats of each part.
     samples : tuple of (n, 3) float64
         Centres of each part that are drawn evenly from it, scene units.
+    has_sh : bool
+        Whether splats have SH coefficients above degree 0.
     state : tuple of int
         Size, bytes, and time of the last change, ns, of the PLY.
     """
@@ -65,6 +70,7 @@ class PlyParts:
     planes: Region
     counts: tuple[int, ...]
     samples: tuple[F64, ...]
+    has_sh: bool
     state: tuple[int, int]
 
 
@@ -111,6 +117,7 @@ def plan_parts(path: StrPath, most: int, *, progress: Progress = silent) -> PlyP
             planes,
             tuple(counts.tolist()),
             tuple(sample[places] for places in divide(planes, sample)),
+            bool(match_fields(rows.vertex, rows.where)["shN"]),
             rows.state,
         )
 
@@ -229,7 +236,10 @@ class _PlainRows:
         self, planes: Region, counts: dict[int, int], progress: Progress
     ) -> dict[int, tuple[F64, int]]:
         """Return finite centres of some parts, and the number of rows that each stands for."""
-        steps = {n: -(-count * len(counts) // _SAMPLE) for n, count in counts.items()}
+        steps = {
+            n: max(1, min(-(-count * len(counts) // _SAMPLE), count // _LEAST_SAMPLE))
+            for n, count in counts.items()
+        }
         found: dict[int, list[F64]] = {n: [] for n in counts}
         passed = dict.fromkeys(counts, 0)
         for stop, block in self.blocks():

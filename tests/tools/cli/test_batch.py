@@ -1,11 +1,13 @@
 """Batches: what is done is not done again, what fails does not stop the rest."""
 
+import importlib
 import json
 import os
 import shutil
 import signal
 import subprocess
 import time
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
@@ -14,8 +16,11 @@ from running import Run, SmallScene, program
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.tools.cli.encode import encode
 from cogsplat.tools.terminal.config_file import settable_options
+from cogsplat.tools.workflow import batch_manifest
 from cogsplat.tools.workflow.batch_log import BatchLog, DoneEncode
 from cogsplat.tools.workflow.batch_manifest import BatchScene, read_manifest
+
+batch_module = importlib.import_module("cogsplat.tools.cli.batch")
 
 OPTIONS = {
     name: option
@@ -102,7 +107,29 @@ def test_two_scenes_with_one_output_are_refused(tmp_path: Path, spelling: str) -
     assert error.value.code == "same-output"
 
 
-@pytest.mark.parametrize("text", ["scene = 3", "scene = {}", "[[scene", "a = " * 9])
+def test_scenes_share_options_and_override_them(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text(
+        '[options]\npreset = "fast"\nquality = 38\nno-jitter = true\n'
+        '[[scene]]\ninput = "a.ply"\noutput = "a.cogs"\n'
+        '[[scene]]\ninput = "b.ply"\noutput = "b.cogs"\n'
+        'options = {quality = 30, no-jitter = false, cameras = "c.json"}\n'
+    )
+    assert read_manifest(path, OPTIONS) == [
+        BatchScene("a.ply", "a.cogs", ("--preset=fast", "--quality=38", "--no-jitter")),
+        BatchScene(
+            "b.ply", "b.cogs", ("--preset=fast", "--quality=30", "--cameras=c.json"), ("c.json",)
+        ),
+    ]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("scene = 3", "scene = {}", "[[scene", "a = " * 9),
+        *("options = 3", "options = {qualty = 30}", "options = {quality = [1]}", "[option]"),
+    ],
+)
 def test_toml_that_is_no_manifest_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "a.toml"
     path.write_text(text)
@@ -126,6 +153,136 @@ def test_links_to_one_output_are_one_output(tmp_path: Path) -> None:
     with pytest.raises(CogsplatError) as error:
         read_manifest(path, OPTIONS)
     assert error.value.code == "same-output"
+
+
+@pytest.mark.parametrize(
+    ("reads", "told"),
+    [
+        ({"a": "a"}, "a reads a,"),
+        ({"a": "./b", "b": "a"}, "a reads b reads a,"),
+        ({"d": "a", "a": "b", "b": "c", "c": "a"}, "reads"),
+    ],
+)
+def test_scenes_that_read_each_other_are_refused(
+    tmp_path: Path, reads: dict[str, str], told: str
+) -> None:
+    path = tmp_path / "a.jsonl"
+    path.write_text(
+        "\n".join(entry("s.ply", f"{a}.cogs", cameras=f"{b}.cogs") for a, b in reads.items())
+    )
+    with pytest.raises(CogsplatError) as error:
+        read_manifest(path, OPTIONS)
+    assert error.value.code == "circle-of-scenes"
+    assert told in error.value.message.replace(".cogs", "")
+
+
+@dataclass
+class FakeEncodes:
+    """Encodes that write the names of what they read, and fail for some outputs.
+
+    `log` has the name of each output when its encode begins and ends.
+    """
+
+    folder: Path
+    failing: frozenset[str] = frozenset()
+    log: list[str] = field(default_factory=list)
+
+    def __call__(self, words: list[str]) -> tuple[int, str, str]:
+        name = words[-1]
+        self.log.append(f"{name} begins")
+        time.sleep(0.02)
+        self.log.append(f"{name} ends")
+        if name in self.failing:
+            report = {"error": {"code": "no-splats", "message": "none", "exit_code": 3}}
+            return 3, json.dumps(report), ""
+        (self.folder / name).write_text(name)
+        return 0, json.dumps({"bytes": len(name)}), ""
+
+
+@pytest.fixture
+def chain(tmp_path: Path) -> Path:
+    """Manifest of four scenes, three of which read the output of another, two of which exist."""
+    (tmp_path / "s.ply").write_text("scene")
+    path = tmp_path / "a.jsonl"
+    path.write_text(
+        "\n".join(
+            [
+                entry("s.ply", "c.cogs", cameras="b.cogs"),
+                entry("s.ply", "b.cogs", masks="sub/../a.cogs"),
+                entry("s.ply", "d.cogs"),
+                entry("s.ply", "a.cogs"),
+                entry("a.cogs", "e.cogs"),
+            ]
+        )
+    )
+    return path
+
+
+def fake_encodes(monkeypatch: pytest.MonkeyPatch, encodes: FakeEncodes) -> FakeEncodes:
+    """Put encodes in the place of those in processes."""
+    monkeypatch.setattr(batch_module._Batch, "_run", lambda self, words: encodes(words))
+    monkeypatch.setattr(batch_manifest, "scene_files", lambda path: [path])
+    return encodes
+
+
+@pytest.mark.parametrize("jobs", [1, 2, 8])
+def test_a_scene_waits_for_the_output_that_it_reads(
+    run: Run, chain: Path, monkeypatch: pytest.MonkeyPatch, jobs: int
+) -> None:
+    encodes = fake_encodes(monkeypatch, FakeEncodes(chain.parent))
+    told = run("batch", chain, "--jobs", jobs)
+    assert told.code == 0, told.err
+    lines = [json.loads(line) for line in told.out.splitlines()]
+    assert [line["output"] for line in lines] == [f"{name}.cogs" for name in "cbdae"]
+    for first, then in ("ab", "bc", "ae"):
+        assert encodes.log.index(f"{first}.cogs ends") < encodes.log.index(f"{then}.cogs begins")
+    if jobs == 1:
+        assert [text[0] for text in encodes.log[::2]] == ["d", "a", "b", "e", "c"]
+    encodes.log.clear()
+    assert run("batch", chain, "--json").json["counts"] == {"done": 0, "skipped": 5, "failed": 0}
+    assert encodes.log == []
+
+
+def test_a_changed_output_encodes_anew_what_reads_it(
+    run: Run, chain: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    encodes = fake_encodes(monkeypatch, FakeEncodes(chain.parent))
+    assert run("batch", chain).code == 0
+    encodes.log.clear()
+    # As large as before: its own scene is up to date.
+    (chain.parent / "b.cogs").write_text("other!")
+    assert run("batch", chain).code == 0
+    assert encodes.log == ["c.cogs begins", "c.cogs ends"]
+
+
+def test_what_reads_a_failed_output_fails(
+    run: Run, chain: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    encodes = fake_encodes(monkeypatch, FakeEncodes(chain.parent, frozenset({"a.cogs"})))
+    # An output of an earlier run is no excuse.
+    (chain.parent / "b.cogs").write_text("earlier")
+    told = run("batch", chain, "--jobs", 2)
+    assert told.code == 3
+    found = {line["output"][0]: line for line in map(json.loads, told.out.splitlines())}
+    assert {name for name, line in found.items() if line["status"] == "failed"} == set("abce")
+    assert found["d"]["status"] == "done"
+    assert found["a"]["error"]["code"] == "no-splats"
+    for name, read in (("b", "sub/../a.cogs"), ("c", "b.cogs"), ("e", "a.cogs")):
+        assert found[name]["error"]["code"] == "input-failed"
+        assert found[name]["error"]["message"].startswith(f"{name}.cogs: reads {read}, which")
+    assert {text[0] for text in encodes.log} == {"a", "d"}
+
+
+def test_what_reads_the_output_of_a_malformed_entry_fails(
+    run: Run, chain: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake_encodes(monkeypatch, FakeEncodes(chain.parent))
+    chain.write_text(
+        entry("s.ply", "b.cogs", cameras="a.cogs") + "\n" + entry("s.ply", "a.cogs", qualty=3)
+    )
+    told = run("batch", chain)
+    codes = [json.loads(line)["error"]["code"] for line in told.out.splitlines()]
+    assert codes == ["input-failed", "bad-manifest"]
 
 
 def test_malformed_entries_fail_alone(run: Run, small: SmallScene, tmp_path: Path) -> None:
@@ -236,6 +393,32 @@ def test_a_fingerprint_follows_what_the_output_depends_on(small: SmallScene) -> 
         BatchScene(small.cogs.name, "a.cogs", scene.words),
     ]
     assert scene.fingerprint(folder) not in [other.fingerprint(folder) for other in others]
+
+
+def test_a_fingerprint_covers_the_files_that_options_name(
+    small: SmallScene, tmp_path: Path
+) -> None:
+    """Of a COLMAP folder the model, not the photos beside it."""
+    shutil.copy(small.ply, tmp_path / "a.ply")
+    model = tmp_path / "colmap" / "sparse" / "0"
+    model.mkdir(parents=True)
+    paths = [tmp_path / "c.json", tmp_path / "masks" / "a" / "1.png"]
+    paths += [model / "cameras.bin", model / "images.bin"]
+    photo = tmp_path / "colmap" / "photo.jpg"
+    for path in (*paths, photo):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(b"0")
+    scene = BatchScene("a.ply", "a.cogs", (), ("c.json", "masks", "colmap", "missing.json"))
+    seen = {scene.fingerprint(tmp_path)}
+    for path in paths:
+        path.write_bytes(b"1")
+        assert scene.fingerprint(tmp_path) not in seen
+        seen.add(scene.fingerprint(tmp_path))
+    paths[1].rename(paths[1].with_name("2.png"))
+    assert scene.fingerprint(tmp_path) not in seen
+    seen = {scene.fingerprint(tmp_path)}
+    photo.write_bytes(b"1")
+    assert scene.fingerprint(tmp_path) in seen
 
 
 @pytest.mark.slow

@@ -1,0 +1,119 @@
+"""Planes that cut a scene into parts, and the cameras of a part."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cogsplat.codec.cameras import Camera
+from cogsplat.codec.partition.nested_cells import WHOLE_SCENE, Region
+from cogsplat.codec.partition.part_planes import (
+    LEAST_CAMERAS,
+    count_parts,
+    divide,
+    halve,
+    part_cameras,
+    replaced,
+)
+
+
+def centres(count: int, seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).normal(0, (50.0, 9.0, 1.0), (count, 3))
+
+
+@given(st.integers(0, 400), st.integers(1, 90), st.integers(0, 99))
+def test_each_centre_is_in_one_part_and_no_part_has_too_many(
+    count: int, most: int, seed: int
+) -> None:
+    means = centres(count, seed)
+    parts = divide(halve(means, 1.0, most), means)
+    np.testing.assert_array_equal(np.sort(np.concatenate(parts)), np.arange(count))
+    assert all((np.diff(part) > 0).all() for part in parts)
+    assert max(map(len, parts)) <= max(most, 1)
+    # Balanced: halves of halves.
+    assert max(map(len, parts)) - min(map(len, parts)) <= 1
+
+
+def test_planes_cut_across_the_longest_side_without_outliers() -> None:
+    means = centres(1000, 1)
+    means[:10, 2] = 1e6
+    tree = halve(means, 1.0, 500)
+    assert (tree.axis, count_parts(tree)) == (0, 2)
+    assert tree.plane == np.sort(means[:, 0])[500]
+
+
+def test_a_sample_stands_for_the_scene() -> None:
+    assert count_parts(halve(centres(64, 2), 1000.0, 8000)) == 8
+    assert halve(centres(64, 2), 1000.0, 64_000) is WHOLE_SCENE
+
+
+def test_coincident_centres_share_a_part() -> None:
+    assert halve(np.ones((50, 3)), 1.0, 5) is WHOLE_SCENE
+    means = np.repeat(centres(4, 3), 25, axis=0)
+    assert sorted(map(len, divide(halve(means, 1.0, 5), means))) == [25, 25, 25, 25]
+
+
+def test_nan_belongs_to_the_first_part_and_infinity_to_an_outer_one() -> None:
+    means = centres(100, 4)
+    tree = halve(means, 1.0, 25)
+    means[7] = means[99]
+    means[[3, 50, 98]] = [
+        [np.inf, np.nan, 0.0],
+        [1e9, 1e9, np.nan],
+        [np.nan, np.nan, np.nan],
+    ]
+    means[[4, 5]] = [[-np.inf] * 3, [np.inf] * 3]
+    first, *_, last = divide(tree, means)
+    assert {3, 4, 50, 98} <= set(first.tolist())
+    assert 5 in last
+    assert np.isnan(means[[3, 50, 98]]).any(axis=1).all()
+
+
+def test_parts_are_cut_further_one_by_one() -> None:
+    tree = Region(0, 0.0, (WHOLE_SCENE, Region(1, 5.0, (WHOLE_SCENE, WHOLE_SCENE))))
+    finer = replaced(tree, {1: Region(2, 7.0, (WHOLE_SCENE, WHOLE_SCENE)), 2: WHOLE_SCENE})
+    assert count_parts(finer) == 4
+    points = np.array([[-1.0, 9, 9], [1, 4, 6], [1, 4, 7], [1, 5, 0]])
+    assert [part.tolist() for part in divide(finer, points)] == [[0], [1], [2], [3]]
+
+
+def looking(position: tuple[float, float, float], along: float, name: str) -> Camera:
+    """Return a camera that looks along +x (1) or -x (-1)."""
+    rotation = np.array([[0.0, -along, 0.0], [0.0, 0.0, -1.0], [along, 0.0, 0.0]])
+    return Camera(100, 100, 50.0, 50.0, 50.0, 50.0, rotation, -rotation @ position, name)
+
+
+@pytest.fixture
+def block() -> np.ndarray:
+    return np.random.default_rng(5).uniform(0, 10, (5000, 3))
+
+
+def test_cameras_inside_the_enlarged_box_belong_to_a_part(block: np.ndarray) -> None:
+    # The box without outliers is about 0.2 to 9.8, enlarged by 2.4.
+    inside = [looking((x, 5, 5), 1.0, f"in {x}") for x in (-2.0, 1.0, 5.0, 12.0)]
+    outside = [looking((x, 5, 5), 1.0, f"out {x}") for x in (-2.5, 12.5)]
+    found = part_cameras(block, [outside[0], *inside, outside[1]])
+    assert found == inside
+
+
+def test_the_nearest_cameras_that_see_a_part_join_too_few(block: np.ndarray) -> None:
+    cameras = [
+        looking((-90, 5, 5), 1.0, "far"),
+        looking((-50, 5, 5), 1.0, "nearer"),
+        looking((-20, 5, 5), -1.0, "turned away"),
+        looking((5, 5, 5), 1.0, "inside"),
+        looking((-30, 5, 5), 1.0, "near"),
+        looking((-20, 90, 5), 1.0, "past it"),
+        looking((-60, 5, 5), 1.0, "fourth"),
+    ]
+    found = [camera.name for camera in part_cameras(block, cameras)]
+    assert found == ["nearer", "inside", "near", "fourth"]
+    assert len(found) == LEAST_CAMERAS
+
+
+def test_a_part_that_no_camera_sees_has_none(block: np.ndarray) -> None:
+    away = [looking((-20, 5, 5), -1.0, "away")]
+    assert part_cameras(block, away) == []
+    assert part_cameras(block, []) == []
+    assert part_cameras(block[:0], away) == []
+    assert part_cameras(np.full((3, 3), np.nan), away) == []
