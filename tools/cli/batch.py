@@ -74,7 +74,7 @@ class _Batch:
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def run(self, scenes: Sequence[BatchScene], jobs: int) -> Generator[dict[str, object]]:
-        """Encode scenes, each after those whose outputs it reads; yield log lines in their order.
+        """Encode scenes, a scene after the scenes whose outputs it reads; yield log lines in order.
 
         Parameters
         ----------

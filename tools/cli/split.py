@@ -17,7 +17,6 @@ from cogsplat.codec.partition.part_planes import part_cameras
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.scenes.ply.splitting import plan_parts, write_parts
 from cogsplat.formats.storage.atomic import atomic_write, is_folder, storage_errors
-from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import cameras_option, force_option, json_option, quiet_option
 from cogsplat.tools.terminal.output import (
     count_text,
@@ -72,7 +71,6 @@ class _Part:
     help="Splats of a part. Some parts may have up to a quarter more.",
 )
 @cameras_option("Each part gets those that show it. Without it, views of each part are planned.")
-@limits_option
 @force_option
 @quiet_option
 @json_option
@@ -168,7 +166,7 @@ def _manifest(parts: Sequence[_Part], *, has_codebooks: bool) -> str:
 
 
 def _require_no_others(folder: Path, names: Sequence[str]) -> None:
-    """Refuse a folder with further parts: those of another split would be joined with the new ones.
+    """Refuse a folder with parts of another split, which `join` would add to the new parts.
 
     Raises
     ------

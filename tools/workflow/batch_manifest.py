@@ -70,7 +70,7 @@ class BatchScene:
 
     @property
     def made(self) -> tuple[str, ...]:
-        """Files and URLs that other scenes may read, a malformed entry's among them."""
+        """Files and URLs that other scenes may read; a malformed entry has some as well."""
         return (self.output, *self.writes) if self.output else ()
 
     def require_well_formed(self) -> None:

@@ -176,7 +176,7 @@ def write_parts(
 
 @dataclass(eq=False)
 class _PlainRows:
-    """Rows of an open PLY that has no other elements.
+    """Rows of an open PLY whose only element is ``vertex``.
 
     `head` holds the bytes before the first row, `state` size and time of the last change.
     """
@@ -214,7 +214,7 @@ class _PlainRows:
             yield start + len(block), block
 
     def first_sample(self, most: int, progress: Progress) -> tuple[F64, Region]:
-        """Return finite centres of the whole scene, read in runs, and planes through them."""
+        """Return a sample of the scene's finite centres, read in runs, and planes that halve it."""
         step = max(_RUN_ROWS, -(-self.total * _RUN_ROWS // _SAMPLE))
         found, read = [np.zeros((0, 3))], 0
         for stop, block in self.blocks(range(0, self.total, step), _RUN_ROWS):

@@ -105,6 +105,7 @@ def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> lis
         "lab synth": [out / "a.ply", "--splats", 1000],
         "demo": ["--out", out / "demo", "--splats", 1000],
         "lab warm": [],
+        "split": [small.ply, out / "parts", *cameras, "--splats", 1000],
         "batch": [out / "scenes.jsonl"],
         "tune": [
             small.ply, out / "a.cogs", *cameras, "--minutes", "0.01", "--target-size", "20KB",

@@ -13,6 +13,7 @@ from cogsplat.tools.workflow.output_files import check_distinct
 
 WRITTEN = {
     "encode": {"out", "report"},
+    "split": {"folder"},
     "batch": {"log"},
     "tune": {"out", "ply", "checkpoint"},
     "compare": {"difference"},
