@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.cameras import Camera
 from cogsplat.codec.capture import merged_capture
 from cogsplat.codec.encode.joined_compensation import join_compensations, layers_of_chunks
 from cogsplat.codec.errors import DataError
@@ -235,7 +236,8 @@ class _Joint:
     @staticmethod
     def _viewpoint(table: ViewTable, row: int) -> bytes:
         """Return the bytes of a viewpoint, by which it is found again in the tables of pages."""
-        return table.positions[row].tobytes() + table.directions[row].tobytes()
+        place: bytes = table.positions[row].tobytes()
+        return place + table.directions[row].tobytes()
 
     def _cells(self) -> I64:
         """Return the cell of each part's chunks in the joined file."""
@@ -292,7 +294,7 @@ class _Joint:
             Segment(SegmentKind.COMPENSATION, number, pack_layer(layer))
             for number, layer in enumerate(compensation.layers)
         ]
-        cameras = {}
+        cameras: dict[bytes, Camera] = {}
         for file in self.files:
             for camera in file.cameras():
                 cameras.setdefault(pack_cameras([camera]), camera)

@@ -1,0 +1,64 @@
+"""join: from a scene to parts and to one file, and what is refused."""
+
+from pathlib import Path
+
+import numpy as np
+from running import Run
+
+import cogsplat
+from cogsplat.codec.metrics import psnr
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
+
+
+def encoded_parts(run: Run, folder: Path) -> list[Path]:
+    scene = folder / "scene.ply"
+    cogsplat.write(synth(1200, sh_degree=1), scene)
+    told = run("split", scene, folder / "parts", "--splats", 400, "--quiet")
+    assert told.code == 0, told.err
+    manifest = folder / "parts" / "parts.toml"
+    told_options = '[options]\npreset = "fast"\nno-prune = true\n'
+    manifest.write_text(manifest.read_text().replace("[options]\n", told_options))
+    assert run("batch", manifest, "--quiet").code == 0
+    return sorted((folder / "parts").glob("*.cogs"))
+
+
+def test_a_scene_comes_back_from_its_parts(run: Run, tmp_path: Path) -> None:
+    parts, out = encoded_parts(run, tmp_path), tmp_path / "all.cogs"
+    assert len(parts) >= 3
+    told = run("join", *parts, out, "--json")
+    assert (told.code, told.err) == (0, "")
+    assert told.json["bytes"] == out.stat().st_size
+    assert told.json["parts"] == list(map(str, parts))
+    assert told.json["splats"] == 1200
+    assert run("check", out).code == 0
+    for camera in synth_cameras(2, 160, 120):
+        pictures = [
+            np.clip(cogsplat.render(splats, camera), 0, 1)
+            for splats in (cogsplat.decode(out), synth(1200, sh_degree=1))
+        ]
+        assert psnr(*pictures) > 32
+    told = run("join", *parts, out)
+    assert told.code == 4
+    assert "--force" in told.err
+    told = run("join", *parts, out, "--force")
+    assert told.code == 0
+    assert "all.cogs: " in told.out
+    assert f"{len(parts)} parts" in told.out
+
+
+def test_parts_with_codebooks_of_their_own_are_refused(run: Run, tmp_path: Path) -> None:
+    parts, out = encoded_parts(run, tmp_path), tmp_path / "all.cogs"
+    scene = tmp_path / "parts" / "001.ply"
+    told = run("encode", scene, parts[1], "--cells", "--preset", "fast", "--force", "--quiet")
+    assert told.code == 0
+    told = run("join", *parts, out)
+    assert told.code == 3
+    assert "other codebooks" in told.err
+    assert "--codebooks-of" in told.err
+    assert not out.exists()
+    told = run("join", parts[0], parts[0], "--force")
+    assert told.code == 2
+    vq = tmp_path / "vq.cogs"
+    told = run("encode", scene, vq, "--codebooks-of", parts[0], "--profile", "vq")
+    assert told.code == 2
+    assert "transform" in told.err
