@@ -186,7 +186,9 @@ def run_command(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
         case ["echo", text, ">", path]:
             Path(path).write_text(f"{text}\n", encoding="utf-8")
         case ["cogsplat" | ".venv/bin/cogsplat", *arguments]:
-            run_program(arguments)
+            # As a shell does.
+            given = [sorted(map(str, Path().glob(w))) if "*" in w else [w] for w in arguments]
+            run_program([word for words in given for word in words])
         case ["python" | ".venv/bin/python", "-m", module, *arguments]:
             run_module(module, arguments, monkeypatch)
         case _:

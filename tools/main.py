@@ -22,7 +22,6 @@ _MODULES: Final = {
     "encode": "cli.encode.encode",
     "split": "cli.split.split",
     "batch": "cli.batch.batch",
-    "join": "cli.join.join",
     "tune": "cli.tune.tune",
     "layers": "cli.layers.layers",
     "decode": "cli.decode.decode",

@@ -11,11 +11,12 @@ from typing import TypeVar
 import click
 import numpy as np
 
+import cogsplat
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.geometry import merging
 from cogsplat.codec.order import objects
 from cogsplat.codec.splats import Splats
-from cogsplat.tools.terminal.limits_option import limits_option
+from cogsplat.tools.terminal.limits_option import current_limits, limits_option
 from cogsplat.tools.terminal.options import (
     force_option,
     json_option,
@@ -38,7 +39,13 @@ from cogsplat.tools.workflow.descriptions import SceneNotes, notes_of
 from cogsplat.tools.workflow.inputs import read_any
 from cogsplat.tools.workflow.output_files import check_outputs
 from cogsplat.tools.workflow.scene_edits import SceneEdits, scale_factor
-from cogsplat.tools.workflow.scene_output import COGS_NAME, OUTPUT_FORMATS, output_format, write_any
+from cogsplat.tools.workflow.scene_output import (
+    COGS_NAME,
+    OUTPUT_FORMATS,
+    WrittenScene,
+    output_format,
+    write_any,
+)
 
 Value = TypeVar("Value")
 
@@ -62,11 +69,20 @@ def _of_scene(parse: Callable[[str], Value]) -> Callable[[str], tuple[int, Value
 @click.command(
     epilog="\b\nExample:\n"
     "  cogsplat merge garden.ply bench.spz both.cogs --translate 2:1.5,0,-2\n"
-    "  cogsplat decode both.cogs bench.ply --object 2"
+    "  cogsplat decode both.cogs bench.ply --object 2\n"
+    "  cogsplat merge city/*.cogs city.cogs --parts"
 )
 @click.argument("sources", type=INPUT, nargs=-1, required=True, metavar="A B…")
 @click.argument("out", type=OutputPath(), metavar="OUT")
 @writing_options(OUTPUT_FORMATS, "Without it, OUT's extension names the format.")
+@click.option(
+    "--parts",
+    "are_parts",
+    is_flag=True,
+    help="Join COGS files of the parts of a scene, such as `split` and `batch` make, without "
+    "decoding. They need the same SH degree, axes, origin, attributes and codebooks (encode "
+    "--codebooks-of). First view, up and description are those of the first one.",
+)
 @click.option(
     "--scale",
     "scales",
@@ -101,6 +117,7 @@ def merge(
     sources: Sequence[Path],
     out: Path,
     writing: SceneWriting,
+    are_parts: bool,
     scales: Sequence[tuple[int, float]],
     turns: Sequence[tuple[int, Vector]],
     shifts: Sequence[tuple[int, Vector]],
@@ -109,7 +126,7 @@ def merge(
     quiet: bool,
     as_json: bool,
 ) -> None:
-    """Merge scenes into one.
+    """Merge scenes, or join the parts of one.
 
     The attribute `object` labels the splats of the first scene with 1, of the second with 2, and so
     on, for chunks, budgets and decoding by object. Axes and origin are those of the first scene.
@@ -122,6 +139,13 @@ def merge(
         raise click.UsageError(
             f"--no-extras with {out}, expected object labels, by which a .cogs is cut into chunks"
         )
+    if are_parts:
+        if name != COGS_NAME or scales or turns or shifts:
+            raise click.UsageError(
+                f"--parts with {out} and options that change a scene, expected COGS output and none"
+            )
+        _join(sources, out, force=force, shown=not (quiet or as_json), as_json=as_json)
+        return
     edits = _edits(len(sources), dict(scales), dict(turns), dict(shifts))
     check_outputs(out, force=force)
     with Stages(shown=not (quiet or as_json)) as stages:
@@ -178,6 +202,23 @@ def merge(
                 for label, (path, count) in enumerate(zip(sources, counts, strict=True), 1)
             ),
             ("time", stages.summary()),
+        )
+
+
+def _join(parts: Sequence[Path], out: Path, *, force: bool, shown: bool, as_json: bool) -> None:
+    """Join the files of parts, and print the result."""
+    check_outputs(out, force=force)
+    with Stages(shown=shown) as stages:
+        made = cogsplat.join(parts, out, force=force, limits=current_limits(), progress=stages)
+    written = WrittenScene(COGS_NAME, made.size_bytes, made.splats)
+    if as_json:
+        names = [display_name(part) for part in parts]
+        seconds = stages.rounded_seconds()
+        print_json({**written.report(out), "parts": names, "seconds": seconds})
+    elif shown:
+        print_line(f"{written.line(out)}, {count_text(made.splats, 'splat')}")
+        print_facts(
+            ("parts", f"{made.parts:,}"), ("chunks", f"{made.chunks:,}"), ("time", stages.summary())
         )
 
 

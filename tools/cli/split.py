@@ -118,7 +118,10 @@ def split(
             with atomic_write(manifest, force) as file:
                 file.write(_manifest(parts, has_codebooks=planned.has_sh).encode())
     place = shlex.quote(display_name(folder))
-    following = [f"cogsplat batch {place}/{_MANIFEST}", f"cogsplat join {place}/*.cogs OUT.cogs"]
+    following = [
+        f"cogsplat batch {place}/{_MANIFEST}",
+        f"cogsplat merge {place}/*.cogs OUT.cogs --parts",
+    ]
     if as_json:
         print_json(
             {
@@ -166,7 +169,7 @@ def _manifest(parts: Sequence[_Part], *, has_codebooks: bool) -> str:
 
 
 def _require_no_others(folder: Path, names: Sequence[str]) -> None:
-    """Refuse a folder with parts of another split, which `join` would add to the new parts.
+    """Refuse a folder with parts of another split, which `merge` would add to the new parts.
 
     Raises
     ------

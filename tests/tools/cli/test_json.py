@@ -107,7 +107,6 @@ def arguments(command: str, small: SmallScene, labelled: Path, out: Path) -> lis
         "lab warm": [],
         "split": [small.ply, out / "parts", *cameras, "--splats", 1000],
         "batch": [out / "scenes.jsonl"],
-        "join": [small.cogs, out / "joined.cogs"],
         "tune": [
             small.ply, out / "a.cogs", *cameras, "--minutes", "0.01", "--target-size", "20KB",
             "--keep", 0.9,

@@ -38,7 +38,7 @@ def test_parts_are_the_scene(run: Run, small: SmallScene, tmp_path: Path) -> Non
         assert len(read_cameras(folder / part["cameras"])) == part["views"] >= 4
     assert told.json["next"] == [
         f"cogsplat batch {shlex.quote(str(folder))}/parts.toml",
-        f"cogsplat join {shlex.quote(str(folder))}/*.cogs OUT.cogs",
+        f"cogsplat merge {shlex.quote(str(folder))}/*.cogs OUT.cogs --parts",
     ]
 
 

@@ -1,4 +1,4 @@
-"""join: from a scene to parts and to one file, and what is refused."""
+"""merge --parts: from a scene to parts and to one file, and what is refused."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ def encoded_parts(run: Run, folder: Path) -> list[Path]:
 def test_a_scene_comes_back_from_its_parts(run: Run, tmp_path: Path) -> None:
     parts, out = encoded_parts(run, tmp_path), tmp_path / "all.cogs"
     assert len(parts) >= 3
-    told = run("join", *parts, out, "--json")
+    told = run("merge", *parts, out, "--parts", "--json")
     assert (told.code, told.err) == (0, "")
     assert told.json["bytes"] == out.stat().st_size
     assert told.json["parts"] == list(map(str, parts))
@@ -37,13 +37,13 @@ def test_a_scene_comes_back_from_its_parts(run: Run, tmp_path: Path) -> None:
             for splats in (cogsplat.decode(out), synth(1200, sh_degree=1))
         ]
         assert psnr(*pictures) > 32
-    told = run("join", *parts, out)
-    assert told.code == 4
+    told = run("merge", *parts, out, "--parts")
+    assert told.code == 2
     assert "--force" in told.err
-    told = run("join", *parts, out, "--force")
+    told = run("merge", *parts, out, "--parts", "--force")
     assert told.code == 0
-    assert "all.cogs: " in told.out
-    assert f"{len(parts)} parts" in told.out
+    assert "1,200 splats" in told.out
+    assert f"parts       {len(parts)}" in told.out
 
 
 def test_parts_with_codebooks_of_their_own_are_refused(run: Run, tmp_path: Path) -> None:
@@ -51,13 +51,16 @@ def test_parts_with_codebooks_of_their_own_are_refused(run: Run, tmp_path: Path)
     scene = tmp_path / "parts" / "001.ply"
     told = run("encode", scene, parts[1], "--cells", "--preset", "fast", "--force", "--quiet")
     assert told.code == 0
-    told = run("join", *parts, out)
+    told = run("merge", *parts, out, "--parts")
     assert told.code == 3
     assert "other codebooks" in told.err
     assert "--codebooks-of" in told.err
     assert not out.exists()
-    told = run("join", parts[0], parts[0], "--force")
+    told = run("merge", parts[0], parts[1], parts[0], "--parts", "--force")
     assert told.code == 2
+    assert "input" in told.err
+    for options in (("--scale", "1:2"), ("--format", "ply")):
+        assert run("merge", *parts, out, "--parts", *options).code == 2
     vq = tmp_path / "vq.cogs"
     told = run("encode", scene, vq, "--codebooks-of", parts[0], "--profile", "vq")
     assert told.code == 2
