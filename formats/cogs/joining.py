@@ -151,6 +151,7 @@ def joined_source(files: Sequence[CogsFile], name: str) -> Source:
     """
     joint = _Joint(files)
     plan = plan_index(joint.root, joint.table, joint.parts)
+    joint.sort_rows(plan)
     added = [*joint.added, *_add_view_tables(joint, plan)]
     table = concatenate([joint.table, segment_table(added[len(joint.added) :])])
     kept = len(joint.rows)
@@ -175,12 +176,12 @@ class _Joint:
     def __init__(self, files: Sequence[CogsFile]) -> None:
         self.files = files
         _require_alike(files)
-        self._compensations = [file.compensation() for file in files]
+        compensations = [file.compensation() for file in files]
         cells = self._cells()
         chunks = concatenate([self._chunks(file) for file in files])
         ranks = np.concatenate([_ranks(file) for file in files])
-        layers = np.concatenate([layers_of_chunks(each) for each in self._compensations])
-        least = min(len(each.layers) for each in self._compensations)
+        layers = np.concatenate([layers_of_chunks(each) for each in compensations])
+        least = min(len(each.layers) for each in compensations)
         density = chunks.contribution / chunks.splats
         # What a first layer shows of every part comes first, then what the next layer adds.
         order = np.lexsort((-density, ranks, np.minimum(layers, least)))
@@ -190,8 +191,11 @@ class _Joint:
         numbers = np.empty(len(tree), np.int64)
         numbers[tree] = np.arange(len(tree))
         self.numbers: list[I64] = np.split(numbers, np.cumsum(counts)[:-1])
+        # Place of each chunk, by its number, among those of all parts before pages are formed.
+        self.turns: I64 = np.argsort(order)[tree]
         self.parts: I64 = parts[tree]
         self.chunks: ChunkTable = take(replace(chunks, cell=cells.astype(np.uint32)), tree)
+        self.compensation = join_compensations(compensations, self.numbers, ROOT_CHUNKS)
         self.rows, own = self._segments()
         self.added = self._added()
         self.table: SegmentTable = concatenate([own, segment_table(self.added)])
@@ -236,8 +240,7 @@ class _Joint:
     @staticmethod
     def _viewpoint(table: ViewTable, row: int) -> bytes:
         """Return the bytes of a viewpoint, by which it is found again in the tables of pages."""
-        place: bytes = table.positions[row].tobytes()
-        return place + table.directions[row].tobytes()
+        return bytes(table.positions[row].tobytes() + table.directions[row].tobytes())
 
     def _cells(self) -> I64:
         """Return the cell of each part's chunks in the joined file."""
@@ -268,10 +271,9 @@ class _Joint:
         )
 
     def _segments(self) -> tuple[I64, SegmentTable]:
-        """Return part and row of each segment that is kept, in order, and their table."""
+        """Return part and row of each segment that is kept, and their table, part by part."""
         places: list[I64] = []
         tables: list[SegmentTable] = []
-        keys: list[I64] = []
         for part, file in enumerate(self.files):
             kinds = _BOOK_KINDS + CHUNK_KINDS if part == 0 else CHUNK_KINDS
             rows = np.flatnonzero(np.isin(file.segments.kind, kinds))
@@ -281,18 +283,46 @@ class _Joint:
             owner[of_chunk] = self.numbers[part][owner[of_chunk]]
             tables.append(replace(kept, owner=owner))
             places.append(np.stack([np.full(len(rows), part), rows], axis=1))
-            behind = self.numbers[part][_last_heads(file)[rows]]
-            keys.append(np.stack([behind, np.full(len(rows), part), rows], axis=1))
-        key = np.concatenate(keys)
-        order = np.lexsort((key[:, 2], key[:, 1], key[:, 0]))
-        return np.concatenate(places)[order], take(concatenate(tables), order)
+        return np.concatenate(places), concatenate(tables)
+
+    def sort_rows(self, plan: IndexPlan) -> None:
+        """Sort the segments of each index: each behind the head that it follows in its part.
+
+        Codebooks come before the first tail, and a layer of compensation before the head of the
+        first chunk that it adds.
+        """
+        places: list[float] = [0.0] * len(self.table)
+        behind = [self.numbers[part][_last_heads(file)] for part, file in enumerate(self.files)]
+        kinds, owners = self.table.kind.tolist(), self.table.owner.tolist()
+        firsts = [0, *(layer.chunks for layer in self.compensation.layers)]
+        for index in plan.every():
+            own = index.chunks
+            # Greatest turn of the index's chunks up to each of them.
+            peaks = np.maximum.accumulate(self.turns[own])
+            for row in index.rows:
+                kind = kinds[row]
+                if kind == SegmentKind.COMPENSATION:
+                    places[row] = firsts[owners[row]] - 0.5
+                elif kind == SegmentKind.HEAD:
+                    places[row] = owners[row]
+                elif kind in CHUNK_KINDS:
+                    part, segment = self.rows[row].tolist()
+                    turn = self.turns[behind[part][segment]]
+                    last = own.start + int(np.searchsorted(peaks, turn, side="right")) - 1
+                    places[row] = max(last, owners[row]) + 0.5
+                elif kind not in _BOOK_KINDS:
+                    places[row] = np.inf
+            tails = [places[row] for row in index.rows if kinds[row] == SegmentKind.TAIL]
+            for row in index.rows:
+                if kinds[row] in _BOOK_KINDS:
+                    places[row] = min(tails, default=own.start) - 0.25
+            index.rows.sort(key=lambda row: (places[row], row))
 
     def _added(self) -> list[Segment]:
         """Return the segments that the joined file has in place of those of its parts."""
-        compensation = join_compensations(self._compensations, self.numbers, ROOT_CHUNKS)
         added = [
             Segment(SegmentKind.COMPENSATION, number, pack_layer(layer))
-            for number, layer in enumerate(compensation.layers)
+            for number, layer in enumerate(self.compensation.layers)
         ]
         cameras: dict[bytes, Camera] = {}
         for file in self.files:

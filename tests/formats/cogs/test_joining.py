@@ -176,6 +176,32 @@ def test_many_parts_are_joined(tmp_path):
         assert whole.parents().tolist() == [-1] * whole.num_chunks
 
 
+def test_parts_that_have_pages_are_joined(tmp_path):
+    scene = synth(30_000, sh_degree=1)
+    config = EncodeConfig(order="contribution", prune=None, cells=True, chunk_splats=64)
+    paths = []
+    for number in range(2):
+        splats, basis = part(scene, number, 2), None
+        if paths:
+            with cogsplat.open(paths[0]) as file:
+                basis = file.stored_codebook(0)
+        # Scores that rise along y, so that chunks of one page lie in several of the joined file.
+        scores = zero_scores(len(splats))
+        scores.contribution[:] = splats.means[:, 1] - splats.means[:, 1].min()
+        request = EncodeRequest(config=config, scores=scores, basis=basis)
+        paths.append(tmp_path / f"{number}.cogs")
+        cogsplat.encode(splats, paths[-1], request=request)
+    cogsplat.join(paths, tmp_path / "all.cogs")
+    with opened(paths) as files, cogsplat.open(tmp_path / "all.cogs") as whole:
+        assert min(len(file.nodes) for file in files) > 2
+        whole.verify()
+        assert payloads(whole) == sorted({each for file in files for each in payloads(file)})
+        for node in whole.nodes[1:]:
+            last = node.first_chunk + node.tables.extent.chunks
+            below = whole.chunks.cell[node.first_chunk : last].tolist()
+            assert len({f"{cell:b}"[:2] for cell in below}) == 1
+
+
 def test_parts_of_one_chunk_and_an_uncut_file_are_joined(tmp_path):
     scene = synth(2000, sh_degree=0)
     one = encoded(part(scene, 0), tmp_path / "a.cogs", config=EncodeConfig(chunk_splats=256))
