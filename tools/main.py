@@ -28,7 +28,6 @@ _MODULES: Final = {
     "convert": "cli.convert.convert",
     "merge": "cli.merge.merge",
     "filter": "cli.filter.filter_scene",
-    "decimate": "cli.decimate.decimate",
     "view": "cli.view.view",
     "export-html": "cli.export_html.export_html",
     "serve": "cli.serve.serve",

@@ -51,7 +51,7 @@ _HINTS: Final = {
     "segment-missing": ("--partial", "--partial reads the chunks that are complete"),
     "target-out-of-reach": (
         "--no-prune",
-        "`cogsplat tune` trains fewer splats to show the scene in a size; `cogsplat decimate` "
+        "`cogsplat tune` trains fewer splats to show the scene in a size; `cogsplat filter --keep` "
         "removes the splats that matter least, without training",
     ),
     "ply-magic": ("--splats", "`cogsplat convert` writes a PLY"),

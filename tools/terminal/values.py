@@ -1,16 +1,18 @@
-"""Parsers of option values: byte counts, ranges, colours, picture sizes, vectors, boxes."""
+"""Parsers of option values: byte and splat counts, ranges, colours, sizes, vectors, boxes."""
 
 from __future__ import annotations
 
 import math
 import re
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Final
 
 import click
 
 from cogsplat.formats.storage.byte_counts import ByteCount, parse_byte_count, parse_bytes
 
+_COUNT: Final = re.compile(r"([0-9]{1,12}(?:\.[0-9]{1,9})?)(%?)")
 _RANGE: Final = re.compile(r"([0-9]{0,9}):([0-9]{0,9})")
 _SIZE: Final = re.compile(r"([0-9]{1,6})[x×]([0-9]{1,6})", re.IGNORECASE)
 _HEXADECIMAL: Final = re.compile(r"#[0-9A-Fa-f]{6}")
@@ -33,6 +35,26 @@ class ChunkRange:
 
     first: int | None
     last: int | None
+
+
+@dataclass(frozen=True)
+class SplatCount:
+    """A number of splats, or a share of a scene's splats.
+
+    Parameters
+    ----------
+    amount : Fraction
+        Number of splats, or share.
+    is_share : bool
+        Whether `amount` is a share, above 0 and at most 1.
+    """
+
+    amount: Fraction
+    is_share: bool
+
+    def of(self, splats: int) -> int:
+        """Return the number of splats to keep of `splats`, rounded up."""
+        return min(math.ceil(self.amount * splats if self.is_share else self.amount), splats)
 
 
 class FiniteNumber(click.FloatRange):
@@ -91,6 +113,23 @@ def number_of_bytes(text: str) -> int:
         return parse_bytes(text)
     except ValueError as error:
         raise click.BadParameter(str(error)) from None
+
+
+def splat_count(text: str) -> SplatCount:
+    """Parse a number of splats or a share, such as ``20000`` or ``25%``.
+
+    Raises
+    ------
+    click.BadParameter
+        The text is neither.
+    """
+    match = _COUNT.fullmatch(text.strip())
+    amount = Fraction(match[1]) if match else Fraction(0)
+    if match and match[2] and 0 < amount <= 100:
+        return SplatCount(amount / 100, is_share=True)
+    if match and not match[2] and amount >= 1 and amount.denominator == 1:
+        return SplatCount(amount, is_share=False)
+    raise click.BadParameter(f"{text!r}, expected splats such as 20000, or a share such as 25%")
 
 
 def chunk_range(text: str) -> ChunkRange:

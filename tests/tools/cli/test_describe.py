@@ -93,8 +93,7 @@ def test_other_commands_keep_it(
     (tmp_path / "d.json").write_text(json.dumps({"title": "Encoded"}), encoding="utf-8")
     outputs = {
         "convert": ["convert", described, tmp_path / "a.cogs", "--scale", "2"],
-        "decimate": ["decimate", described, tmp_path / "c.cogs", "--to", "50%", "--by",
-                     "antimatter"],
+        "filter": ["filter", described, tmp_path / "c.cogs", "--keep", "50%", "--by", "antimatter"],
         "merge": ["merge", described, small.ply, tmp_path / "d.cogs", "--translate", "1:1,0,0"],
     }  # fmt: skip
     for name, arguments in outputs.items():

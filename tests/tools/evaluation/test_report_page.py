@@ -207,5 +207,5 @@ def test_a_size_too_small_is_refused(run: Run, small: SmallScene, tmp_path: Path
     assert "[target-out-of-reach]" in result.err
     assert "splats would fit" in result.err
     assert "`cogsplat tune`" in result.err
-    assert "`cogsplat decimate`" in result.err
+    assert "`cogsplat filter --keep`" in result.err
     assert list(tmp_path.iterdir()) == []

@@ -1,4 +1,4 @@
-"""Values of options: byte counts, ranges, colours, sizes."""
+"""Values of options: byte and splat counts, ranges, colours, sizes."""
 
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from cogsplat.tools.terminal.values import (
     chunk_range,
     colour,
     picture_size,
+    splat_count,
 )
 
 
@@ -56,6 +57,16 @@ def test_shares_round_down_and_amounts_stay_within_the_file(
 def test_other_bytes_are_refused(text: str) -> None:
     with pytest.raises(click.BadParameter, match="expected bytes"):
         byte_count(text)
+
+
+def test_splat_counts_round_up_and_stay_within_the_scene() -> None:
+    assert [splat_count(text).of(7) for text in ("1%", "50%", "100%", "3", "99")] == [1, 4, 7, 3, 7]
+
+
+@pytest.mark.parametrize("text", ["", "0", "-1", "0%", "101%", "1.5", "1e3", "25 splats", "nan"])
+def test_other_splat_counts_are_refused(text: str) -> None:
+    with pytest.raises(click.BadParameter, match="expected splats"):
+        splat_count(text)
 
 
 def test_numbers_are_exact() -> None:

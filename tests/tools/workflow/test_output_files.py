@@ -23,10 +23,7 @@ WRITTEN = {
     "lab bench": {"out"},
     "lab synth": {"out", "cameras", "walk", "masks"},
     "lab conformance fuzz": {"keep"},
-    **{
-        name: {"out"}
-        for name in ("layers", "decode", "convert", "describe", "merge", "filter", "decimate")
-    },
+    **{name: {"out"} for name in ("layers", "decode", "convert", "describe", "merge", "filter")},
     **{name: {"out"} for name in ("export-html", "render", "lab score", "lab order", "lab views")},
 }
 

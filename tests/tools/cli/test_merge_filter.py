@@ -1,16 +1,20 @@
-"""merge, filter and decimate: which splats are left, and that nothing else of them changes."""
+"""merge and filter: which splats are left, and that nothing else of them changes."""
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from running import SPLATS, Run, SmallScene
 
 import cogsplat
+from cogsplat.codec.geometry.floaters import floaters
 from cogsplat.codec.order.objects import labels_of
+from cogsplat.codec.scoring import contribution as scoring
+from cogsplat.codec.scoring.contribution import Scores
 from cogsplat.codec.splats import Splats
-from cogsplat.tools.cli.decimate import splat_count
 from cogsplat.tools.lab.synthetic.terrace import synth
 
 
@@ -125,27 +129,76 @@ def test_filter_takes_floaters(run: Run, small: SmallScene, tmp_path: Path) -> N
     assert len(found) >= 0.98 * SPLATS
 
 
-def test_decimate_keeps_the_largest_contributions(
+def highest(contribution: NDArray[np.float64], count: int) -> NDArray[np.int64]:
+    """Return the rows of the `count` largest contributions, in the order of the file."""
+    return np.sort(np.argsort(-contribution, kind="stable")[:count])
+
+
+def test_filter_keeps_the_largest_contributions(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     out, scores = tmp_path / "out.ply", tmp_path / "scores.npy"
     common = ["--cameras", small.cameras]
-    told = run("decimate", small.ply, out, "--to", "25%", *common, "--json")
+    told = run("filter", small.ply, out, "--keep", "25%", *common, "--json")
     assert (told.code, told.err) == (0, "")
     assert run("lab score", small.ply, scores, *common).code == 0
     contribution = np.load(scores)
-    count = -(-SPLATS // 4)
-    rows = np.sort(np.argsort(-contribution, kind="stable")[:count])
+    rows = highest(contribution, -(-SPLATS // 4))
     same_rows(cogsplat.read(out), cogsplat.read(small.ply).take(rows))
     share = contribution[rows].sum() / contribution.sum()
     assert told.json["kept_share_of_contribution"] == pytest.approx(share, abs=1e-5)
+    assert told.json["left_out"] == {"invalid": 0, "keep": SPLATS - len(rows)}
 
 
-def test_decimate_without_rendering_goes_by_volume_and_opacity(
+def test_filter_keeps_a_number_of_what_other_limits_leave(
+    run: Run, small: SmallScene, tmp_path: Path
+) -> None:
+    """Contributions are those without the splats that were left out, which hid others."""
+    half, once, twice = (tmp_path / name for name in ("half.ply", "once.ply", "twice.ply"))
+    large = ["--max-size", np.exp(np.median(cogsplat.read(small.ply).scales.max(axis=1)))]
+    keep = ["--keep", 300, "--cameras", small.cameras, "--json"]
+    told = run("filter", small.ply, once, *large, *keep)
+    assert run("filter", small.ply, half, *large).code == 0
+    expected = run("filter", half, twice, *keep)
+    assert (told.code, expected.code) == (0, 0)
+    assert once.read_bytes() == twice.read_bytes()
+    assert told.json["kept_share_of_contribution"] == expected.json["kept_share_of_contribution"]
+    left = len(cogsplat.read(half))
+    assert told.json["left_out"] == {"invalid": 0, "max-size": SPLATS - left, "keep": left - 300}
+
+
+def test_floaters_and_the_largest_contributions_are_found_in_one_pass(
+    run: Run, small: SmallScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out.ply"
+    passes: list[Scores] = []
+    score = scoring.score
+
+    def counted(*values: Any, **named: Any) -> Scores:
+        passes.append(score(*values, **named))
+        return passes[-1]
+
+    monkeypatch.setattr(scoring, "score", counted)
+    common = ["--floaters", 1, "--keep", 300, "--cameras", small.cameras, "--json"]
+    told = run("filter", small.ply, out, *common)
+    assert (told.code, len(passes)) == (0, 1)
+    scene = cogsplat.read(small.ply)
+    left = ~floaters(scene.means, passes[0].contribution, 1)
+    assert told.json["left_out"] == {
+        "invalid": 0, "floaters": int((~left).sum()), "keep": int(left.sum()) - 300,
+    }  # fmt: skip
+    rows = np.flatnonzero(left)[highest(passes[0].contribution[left], 300)]
+    same_rows(cogsplat.read(out), scene.take(rows))
+    # Without the splats that another limit leaves out, the rest is scored anew.
+    assert run("filter", small.ply, out, "--min-opacity", 0.2, *common, "--force").code == 0
+    assert [len(scores.contribution) < SPLATS for scores in passes] == [False, False, True]
+
+
+def test_keeping_without_rendering_goes_by_volume_and_opacity(
     run: Run, labelled: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out.ply"
-    told = run("decimate", labelled, out, "--to", 40, "--by", "antimatter", "--json")
+    told = run("filter", labelled, out, "--keep", 40, "--by", "antimatter", "--json")
     assert (told.code, told.err) == (0, "")
     assert told.json["kept_share_of_contribution"] is None
     scene = cogsplat.read(labelled)
@@ -153,13 +206,9 @@ def test_decimate_without_rendering_goes_by_volume_and_opacity(
     weight = volume / (1 + np.exp(-scene.opacities.astype(np.float64)))
     rows = np.sort(np.argsort(-weight)[:40])
     np.testing.assert_array_equal(cogsplat.read(out).extras["row"], rows)
-    more = run("decimate", labelled, out, "--to", 9999, "--by", "antimatter", "--force")
+    more = run("filter", labelled, out, "--keep", 9999, "--force")
     assert (more.code, len(cogsplat.read(out))) == (0, 300)
-    assert "300 valid splats, fewer than" in more.err
-
-
-def test_counts_are_rounded_up_and_capped() -> None:
-    assert [splat_count(text).of(7) for text in ("1%", "50%", "100%", "3", "99")] == [1, 4, 7, 3, 7]
+    assert "300 splats left, fewer than" in more.err
 
 
 @pytest.mark.parametrize(
@@ -172,11 +221,15 @@ def test_counts_are_rounded_up_and_capped() -> None:
         (["filter", "SCENE", "out.ply", "--min-opacity", "2"], "min-opacity"),
         (
             ["filter", "SCENE", "out.ply", "--min-size", "1", "--cameras", "SCENE"],
-            "COGS output or --floaters",
+            "COGS output, --floaters or --keep",
         ),
-        (["decimate", "SCENE", "out.ply", "--to", "0"], "expected splats such as"),
-        (["decimate", "SCENE", "out.ply", "--to", "101%"], "expected splats such as"),
-        (["decimate", "SCENE", "out.jpg", "--to", "10"], "out.jpg"),
+        (
+            ["filter", "SCENE", "out.ply", "--keep", "9", "--by", "antimatter", "--cameras", "x"],
+            "COGS output, --floaters or --keep",
+        ),
+        (["filter", "SCENE", "out.ply", "--min-size", "1", "--by", "antimatter"], "without --keep"),
+        (["filter", "SCENE", "out.ply", "--keep", "0"], "expected splats such as"),
+        (["filter", "SCENE", "out.jpg", "--keep", "10"], "out.jpg"),
     ],
 )
 def test_misuse_is_told(
@@ -192,8 +245,7 @@ def test_inputs_are_kept_and_nothing_left_is_refused(
     run: Run, labelled: Path, tmp_path: Path
 ) -> None:
     before = labelled.read_bytes()
-    for words in (["merge", labelled], ["filter"], ["decimate"]):
-        rest = {"filter": ["--min-size", "0.1"], "decimate": ["--to", "10"]}.get(str(words[0]), [])
+    for words, rest in ((["merge", labelled], []), (["filter"], ["--min-size", "0.1"])):
         assert run(*words, labelled, labelled, *rest, "--force").code in (2, 4)
     assert labelled.read_bytes() == before
     out = tmp_path / "out.ply"
