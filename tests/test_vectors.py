@@ -17,9 +17,9 @@ from cogsplat.codec.errors import CogsplatError, TruncatedError
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.formats.cogs.description_json import to_json
 from cogsplat.formats.cogs.folder_source import FolderSource
-from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.known_chunks import known_chunks
 from cogsplat.formats.cogs.reader import open_cogs
+from cogsplat.formats.cogs.scene_index import read_scene_index
 from cogsplat.formats.storage.source import BytesSource
 from cogsplat.tools.lab import make_vectors
 from cogsplat.tools.lab.conformance import tolerance
@@ -215,7 +215,7 @@ def test_view_tables_come_to_the_bit(entry):
 
 @pytest.mark.parametrize("entry", [x for x in VALID if "parents" in x], ids=name_of)
 def test_parents_are_in_indices_above(entry):
-    index = read_index(BytesSource(data_of("valid", entry)), partial=False)
+    index = read_scene_index(BytesSource(data_of("valid", entry)), partial=False)
     expected = [-1 if parent is None else parent for parent in entry["parents"]]
     assert known_chunks(index).parents.tolist() == expected
 

@@ -50,7 +50,7 @@ def _weigh(
     width: int,
     height: int,
     least_weight: np.float32,
-    lefts: NDArray[np.float32],
+    transmittances: NDArray[np.float32],
     sums: NDArray[np.float32],
     acts: NDArray[np.bool_],
     first: int,
@@ -68,7 +68,7 @@ def _weigh(
         Image size, px.
     least_weight : float32
         Smaller weights are left out of Σw.
-    lefts : (T or 0, PIXELS) float32
+    transmittances : (T or 0, PIXELS) float32
         Transmittance of nearer splats by pixel of all tiles (`open_tiles`), changed in place;
         without rows, nothing is nearer.
     sums : (P, 3) float32
@@ -84,8 +84,8 @@ def _weigh(
     lanes = np.empty(4 * TILE, np.float32)
     for tile in range(first, last):
         top, left, num_rows, num_columns = tile_area(tile, width, height)
-        if len(lefts):
-            live[:] = lefts[tile]
+        if len(transmittances):
+            live[:] = transmittances[tile]
         else:
             open_pixels(live, num_rows, num_columns)
         begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
@@ -130,25 +130,25 @@ def _weigh(
                     for column in range(3):
                         sums[rest, column] = _ZERO
                 break
-        if len(lefts):
-            lefts[tile] = live
+        if len(transmittances):
+            transmittances[tile] = live
 
 
 @called_with("int64, int64, float32[:, ::1]")
 @kernel
-def open_tiles(width: int, height: int, lefts: NDArray[np.float32]) -> None:
+def open_tiles(width: int, height: int, transmittances: NDArray[np.float32]) -> None:
     """Open all pixels of an image: light of 1 inside it, of 0 beyond its edges.
 
     Parameters
     ----------
     width, height : int
         Image size, px.
-    lefts : (T, PIXELS) float32
+    transmittances : (T, PIXELS) float32
         Output: what is left of the light of each pixel of each tile, row by row.
     """
-    for tile in range(len(lefts)):
+    for tile in range(len(transmittances)):
         _, _, num_rows, num_columns = tile_area(tile, width, height)
-        open_pixels(lefts[tile], num_rows, num_columns)
+        open_pixels(transmittances[tile], num_rows, num_columns)
 
 
 @kernel
@@ -265,7 +265,7 @@ def add_weights(
     sums: NDArray[np.float64],
     *,
     least_weight: float = 0.0,
-    lefts: NDArray[np.float32] | None = None,
+    transmittances: NDArray[np.float32] | None = None,
 ) -> NDArray[np.bool_]:
     """Add the weights of each footprint in the pixels of the tiles of `lists`.
 
@@ -286,7 +286,7 @@ def add_weights(
         Columns `WEIGHT`, `SQUARE` and `PEAK`, changed in place.
     least_weight : float
         Minimum of the weights that count in Σw; ignored unless `top_k` is 0.
-    lefts : (T, 256) float32, optional
+    transmittances : (T, 256) float32, optional
         Transmittance of nearer splats by pixel (`open_tiles`), changed in place; not with
         `top_k`. By default nothing is nearer.
 
@@ -298,8 +298,8 @@ def add_weights(
     pair_sums = np.empty((len(lists.members), 3), np.float32)
     acts = np.empty(len(lists.members), np.bool_)
     by_size = 0 < top_k < MAX_WEIGHTS
-    if lefts is None:
-        lefts = np.empty((0, PIXELS), np.float32)
+    if transmittances is None:
+        transmittances = np.empty((0, PIXELS), np.float32)
     elif by_size:
         raise ValueError(f"top_k {top_k} behind nearer splats, expected 0")
     of_tiles = (
@@ -315,6 +315,8 @@ def add_weights(
         lists.for_ranges(partial(_weigh_largest, *of_tiles, top_k, pair_sums, acts), threads)
     else:
         least = np.float32(least_weight if top_k == 0 else 0.0)
-        lists.for_ranges(partial(_weigh, *of_tiles, least, lefts, pair_sums, acts), threads)
+        lists.for_ranges(
+            partial(_weigh, *of_tiles, least, transmittances, pair_sums, acts), threads
+        )
     add_pair_sums(lists.members, pair_sums, sums, 1)
     return acts

@@ -56,7 +56,7 @@ class FrontToBack:
 
     Attributes
     ----------
-    lefts : (T, 256) float32 or None
+    transmittances : (T, 256) float32 or None
         Transmittance of each pixel behind the slabs so far; the caller updates it by
         `add_weights`. None for one slab.
     is_open : (T,) bool
@@ -82,10 +82,10 @@ class FrontToBack:
         self._tiles_x, tiles_y = -(-camera.width // TILE), -(-camera.height // TILE)
         self.is_open: NDArray[np.bool_] = np.ones(self._tiles_x * tiles_y, np.bool_)
         self.hidden = np.empty(0, np.int64)
-        self.lefts: NDArray[np.float32] | None = None
+        self.transmittances: NDArray[np.float32] | None = None
         if hides and blocks is not None:
-            self.lefts = np.empty((len(self.is_open), PIXELS), np.float32)
-            open_tiles(camera.width, camera.height, self.lefts)
+            self.transmittances = np.empty((len(self.is_open), PIXELS), np.float32)
+            open_tiles(camera.width, camera.height, self.transmittances)
 
     def slabs(self) -> Iterator[Footprints]:
         """Yield the footprints of each slab, each further away than the last."""
@@ -95,7 +95,7 @@ class FrontToBack:
         blocks = self._blocks
         views = block_views(blocks, self._splats, self._camera, near_plane=self._near_plane)
         in_view = np.flatnonzero(views.kinds != OUTSIDE)
-        if self.lefts is None:
+        if self.transmittances is None:
             yield self._project(in_view, (0.0, math.inf))
             return
         coming = in_view[np.argsort(views.nearest[in_view], kind="stable")]
@@ -115,7 +115,7 @@ class FrontToBack:
                 if len(footprints):
                     yield footprints
                     found = True
-                    self.is_open = np.asarray((self.lefts > 0.0).any(axis=1))
+                    self.is_open = np.asarray((self.transmittances > 0.0).any(axis=1))
                 depth = end
             begun = begun[views.furthest[begun] >= end]
             first, size = last, min(2 * size, _LARGEST // BLOCK_SPLATS)
@@ -137,8 +137,8 @@ class FrontToBack:
 
     def _reaches_open(self, pixels: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Return a mask of the rows of `BlockViews.pixels` that reach an open pixel."""
-        assert self.lefts is not None
-        tiles = (self.lefts > 0.0).reshape(-1, self._tiles_x, TILE, TILE)
+        assert self.transmittances is not None
+        tiles = (self.transmittances > 0.0).reshape(-1, self._tiles_x, TILE, TILE)
         is_open = tiles.swapaxes(1, 2).reshape(-1, self._tiles_x * TILE)
         counts = np.zeros((is_open.shape[0] + 1, is_open.shape[1] + 1), np.int32)
         is_open.cumsum(axis=0, dtype=np.int32).cumsum(axis=1, out=counts[1:, 1:])

@@ -106,7 +106,7 @@ def _shares_in_view(
         sums = np.zeros((len(footprints), 3), np.float64)
         for lists in tile_lists(footprints, *size, is_open=walk.is_open):
             # No top K and no minimum: every weight counts.
-            add_weights(lists, footprints, camera, 0, 1, sums, lefts=walk.lefts)
+            add_weights(lists, footprints, camera, 0, 1, sums, transmittances=walk.transmittances)
         seen = sums[:, WEIGHT] > 0.0
         numbers.append(chunks[footprints.index[seen]])
         found.append(sums[seen, WEIGHT])

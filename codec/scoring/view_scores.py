@@ -105,7 +105,7 @@ def score_view(
                 threads,
                 sums,
                 least_weight=config.least_weight,
-                lefts=walk.lefts,
+                transmittances=walk.transmittances,
             )
             if tiles is not None:
                 lists_of_slab.append(lists.of_pairs(acts & lists.pairs_in(tiles)))

@@ -47,9 +47,9 @@ from .decoded_rows import SCRATCH_ROW_BYTES, allocate, row_bytes, scratch_bytes
 from .description import Description, Picture
 from .drawn_chunks import drawn_chunks
 from .fetch_order import opacity_rows, ranges_to_decode
-from .index import Index
 from .known_chunks import known_chunks
 from .lazy_index import LazyIndex
+from .scene_index import SceneIndex
 from .stored_file import StoredFile
 
 # Working memory per splat of compensation, bytes: shifts of two layers, and codebook entries.
@@ -76,13 +76,13 @@ class ChunkDecoder(StoredFile):
     ----------
     source : Source
         Source of the file, closed with it.
-    index : Index or LazyIndex
+    index : SceneIndex or LazyIndex
         Index of the file.
     limits : Limits
         Memory and size limits.
     """
 
-    def __init__(self, source: Source, index: Index | LazyIndex, limits: Limits) -> None:
+    def __init__(self, source: Source, index: SceneIndex | LazyIndex, limits: Limits) -> None:
         super().__init__(source, index)
         self._limits = limits
         self._allowed = limits.allowed(stored_bytes(source))
@@ -138,7 +138,7 @@ class ChunkDecoder(StoredFile):
         index = self._pages.for_description(pictures=True)
         last = ChunkDecoder(self._source, index, self._limits)
         # A partial file may lack the page that lists the pictures.
-        if any(node.lists_pictures for node in index.nodes):
+        if any(each.lists_pictures for each in index.indices):
             description_segment.require_pictures(found, index.pictures, self.name)
         filled: dict[str, Picture] = {}
         for name, picture in found.pictures().items():
@@ -180,12 +180,12 @@ class ChunkDecoder(StoredFile):
             ``decoded-size``: the codes exceed the memory of `Limits`.
         """
         index = self._pages.for_path(path)
-        row, node = index.view_tables.get(path), index.node(path)
-        if row is None or node is None:
+        row, listed = index.view_tables.get(path), index.at(path)
+        if row is None or listed is None:
             return None
         file = ChunkDecoder(self._source, index, self._limits)
         payload = bytes(file._read_present(row, "the view table"))
-        columns = len(node.tables.chunks) + len(node.tables.pages)
+        columns = len(listed.tables.chunks) + len(listed.tables.pages)
         return view_table_segment.unpack_view_table(
             payload, f"{self.name}: view table", columns, self._allowed
         )

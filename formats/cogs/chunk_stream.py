@@ -15,8 +15,8 @@ from cogsplat.formats.storage.source import Cancel, Source, has_arrived, prefetc
 
 from .chunk_decoder import ChunkDecoder
 from .fetch_order import codebook_rows, rows_of_chunk
-from .index import Index
 from .layout import CODEBOOK_KINDS
+from .scene_index import SceneIndex
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class ChunkStream:
         Open file.
     source : Source
         Source of the file.
-    index : Index
+    index : SceneIndex
         Whole index of the file.
     limits : Limits
         Memory and size limits.
@@ -72,7 +72,7 @@ class ChunkStream:
         self,
         file: ChunkDecoder,
         source: Source,
-        index: Index,
+        index: SceneIndex,
         limits: Limits,
         chunks: Sequence[int],
         *,
@@ -244,7 +244,7 @@ class ChunkStream:
 class _ArrivedFile(ChunkDecoder):
     """File with only the segments received so far, kept in memory."""
 
-    def __init__(self, source: Source, index: Index, limits: Limits) -> None:
+    def __init__(self, source: Source, index: SceneIndex, limits: Limits) -> None:
         super().__init__(_Unread(source.name, source.size), index, limits)
         self.held: dict[int, memoryview] = {}
 

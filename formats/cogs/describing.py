@@ -198,7 +198,7 @@ def described_source(
     )
     pieces: list[Piece] = []
     added = segment_table(new)
-    plan = plan_of_file(file.nodes, kept, added.kind)
+    plan = plan_of_file(file.indices, kept, added.kind)
     for part in lay_out_index(root, concatenate([take(file.segments, kept), added]), plan):
         pieces.append(Piece(BytesSource(part.index), 0, len(part.index)))
         for row in part.rows:

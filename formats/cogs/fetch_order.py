@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from .drawn_chunks import first_level
-from .index import Index
+from .scene_index import SceneIndex
 from .segment_rows import codebook_kinds
 
 if TYPE_CHECKING:
@@ -25,14 +25,14 @@ def needed_codebooks(table: SegmentTable, row: int, books: int) -> list[int]:
     return [book for book in range(books) if needs >> book & 1]
 
 
-def opacity_rows(index: Index, chunk: int, level: int | None) -> list[int]:
+def opacity_rows(index: SceneIndex, chunk: int, level: int | None) -> list[int]:
     """Return the rows of a chunk's opacity segments up to a level, in level order (SPEC 5.11).
 
     The first level that contains the chunk has none: the head holds the opacities.
 
     Parameters
     ----------
-    index : Index
+    index : SceneIndex
         Index of the file.
     chunk : int
         Chunk number.
@@ -46,7 +46,7 @@ def opacity_rows(index: Index, chunk: int, level: int | None) -> list[int]:
 
 
 def rows_of_chunk(
-    index: Index,
+    index: SceneIndex,
     chunk: int,
     *,
     sh_degree: int,
@@ -58,7 +58,7 @@ def rows_of_chunk(
 
     Parameters
     ----------
-    index : Index
+    index : SceneIndex
         Index of the file.
     chunk : int
         Chunk number.
@@ -80,12 +80,12 @@ def rows_of_chunk(
     return [row for row in rows if row >= 0]
 
 
-def codebook_rows(index: Index, rows: Iterable[int], sh_degree: int) -> list[int]:
+def codebook_rows(index: SceneIndex, rows: Iterable[int], sh_degree: int) -> list[int]:
     """Return the rows of the codebook segments, up to an SH degree, that given segments need.
 
     Parameters
     ----------
-    index : Index
+    index : SceneIndex
         Index of the file.
     rows : iterable of int
         Rows of the segments to decode.
@@ -103,7 +103,7 @@ def codebook_rows(index: Index, rows: Iterable[int], sh_degree: int) -> list[int
 
 
 def ranges_to_decode(
-    index: Index,
+    index: SceneIndex,
     chunks: Sequence[int],
     *,
     sh_degree: int,
@@ -116,7 +116,7 @@ def ranges_to_decode(
 
     Parameters
     ----------
-    index : Index
+    index : SceneIndex
         Index of the file.
     chunks : sequence of int
         Chunk numbers in decoding order.
@@ -152,7 +152,7 @@ def ranges_to_decode(
     ]
 
 
-def _groups(index: Index, each: Sequence[Sequence[int]]) -> Iterator[list[int]]:
+def _groups(index: SceneIndex, each: Sequence[Sequence[int]]) -> Iterator[list[int]]:
     """Yield the rows of consecutive chunks in groups of more than `_GROUP_BYTES`, except the last.
 
     `each` has the rows of one chunk, or of the codebooks, per item.

@@ -21,7 +21,7 @@ from . import canonical_msgpack, layout
 from . import root as cogs_root
 from .folder_places import PlaceTable, object_name, places_bytes, unpack_places
 from .index_tables import SegmentTable
-from .page_tree import IndexNode, PagePlace, page_name, read_node, root_node
+from .page_tree import Index, PagePlace, page_name, read_page, root_index
 
 MANIFEST_NAME: Final = "manifest.cogsm"
 """Default file name of a manifest."""
@@ -187,12 +187,12 @@ class FolderMap:
             )
         where = f"{name}: root"
         root = cogs_root.parse_root(canonical_msgpack.unpack(data, where), where)
-        node = root_node(root.tables, self.root_end)
+        index = root_index(root.tables, self.root_end)
         own = len(root.segments)
         places_end = self.root_end + places_bytes(own + len(root.pages))
         if len(manifest) < places_end:
             raise self._truncated_error(len(manifest), places_end)
-        lengths = _lengths(node)
+        lengths = _lengths(index)
         places = unpack_places(manifest[self.root_end : places_end], lengths, where, own)
         inside = places.sizes[:own] == 0
         self.manifest_bytes = places_end + int(lengths[:own][inside].sum())
@@ -214,7 +214,7 @@ class FolderMap:
         self._sizes: dict[str, int] = {}
         self._add_index(
             0,
-            node,
+            index,
             self._manifest.part(0, self.root_end),
             places,
             self._manifest.part(places_end, len(whole)),
@@ -284,9 +284,9 @@ class FolderMap:
             a page.
         """
         where = f"{self.name}: {page_name(page)}"
-        node = read_node(page, data[: page.length], self.name)
+        index = read_page(page, data[: page.length], self.name)
         at = self._number_of(page)
-        lengths = _lengths(node)
+        lengths = _lengths(index)
         end = page.length + places_bytes(len(lengths))
         if len(data) < end:
             raise FormatError(
@@ -298,24 +298,24 @@ class FolderMap:
         part = self._parts[at]
         assert isinstance(part, _UnknownPage)
         stored = replace(part.stored, length=len(data), data=data).part(0, page.length)
-        self._add_index(at, node, stored, places)
+        self._add_index(at, index, stored, places)
 
     def _add_index(
         self,
         at: int,
-        node: IndexNode,
+        index: Index,
         stored: ObjectRange,
         places: PlaceTable,
         inside: ObjectRange | None = None,
     ) -> None:
         """Put an index, and the pages that it lists, in the place of its part."""
-        own = len(node.tables.segments)
-        segments = _Segments(node.tables.segments, places.rows(slice(own)), node.end, inside)
+        own = len(index.tables.segments)
+        segments = _Segments(index.tables.segments, places.rows(slice(own)), index.end, inside)
         pages = [
             _UnknownPage(page, _placed_range(places, own + row, 0, page.length))
-            for row, page in enumerate(node.pages())
+            for row, page in enumerate(index.pages())
         ]
-        self._parts[at : at + 1] = [_KnownIndex(node, stored, segments), *pages]
+        self._parts[at : at + 1] = [_KnownIndex(index, stored, segments), *pages]
         self._starts = [part.start for part in self._parts]
         for page in pages:
             first = self._page_objects.setdefault(page.stored.name, page.start)
@@ -362,11 +362,11 @@ class FolderMap:
         end = offset + length
         for part in self._within(offset, length):
             assert isinstance(part, _KnownIndex)
-            node = part.node
-            first, last = max(offset, node.start), min(end, node.end)
+            index = part.index
+            first, last = max(offset, index.start), min(end, index.end)
             if first < last:
-                found.append(part.stored.part(first - node.start, last - node.start))
-            first, last = max(offset, node.end), min(end, part.end)
+                found.append(part.stored.part(first - index.start, last - index.start))
+            first, last = max(offset, index.end), min(end, part.end)
             if first < last:
                 found += part.segments.object_ranges(first, last)
         return found
@@ -420,7 +420,7 @@ class _KnownIndex:
 
     Parameters
     ----------
-    node : IndexNode
+    index : Index
         Index in its place in the file.
     stored : ObjectRange
         Range of the index in the manifest or its object, with its bytes.
@@ -428,24 +428,24 @@ class _KnownIndex:
         Places of its segments.
     """
 
-    node: IndexNode
+    index: Index
     stored: ObjectRange
     segments: _Segments
 
     @property
     def start(self) -> int:
         """Byte offset of the index in the file."""
-        return self.node.start
+        return self.index.start
 
     @property
     def end(self) -> int:
         """Byte offset behind the segments of the index."""
-        return self.node.segments_end
+        return self.index.segments_end
 
 
-def _lengths(node: IndexNode) -> NDArray[np.int64]:
+def _lengths(index: Index) -> NDArray[np.int64]:
     """Return the lengths of the segments and then of the pages of an index, bytes."""
-    tables = node.tables
+    tables = index.tables
     return np.concatenate([tables.segments.length, tables.pages.length]).astype(np.int64)
 
 

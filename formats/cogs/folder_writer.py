@@ -97,15 +97,15 @@ def build_index(file: CogsFile, found: Sequence[SegmentPlace]) -> FolderIndex:
     root_end = layout.PREAMBLE_BYTES + layout.unpack_preamble(first, file.name).root_length
     pages: list[bytes] = []
     # Places of the pages that each index lists, by its path: last pages first, below their index.
-    places: dict[tuple[int, ...], list[SegmentPlace]] = {node.path: [] for node in file.nodes}
-    for node in reversed(file.nodes):
-        rows = slice(node.first_segment, node.first_segment + len(node.tables.segments))
-        places[node.path] = [*found[rows], *reversed(places[node.path])]
-        if node.path:
-            index = _read_exactly(file, node.start, node.end - node.start)
-            pages.append(index + _packed(places[node.path]))
+    places: dict[tuple[int, ...], list[SegmentPlace]] = {each.path: [] for each in file.indices}
+    for each in reversed(file.indices):
+        rows = slice(each.first_segment, each.first_segment + len(each.tables.segments))
+        places[each.path] = [*found[rows], *reversed(places[each.path])]
+        if each.path:
+            index = _read_exactly(file, each.start, each.end - each.start)
+            pages.append(index + _packed(places[each.path]))
             key = key_of(pages[-1])
-            places[node.path[:-1]].append(SegmentPlace(key, len(pages[-1]), 0))
+            places[each.path[:-1]].append(SegmentPlace(key, len(pages[-1]), 0))
     missing = file.first_missing_page
     if missing is not None:
         _read_exactly(file, missing.start, missing.length)

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.partition.nested_cells import parents
 
-from .index import Index
 from .page_tree import PagePlace
+from .scene_index import SceneIndex
 
 I64 = NDArray[np.int64]
 
@@ -46,19 +46,19 @@ class KnownChunks:
     parents: I64
 
 
-def known_chunks(index: Index) -> KnownChunks:
+def known_chunks(index: SceneIndex) -> KnownChunks:
     """Return the chunks of all indices that were read, and one for each unread page below them."""
-    nodes = {node.path: node for node in index.nodes}
+    indices = {each.path: each for each in index.indices}
     parts: list[tuple[int, PagePlace | None, tuple[int, ...], int]] = []
-    for node in index.nodes:
-        first = node.first_chunk
-        own = range(len(node.tables.chunks))
-        parts += [(first + row, None, node.path, row) for row in own]
-        unread = [page for page in node.pages() if page.path not in nodes and page.extent.chunks]
-        parts += [(page.first_chunk, page, node.path, page.path[-1]) for page in unread]
+    for each in index.indices:
+        first = each.first_chunk
+        own = range(len(each.tables.chunks))
+        parts += [(first + row, None, each.path, row) for row in own]
+        unread = [page for page in each.pages() if page.path not in indices and page.extent.chunks]
+        parts += [(page.first_chunk, page, each.path, page.path[-1]) for page in unread]
     parts.sort(key=lambda part: part[0])
     tables = [
-        (nodes[path].tables.chunks if page is None else nodes[path].tables.pages, row)
+        (indices[path].tables.chunks if page is None else indices[path].tables.pages, row)
         for _, page, path, row in parts
     ]
     numbers = np.array([number for number, *_ in parts], np.int64)

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 
 from cogsplat.formats.storage.source import Source
 
-from .index import Index, IndexTree, RootExtent
 from .page_tree import PagePlace
+from .scene_index import IndexTree, RootExtent, SceneIndex
 
 
 class LazyIndex:
@@ -35,7 +35,7 @@ class LazyIndex:
         self.file_length = extent.file_length
         self.all_chunks = extent.root.tables.extent.chunks
         self._tree = IndexTree(source, extent)
-        self._index = self._tree.index()
+        self._index = self._tree.scene_index()
         self._lock = threading.Lock()
 
     @property
@@ -43,7 +43,7 @@ class LazyIndex:
         """Number of chunks of the file."""
         return self.all_chunks
 
-    def for_chunks(self, chunks: Sequence[int]) -> Index:
+    def for_chunks(self, chunks: Sequence[int]) -> SceneIndex:
         """Return an index with every segment of some chunks; reads the pages above them.
 
         Rows of other chunks may be placeholders.
@@ -66,7 +66,7 @@ class LazyIndex:
 
         return self._with(is_above)
 
-    def for_path(self, path: tuple[int, ...]) -> Index:
+    def for_path(self, path: tuple[int, ...]) -> SceneIndex:
         """Return an index that has the page with a path, and the pages above it.
 
         Parameters
@@ -81,7 +81,7 @@ class LazyIndex:
         """
         return self._with(lambda page: page.path == path[: len(page.path)])
 
-    def for_description(self, *, pictures: bool) -> Index:
+    def for_description(self, *, pictures: bool) -> SceneIndex:
         """Return an index with the row of the description and, on request, of its pictures.
 
         The root lists the description, the root's last page the pictures (SPEC 5.13, 5.14). Rows of
@@ -99,14 +99,14 @@ class LazyIndex:
         """
         return self._with(lambda page: pictures and page.is_last_of_root)
 
-    def whole(self) -> Index:
+    def whole(self) -> SceneIndex:
         """Read all missing pages and return the whole index."""
         return self._with(lambda page: True)
 
-    def _with(self, is_wanted: Callable[[PagePlace], bool]) -> Index:
+    def _with(self, is_wanted: Callable[[PagePlace], bool]) -> SceneIndex:
         """Read the unread pages that are wanted and return an index of all that was read."""
         with self._lock:
             self._tree.read(is_wanted)
-            if len(self._index.nodes) != len(self._tree.nodes):
-                self._index = self._tree.index()
+            if len(self._index.indices) != len(self._tree.indices):
+                self._index = self._tree.scene_index()
             return self._index

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from cogsplat.codec.errors import TruncatedError
 from cogsplat.formats.storage.source import Source, has_range
 
-from .index import Index
 from .lazy_index import LazyIndex
+from .scene_index import SceneIndex
 
 
-def missing_segment_bytes(source: Source, index: Index | LazyIndex) -> int:
+def missing_segment_bytes(source: Source, index: SceneIndex | LazyIndex) -> int:
     """Return the total size of the segments that a source with gaps lacks, bytes.
 
     From a missing page on, the rest of the source counts as missing. Bytes behind the end of
@@ -21,17 +21,17 @@ def missing_segment_bytes(source: Source, index: Index | LazyIndex) -> int:
     return missing + _bytes_from_missing_page(source, index)
 
 
-def _bytes_from_missing_page(source: Source, index: Index | LazyIndex) -> int:
+def _bytes_from_missing_page(source: Source, index: SceneIndex | LazyIndex) -> int:
     """Return the bytes of a source from its first missing page on; 0 if none is missing."""
     if not hasattr(source, "holds"):
         return 0
-    page = index.whole().gap
+    page = index.whole().first_unread
     if page is None or page.start + page.length > source.size:
         return 0
     return source.size - page.start
 
 
-def require_all_segments(source: Source, index: Index | LazyIndex) -> None:
+def require_all_segments(source: Source, index: SceneIndex | LazyIndex) -> None:
     """Refuse a source with missing segments.
 
     Raises
@@ -60,7 +60,7 @@ def _describe_gap(source: Source, offset: int) -> str:
     return f"at byte {offset}"
 
 
-def _gaps(source: Source, index: Index | LazyIndex) -> Iterator[int]:
+def _gaps(source: Source, index: SceneIndex | LazyIndex) -> Iterator[int]:
     """Yield the rows of missing segments; a source without ``holds`` has none."""
     if not hasattr(source, "holds"):
         return

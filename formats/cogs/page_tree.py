@@ -52,7 +52,7 @@ class PagePlace:
 
 
 @dataclass(frozen=True, eq=False)
-class IndexNode:
+class Index:
     """Index that was read, in its place.
 
     Parameters
@@ -112,7 +112,7 @@ class IndexNode:
         return found
 
 
-def root_node(tables: IndexTables, root_end: int) -> IndexNode:
+def root_index(tables: IndexTables, root_end: int) -> Index:
     """Return the root in its place.
 
     Parameters
@@ -122,7 +122,7 @@ def root_node(tables: IndexTables, root_end: int) -> IndexNode:
     root_end : int
         Byte offset of the end of the root.
     """
-    return IndexNode((), 0, root_end, 0, 0, tables, lists_pictures=not len(tables.pages))
+    return Index((), 0, root_end, 0, 0, tables, lists_pictures=not len(tables.pages))
 
 
 def page_name(place: PagePlace) -> str:
@@ -130,7 +130,7 @@ def page_name(place: PagePlace) -> str:
     return "page " + ".".join(map(str, place.path))
 
 
-def read_node(place: PagePlace, data: bytes, where: str) -> IndexNode:
+def read_page(place: PagePlace, data: bytes, where: str) -> Index:
     """Check the bytes of a page against its row in the index above, and parse it.
 
     Parameters
@@ -166,7 +166,7 @@ def read_node(place: PagePlace, data: bytes, where: str) -> IndexNode:
             clause="5.6",
             offset=place.start,
         )
-    return IndexNode(
+    return Index(
         place.path,
         place.start,
         place.start + place.length,
@@ -177,6 +177,6 @@ def read_node(place: PagePlace, data: bytes, where: str) -> IndexNode:
     )
 
 
-def in_file_order(nodes: Iterable[IndexNode]) -> Sequence[IndexNode]:
+def in_file_order(indices: Iterable[Index]) -> Sequence[Index]:
     """Return indices by their place in the file, which is depth first."""
-    return sorted(nodes, key=lambda node: node.start)
+    return sorted(indices, key=lambda index: index.start)

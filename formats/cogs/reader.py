@@ -12,9 +12,9 @@ from cogsplat.formats.storage.source import PrefixSource, RemoteSource, Source
 from .chunk_decoder import ChunkDecoder
 from .chunk_stream import ChunkStream
 from .drawn_chunks import drawn_chunks
-from .index import Index, read_index, read_root
 from .lazy_index import LazyIndex
 from .missing_segments import require_all_segments
+from .scene_index import SceneIndex, read_root, read_scene_index
 from .verification import checks
 
 
@@ -141,11 +141,11 @@ def open_cogs(
         if size_bytes < 0:
             raise ValueError(f"size_bytes {size_bytes}, expected 0 or more")
         source, partial = PrefixSource(source, size_bytes), True
-    index: Index | LazyIndex
+    index: SceneIndex | LazyIndex
     if isinstance(source, RemoteSource) and not partial:
         index = LazyIndex(source, read_root(source, partial=False))
     else:
-        index = read_index(source, partial=partial)
+        index = read_scene_index(source, partial=partial)
     if not partial:
         require_all_segments(source, index)
     return CogsFile(source, index, limits or Limits())

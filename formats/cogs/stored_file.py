@@ -23,13 +23,13 @@ from cogsplat.formats.storage.source import RemoteSource, Source, has_range
 
 from .fetch_order import needed_codebooks
 from .folder_places import object_name
-from .index import Index
 from .index_tables import ChunkTable, SegmentTable
 from .layout import SegmentKind
 from .lazy_index import LazyIndex
 from .missing_segments import missing_segment_bytes
 from .object_source import ObjectSource
-from .page_tree import IndexNode, PagePlace
+from .page_tree import Index, PagePlace
+from .scene_index import SceneIndex
 from .segment_rows import I64, codebook_kinds
 from .selection import select_chunks
 
@@ -64,7 +64,7 @@ class StoredFile:
     ----------
     source : Source
         Source of the file, closed with it.
-    index : Index or LazyIndex
+    index : SceneIndex or LazyIndex
         Index of the file.
 
     Attributes
@@ -77,7 +77,7 @@ class StoredFile:
         Bytes that a partial source lacks; 0 for a complete one.
     """
 
-    def __init__(self, source: Source, index: Index | LazyIndex) -> None:
+    def __init__(self, source: Source, index: SceneIndex | LazyIndex) -> None:
         self._source = source
         self._pages = index
         cache = getattr(source, "cache", None)
@@ -104,7 +104,7 @@ class StoredFile:
         self._source.close()
 
     @property
-    def _index(self) -> Index:
+    def _index(self) -> SceneIndex:
         """Whole index; missing pages are read."""
         return self._pages.whole()
 
@@ -119,9 +119,9 @@ class StoredFile:
         return self._index.chunks
 
     @property
-    def nodes(self) -> Sequence[IndexNode]:
+    def indices(self) -> Sequence[Index]:
         """Root and pages in the source, in file order; reads pages not yet read."""
-        return self._index.nodes
+        return self._index.indices
 
     def parents(self) -> I64:
         """Return the parent of each chunk; -1 for none (SPEC 5.4)."""
@@ -150,12 +150,12 @@ class StoredFile:
     @property
     def has_all_pages(self) -> bool:
         """Whether the tables have the segments of all pages; a partial file may lack its last."""
-        return self._index.gap is None
+        return self._index.first_unread is None
 
     @property
     def first_missing_page(self) -> PagePlace | None:
         """First page in file order that the source lacks; None if it has all pages."""
-        return self._index.gap
+        return self._index.first_unread
 
     @property
     def source_bytes(self) -> int:
@@ -185,7 +185,7 @@ class StoredFile:
     @property
     def page_bytes(self) -> list[int]:
         """Length of each page in the source, in file order, bytes; reads pages not yet read."""
-        return [node.end - node.start for node in self._index.nodes if node.path]
+        return [index.end - index.start for index in self._index.indices if index.path]
 
     def complete_chunks(self) -> int:
         """Return the number of leading chunks whose heads can be decoded."""

@@ -32,7 +32,7 @@ from .index_tables import (
     pack_page,
 )
 from .layout import SegmentKind
-from .page_tree import IndexNode
+from .page_tree import Index
 from .root import Root
 from .segment_rows import CHUNK_KINDS
 from .table_rows import take
@@ -235,13 +235,13 @@ def plan_index(
 
 
 def plan_of_file(
-    nodes: Sequence[IndexNode], kept: NDArray[np.int64], description: NDArray[np.uint8]
+    indices: Sequence[Index], kept: NDArray[np.int64], description: NDArray[np.uint8]
 ) -> IndexPlan:
     """Return the plan of a file as it is, with another description.
 
     Parameters
     ----------
-    nodes : sequence of IndexNode
+    indices : sequence of Index
         All indices of the file, in file order.
     kept : (k,) int64
         Rows of the file's segments that are kept, the first `k` of the table to lay out.
@@ -249,13 +249,13 @@ def plan_of_file(
         Kinds of the other segments of that table: description and pictures.
     """
     plans: dict[tuple[int, ...], IndexPlan] = {}
-    for node in nodes:
-        first = node.first_chunk
-        plans[node.path] = IndexPlan(slice(first, first + len(node.tables.chunks)), [], [])
-        segments = node.first_segment + np.array([0, len(node.tables.segments)])
-        plans[node.path].rows += range(*np.searchsorted(kept, segments).tolist())
-        if node.path:
-            plans[node.path[:-1]].pages.append(plans[node.path])
+    for index in indices:
+        first = index.first_chunk
+        plans[index.path] = IndexPlan(slice(first, first + len(index.tables.chunks)), [], [])
+        segments = index.first_segment + np.array([0, len(index.tables.segments)])
+        plans[index.path].rows += range(*np.searchsorted(kept, segments).tolist())
+        if index.path:
+            plans[index.path[:-1]].pages.append(plans[index.path])
     others = range(len(kept), len(kept) + len(description))
     _append_description(plans[()], others, description)
     return plans[()]

@@ -16,8 +16,8 @@ from tracing import start_tracing
 from cogsplat.codec.errors import CogsplatError
 from cogsplat.codec.streams.records import Attribute
 from cogsplat.formats.cogs.canonical_msgpack import pack, unpack
-from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.reader import open_cogs
+from cogsplat.formats.cogs.scene_index import read_scene_index
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import BytesSource
 from cogsplat.tools.lab.conformance import handmade_streams, reference_decoder
@@ -35,7 +35,9 @@ VECTORS = Path(__file__).resolve().parents[1] / "vectors"
 MANIFEST = json.loads((VECTORS / "manifest.json").read_text(encoding="utf-8"))
 FILES = [(VECTORS / "valid" / f"{e['name']}.cogs").read_bytes() for e in MANIFEST["valid"]]
 # Their segments can be put together again from the root alone.
-PLAIN = [data for data in FILES if not read_index(BytesSource(data), partial=False).root.pages]
+PLAIN = [
+    data for data in FILES if not read_scene_index(BytesSource(data), partial=False).root.pages
+]
 LIMITS = Limits(decoded_bytes=4 << 20)
 
 NUMBERS = [0, 1, 2, 3, 127, 128, 255, 256, 65535, 65536, 1 << 18, (1 << 18) + 1, (1 << 24) + 1,
@@ -175,7 +177,7 @@ def assert_as_reference(data, splats):
 @settings(max_examples=300, deadline=None)
 @given(st.sampled_from(PLAIN), st.data())
 def test_damaged_payloads_are_refused_or_decode_as_specified(kernels, data, draw):
-    index = read_index(BytesSource(data), partial=False)
+    index = read_scene_index(BytesSource(data), partial=False)
     if not len(index.segments):
         return
     row = draw.draw(st.integers(0, len(index.segments) - 1))
@@ -202,7 +204,7 @@ def test_a_stream_of_two_faults_has_one_code(kernels):
 @pytest.mark.parametrize("profile", ["transform", "vq", "near-lossless"])
 def test_damaged_scenes_take_little_memory(kernels, profile):
     data = file_of(profile, 300, 3, 60)
-    index = read_index(BytesSource(data), partial=False)
+    index = read_scene_index(BytesSource(data), partial=False)
     rng = random.Random(7)
     worst = 0
     start_tracing()

@@ -16,8 +16,8 @@ import zlib
 import zstandard
 
 from cogsplat.codec.errors import CogsplatError
-from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.layout import MAGIC, PREAMBLE_BYTES
+from cogsplat.formats.cogs.scene_index import read_scene_index
 from cogsplat.formats.storage.magic import MANIFEST_MAGIC
 from cogsplat.formats.storage.source import BytesSource
 from cogsplat.tools.lab.conformance.file_builder import (
@@ -135,7 +135,7 @@ def _in_zip(data: bytes, rng: random.Random) -> bytes:
 def _in_cogs(data: bytes, rng: random.Random) -> bytes:
     """Change a segment, or the root, and give it the CRCs and hashes that fit."""
     try:
-        index = read_index(BytesSource(data), partial=False)
+        index = read_scene_index(BytesSource(data), partial=False)
         if not len(index.segments) or rng.random() < 0.3:
             root, behind = split_root(data)
             return with_root(_bytes(root, rng), behind)

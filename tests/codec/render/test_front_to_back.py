@@ -82,7 +82,7 @@ def test_splats_behind_walls_are_not_projected():
     for number, footprints in enumerate(walk.slabs()):
         assert len(footprints)
         if number == 2:
-            walk.lefts[:] = 0.0
+            walk.transmittances[:] = 0.0
     assert len(walk.hidden) > 5
 
 

@@ -2,13 +2,13 @@ import numpy as np
 from cogs_samples import file_of
 
 from cogsplat.formats.cogs.fetch_order import codebook_rows, ranges_to_decode, rows_of_chunk
-from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.layout import SegmentKind
+from cogsplat.formats.cogs.scene_index import read_scene_index
 from cogsplat.formats.storage.source import BytesSource
 
 
 def index_of(profile):
-    return read_index(BytesSource(file_of(profile, 6000, 3, 500)), partial=False)
+    return read_scene_index(BytesSource(file_of(profile, 6000, 3, 500)), partial=False)
 
 
 def test_a_whole_scene_is_asked_for_from_front_to_back():

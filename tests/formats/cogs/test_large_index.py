@@ -8,10 +8,10 @@ import numpy as np
 from cogsplat.codec.partition.chunk_tree import chunk_tree
 from cogsplat.codec.splats import SceneInfo
 from cogsplat.formats.cogs import layout
-from cogsplat.formats.cogs.index import read_root
 from cogsplat.formats.cogs.index_tables import ChunkTable, SegmentTable, no_segments
 from cogsplat.formats.cogs.lazy_index import LazyIndex
 from cogsplat.formats.cogs.root import Root
+from cogsplat.formats.cogs.scene_index import read_root
 from cogsplat.formats.cogs.writer import lay_out_index, plan_index
 
 _SPLATS = 8192

@@ -11,10 +11,10 @@ from fault_server import FaultServer, serving
 import cogsplat
 from cogsplat.codec.errors import FormatError
 from cogsplat.formats.cogs import scene_writer as cogs
-from cogsplat.formats.cogs.index import read_index, read_root
 from cogsplat.formats.cogs.known_chunks import known_chunks
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.lazy_index import LazyIndex
+from cogsplat.formats.cogs.scene_index import read_root, read_scene_index
 from cogsplat.formats.cogs.writer import lay_out
 from cogsplat.formats.storage.source import BytesSource
 from cogsplat.tools.lab.conformance import valid
@@ -84,7 +84,7 @@ def test_chunks_of_several_pages_are_those_of_a_local_file(data):
 
 
 def test_tables_are_those_of_the_whole_index(data):
-    whole = read_index(BytesSource(data), partial=False)
+    whole = read_scene_index(BytesSource(data), partial=False)
     with serving(FaultServer(data)) as server, cogsplat.open(server.url()) as file:
         file.decode([4])
         for name in ("segments", "chunks"):
@@ -105,7 +105,7 @@ def test_tables_are_those_of_the_whole_index(data):
 def test_a_damaged_page_is_found_when_it_is_read():
     data = file_of_copies()
     position = cogsplat.open(data)
-    index = read_index(BytesSource(data), partial=False)
+    index = read_scene_index(BytesSource(data), partial=False)
     second = int(index.offsets[len(index.root.segments)]) - 1
     broken = data[:second] + bytes([data[second] ^ 1]) + data[second + 1 :]
     last = position.num_chunks - 1

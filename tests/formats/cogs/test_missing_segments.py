@@ -4,8 +4,8 @@ import pytest
 from cogs_samples import file_of
 
 from cogsplat.codec.errors import TruncatedError
-from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.missing_segments import missing_segment_bytes, require_all_segments
+from cogsplat.formats.cogs.scene_index import read_scene_index
 from cogsplat.formats.storage.source import BytesSource
 
 
@@ -23,7 +23,7 @@ class Holed(BytesSource):
 def test_gaps_are_counted_and_refused() -> None:
     data = file_of("vq")
     plain = BytesSource(data)
-    index = read_index(plain, partial=False)
+    index = read_scene_index(plain, partial=False)
     assert missing_segment_bytes(plain, index) == 0
     require_all_segments(plain, index)
     source = Holed(data, {int(index.offsets[2]), int(index.offsets[5])})

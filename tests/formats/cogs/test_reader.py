@@ -11,8 +11,8 @@ from cogsplat.codec.splats import concatenate
 from cogsplat.codec.streams import decoding_tiers
 from cogsplat.formats.cogs import scene_writer as cogs
 from cogsplat.formats.cogs.decoded_rows import scratch_bytes
-from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.reader import open_cogs
+from cogsplat.formats.cogs.scene_index import read_scene_index
 from cogsplat.formats.cogs.writer import lay_out
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.source import BytesSource, FileSource, PrefixSource
@@ -234,7 +234,7 @@ def test_a_hundred_cuts_decode_to_complete_chunks_or_are_refused(data):
             int(file.offsets[row] + file.segments.length[row])
             for row in (file.segment_rows(1, chunk)[0] for chunk in range(file.num_chunks))
         ]
-    first = read_index(BytesSource(data), partial=False).offsets[0]
+    first = read_scene_index(BytesSource(data), partial=False).offsets[0]
     for length in random.Random(6).sample(range(len(data)), 100):
         source = PrefixSource(BytesSource(data), length)
         with pytest.raises(TruncatedError):
@@ -402,7 +402,7 @@ def test_a_page_that_is_not_there_hides_its_chunks():
     with open_cogs(BytesSource(data)) as file:
         total = file.num_chunks
         assert len(file.page_bytes) == 3
-    index = read_index(BytesSource(data), partial=False)
+    index = read_scene_index(BytesSource(data), partial=False)
     cut = int(index.offsets[2]) + 1
     with open_cogs(BytesSource(data[:cut]), partial=True) as part:
         assert part.num_chunks < total

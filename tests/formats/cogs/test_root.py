@@ -20,7 +20,7 @@ from cogsplat.formats.cogs.index_tables import (
     no_segments,
     pack_page,
 )
-from cogsplat.formats.cogs.page_tree import PagePlace, read_node
+from cogsplat.formats.cogs.page_tree import PagePlace, read_page
 from cogsplat.formats.cogs.root import CodebookEntry, Root
 
 
@@ -129,10 +129,10 @@ def test_pages_are_checked_against_their_row():
     tables = IndexTables(segments(4), chunks(2), pages(2))
     data = pack_page(tables)
     place = PagePlace((0,), 500, len(data), zlib.crc32(data), tables.extent, 7, 3, False)
-    node = read_node(place, data, "file")
+    index = read_page(place, data, "file")
     for name in ("segments", "chunks", "pages"):
-        assert_tables(getattr(node.tables, name), getattr(tables, name))
-    first, second = node.pages()
+        assert_tables(getattr(index.tables, name), getattr(tables, name))
+    first, second = index.pages()
     assert first.start == 500 + len(data) + int(tables.segments.length.sum(dtype=np.uint64))
     assert second.start == first.end
     assert (first.first_segment, first.first_chunk) == (11, 5)
@@ -140,10 +140,10 @@ def test_pages_are_checked_against_their_row():
     for name in ("segments", "chunks", "span", "splats"):
         extent = dataclasses.replace(tables.extent, **{name: getattr(tables.extent, name) + 1})
         with pytest.raises(FormatError) as caught:
-            read_node(dataclasses.replace(place, extent=extent), data, "file")
+            read_page(dataclasses.replace(place, extent=extent), data, "file")
         assert caught.value.code == "page-entry"
     with pytest.raises(FormatError) as caught:
-        read_node(dataclasses.replace(place, path=(0, 0, 0)), data, "file")
+        read_page(dataclasses.replace(place, path=(0, 0, 0)), data, "file")
     assert caught.value.code == "root-value"
 
 

@@ -13,11 +13,11 @@ from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.codec.splats import SceneInfo
 from cogsplat.formats.cogs import layout, writer
 from cogsplat.formats.cogs import root as cogs_root
-from cogsplat.formats.cogs.index import read_index
 from cogsplat.formats.cogs.index_tables import ChunkTable, no_segments
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.cogs.root import Root
+from cogsplat.formats.cogs.scene_index import read_scene_index
 from cogsplat.formats.cogs.segment_rows import CHUNK_KINDS
 from cogsplat.formats.cogs.view_table_segment import pack_view_table
 from cogsplat.formats.cogs.writer import Segment, lay_out, write_cogs
@@ -49,14 +49,14 @@ def parts(count, tails=True):
 
 
 def index_of(data):
-    return read_index(BytesSource(data), partial=False)
+    return read_scene_index(BytesSource(data), partial=False)
 
 
 def check(data, root_given, segments):
     """Read a file back and compare all that was given."""
     index = index_of(data)
     # Each index lists the segments of its chunks, the root all others, in the order given.
-    starts = [node.first_chunk for node in index.nodes]
+    starts = [each.first_chunk for each in index.indices]
 
     def number_of_index(segment):
         if segment.kind not in CHUNK_KINDS:
@@ -89,7 +89,7 @@ def check(data, root_given, segments):
 def test_a_small_file_has_no_pages(count, layers):
     made = root(count, layers=layers)
     data = b"".join(lay_out(made, parts(count)))
-    assert check(data, made, parts(count)).nodes[1:] == []
+    assert check(data, made, parts(count)).indices[1:] == []
 
 
 @pytest.mark.parametrize("count", [400, 2000])
@@ -208,11 +208,11 @@ def cut_root(count):
 def test_pages_of_a_cut_scene_follow_its_cells(count):
     made = cut_root(count)
     index = check(b"".join(lay_out(made, parts(count))), made, parts(count))
-    assert len(index.nodes) == 1 or len(index.root.chunks) == 64
-    for node in index.nodes[1:]:
-        above = index.node(node.path[:-1])
-        row = node.path[-1]
-        below = slice(node.first_chunk, node.first_chunk + node.tables.extent.chunks)
+    assert len(index.indices) == 1 or len(index.root.chunks) == 64
+    for each in index.indices[1:]:
+        above = index.at(each.path[:-1])
+        row = each.path[-1]
+        below = slice(each.first_chunk, each.first_chunk + each.tables.extent.chunks)
         cells = index.chunks.cell[below].tolist()
         cell = int(above.tables.pages.cell[row])
         assert all(cell in [each >> k for k in range(32)] for each in cells)
@@ -243,12 +243,12 @@ def test_view_tables_are_split_over_the_indices():
     data = b"".join(lay_out(made, given))
     with open_cogs(BytesSource(data)) as file:
         assert file.segments.kind[1] == SegmentKind.VIEW_TABLE
-        for node in file.nodes:
-            own = slice(node.first_chunk, node.first_chunk + len(node.tables.chunks))
-            views = [0, 2] if node.path else [0, 1, 2]
-            found = file.view_table(node.path)
+        for each in file.indices:
+            own = slice(each.first_chunk, each.first_chunk + len(each.tables.chunks))
+            views = [0, 2] if each.path else [0, 1, 2]
+            found = file.view_table(each.path)
             assert found.codes[:, : own.stop - own.start].tolist() == codes[views, own].tolist()
-            for row, page in enumerate(node.pages(), start=own.stop - own.start):
+            for row, page in enumerate(each.pages(), start=own.stop - own.start):
                 below = slice(page.first_chunk, page.first_chunk + page.extent.chunks)
                 sums = table.shares[views, below].sum(axis=1)
                 np.testing.assert_allclose(found.shares[:, row], sums, rtol=0.26)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.segments.view_shares import ViewTable
-from cogsplat.formats.cogs.page_tree import IndexNode
+from cogsplat.formats.cogs.page_tree import Index
 
 from .chunk_ratios import MIN_RATIO, PoseRatios, ratios_from_boxes, ratios_from_view_table
 from .poses import Pose
@@ -21,13 +21,13 @@ _LEAST_SHARE: Final = 1e-12
 
 
 def index_ratios(
-    nodes: Sequence[IndexNode], tables: Mapping[tuple[int, ...], ViewTable]
+    indices: Sequence[Index], tables: Mapping[tuple[int, ...], ViewTable]
 ) -> PoseRatios:
     """Return the ratio function of the chunks of all indices of a file.
 
     Parameters
     ----------
-    nodes : sequence of IndexNode
+    indices : sequence of Index
         All indices in file order.
     tables : mapping of tuple of int to ViewTable
         View table of each index that has one, by its path.
@@ -38,27 +38,27 @@ def index_ratios(
         Ratio of each chunk: in its index, relative to all chunks and pages that the index lists,
         times the ratio of the page.
     """
-    own = [_node_ratios(node, tables.get(node.path)) for node in nodes]
+    own = [_ratios_of(index, tables.get(index.path)) for index in indices]
 
     def ratios(pose: Pose) -> F64:
         found: list[F64] = []
         of_pages: dict[tuple[int, ...], float] = {}
-        for node, ratios_at in zip(nodes, own, strict=True):
+        for index, ratios_at in zip(indices, own, strict=True):
             values = ratios_at(pose)
-            if node.path:
-                values = np.maximum(of_pages[node.path] * values, MIN_RATIO)
-            chunks = len(node.tables.chunks)
+            if index.path:
+                values = np.maximum(of_pages[index.path] * values, MIN_RATIO)
+            chunks = len(index.tables.chunks)
             found.append(values[:chunks])
             for row, value in enumerate(values[chunks:].tolist()):
-                of_pages[(*node.path, row)] = value
+                of_pages[(*index.path, row)] = value
         return np.concatenate(found)
 
     return ratios
 
 
-def _node_ratios(node: IndexNode, table: ViewTable | None) -> PoseRatios:
+def _ratios_of(index: Index, table: ViewTable | None) -> PoseRatios:
     """Return the ratio function of the chunks and then the pages that an index lists."""
-    chunks, pages = node.tables.chunks, node.tables.pages
+    chunks, pages = index.tables.chunks, index.tables.pages
     boxes = np.concatenate([chunks.box, pages.box]).astype(np.float64)
     contribution = np.concatenate([chunks.contribution, pages.contribution])
     if table is None:
@@ -66,12 +66,12 @@ def _node_ratios(node: IndexNode, table: ViewTable | None) -> PoseRatios:
     return ratios_from_view_table(table, boxes, contribution)
 
 
-def segment_places(nodes: Sequence[IndexNode]) -> F64:
+def segment_places(indices: Sequence[Index]) -> F64:
     """Return the place of each segment: where it would end if pages arrived side by side.
 
     Parameters
     ----------
-    nodes : sequence of IndexNode
+    indices : sequence of Index
         All indices in file order.
 
     Returns
@@ -82,17 +82,17 @@ def segment_places(nodes: Sequence[IndexNode]) -> F64:
     found: list[F64] = []
     # Place of each page's beginning, and the place that one of its bytes takes.
     frames: dict[tuple[int, ...], tuple[float, float]] = {(): (0.0, 1.0)}
-    for node in nodes:
-        place, weight = frames[node.path]
-        lengths = node.tables.segments.length.astype(np.float64)
-        ends = float(node.end - node.start) + np.cumsum(lengths)
+    for index in indices:
+        place, weight = frames[index.path]
+        lengths = index.tables.segments.length.astype(np.float64)
+        ends = float(index.end - index.start) + np.cumsum(lengths)
         found.append(place + weight * ends)
-        behind = place + weight * float(node.segments_end - node.start)
-        contributions = node.tables.pages.contribution.tolist()
+        behind = place + weight * float(index.segments_end - index.start)
+        contributions = index.tables.pages.contribution.tolist()
         whole = sum(contributions)
         for row, contribution in enumerate(contributions):
             # Pages without contributions share alike.
             share = max(contribution, _LEAST_SHARE * whole)
             times = whole / share if whole > 0.0 else float(len(contributions))
-            frames[(*node.path, row)] = behind, weight * times
+            frames[(*index.path, row)] = behind, weight * times
     return np.concatenate(found)

@@ -35,8 +35,8 @@ class Unit:
         Index of the chunk; -1 for a segment of no chunk, such as a codebook.
     is_head : bool
         Whether the segment is the head of its chunk.
-    end : int
-        Offset of the first byte after the segment in the file.
+    place : float
+        Place of the segment, bytes: in the root its end in the file (docs/streaming.md, 7).
     size_bytes : int
         Length of the segment.
     dependencies : tuple of int
@@ -45,7 +45,7 @@ class Unit:
 
     chunk: int
     is_head: bool
-    end: float
+    place: float
     size_bytes: int
     dependencies: tuple[int, ...]
 
@@ -100,7 +100,7 @@ class Decision:
     fetch: list[int]
 
 
-def urgencies(ratios: F64, chunk: I64, end: F64) -> F64:
+def urgencies(ratios: F64, chunk: I64, place: F64) -> F64:
     """Estimate the gain per byte of each unit at the current pose (docs/streaming.md, 7).
 
     Parameters
@@ -109,16 +109,15 @@ def urgencies(ratios: F64, chunk: I64, end: F64) -> F64:
         Visibility ratio of each chunk (`chunk_ratios.weighted_ratios`).
     chunk : (u,) int64
         Chunk of each unit; -1 for none.
-    end : (u,) float64
-        Place of each unit: in the root, the offset of the first byte after it.
+    place : (u,) float64
+        Place of each unit (`Unit`), bytes.
 
     Returns
     -------
     (u,) float64
     """
     of_units = np.where(chunk >= 0, ratios[np.maximum(chunk, 0)], 1.0)
-    offsets = end.astype(np.float64)
-    result: F64 = of_units * np.minimum(of_units, 1.0) / (offsets * offsets)
+    result: F64 = of_units * np.minimum(of_units, 1.0) / (place * place)
     return result
 
 
@@ -228,7 +227,7 @@ class Scheduler:
         self._units = units
         self._splats = splats
         self._chunk = np.array([unit.chunk for unit in units], np.int64)
-        self._end = np.array([unit.end for unit in units], np.float64)
+        self._place = np.array([unit.place for unit in units], np.float64)
         self._heads = {unit.chunk: at for at, unit in enumerate(units) if unit.is_head}
         self._units_of_chunk: dict[int, list[int]] = {chunk: [] for chunk in self._heads}
         for at, unit in enumerate(units):
@@ -244,7 +243,7 @@ class Scheduler:
             Visibility ratio of each chunk (`chunk_ratios.weighted_ratios`).
         state : ClientState
         """
-        urgency = urgencies(ratios, self._chunk, self._end).tolist()
+        urgency = urgencies(ratios, self._chunk, self._place).tolist()
         order = sorted(range(len(self._units)), key=lambda unit: (-urgency[unit], unit))
         round_ = _Round(
             self._units, self._splats, self._heads, self._units_of_chunk, urgency, state
@@ -300,7 +299,7 @@ class _Round:
         worth = self._worth
         for chunk, head in self._heads.items():
             factor = _HELD_FACTOR if self._is_held(chunk) else 1.0
-            worth[chunk] = self._urgency[head] * self._units[head].end * factor
+            worth[chunk] = self._urgency[head] * self._units[head].place * factor
         parents = {chunk: self._parent(chunk) for chunk in self._heads}
         # Parents precede their children.
         for chunk in sorted(worth, reverse=True):

@@ -146,7 +146,7 @@ def units_of(file: CogsFile) -> Units:
     # The first segment of the file follows the root.
     index = int(file.offsets[0]) if len(file.offsets) else file.file_length
     index += sum(file.page_bytes)
-    places = segment_places(file.nodes)[rows]
+    places = segment_places(file.indices)[rows]
     return Units(kind, chunk, end, size, dependencies, index, places)
 
 

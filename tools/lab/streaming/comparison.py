@@ -166,7 +166,7 @@ def _ratios_in_file(file: CogsFile, chunks: int) -> PoseRatios:
         table = file.view_table(path) if file.is_present(row) else None
         if table is not None:
             tables[path] = table
-    ratios = index_ratios(file.nodes, tables)
+    ratios = index_ratios(file.indices, tables)
     return lambda pose: ratios(pose)[:chunks]
 
 

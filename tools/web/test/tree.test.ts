@@ -203,7 +203,7 @@ test("places below a page are stretched by the share of the page", () => {
   const [root, first, nested, second] = index.indexes as [Index, Index, Index, Index];
   const all = root.pages.reduce((sum, { contribution }) => sum + contribution, 0);
   const weightOf = (page: Page): number => (all > 0 ? all / page.contribution : root.pages.length);
-  const endOf = (chunk: number): number => units.units[units.of(index.chunkSegments(chunk).head)]!.end;
+  const endOf = (chunk: number): number => units.units[units.of(index.chunkSegments(chunk).head)]!.place;
   const offsetEnd = (chunk: number): number => {
     const { offset, length } = index.range(index.chunkSegments(chunk).head);
     return offset + length;
@@ -211,10 +211,13 @@ test("places below a page are stretched by the share of the page", () => {
   assert.equal(endOf(0), offsetEnd(0));
   const weight = weightOf(first.page!);
   const near = (found: number, expected: number): void => assert.ok(Math.abs(found - expected) < 1e-9 * expected);
-  near(endOf(1), root.end + weight * (offsetEnd(1) - first.start));
+  near(endOf(1), root.segmentsEnd + weight * (offsetEnd(1) - first.start));
   // The only page of a page has all of its contribution.
-  near(endOf(2), root.end + weight * (first.end - first.start) + weight * (offsetEnd(2) - nested.start));
-  near(endOf(3), root.end + weightOf(second.page!) * (offsetEnd(3) - second.start));
+  near(
+    endOf(2),
+    root.segmentsEnd + weight * (first.segmentsEnd - first.start) + weight * (offsetEnd(2) - nested.start),
+  );
+  near(endOf(3), root.segmentsEnd + weightOf(second.page!) * (offsetEnd(3) - second.start));
 });
 
 test("an unread page is a unit behind the head of its parent, and its rows replace it", () => {
@@ -226,22 +229,22 @@ test("an unread page is a unit behind the head of its parent, and its rows repla
   const [page] = index.pages as [Page];
   const unit = units.of(-1);
   assert.deepEqual(units.ofRow(page.row), [unit]);
-  const { chunk, isHead, size, dependencies } = units.units[unit]!;
-  assert.deepEqual([chunk, isHead, size], [page.row, true, page.length]);
+  const { row, isHead, size, dependencies } = units.units[unit]!;
+  assert.deepEqual([row, isHead, size], [page.row, true, page.length]);
   const parent = index.rows.parents[page.row]!;
   assert.deepEqual(dependencies, parent < 0 ? [] : units.ofRow(parent).slice(0, 1));
   assert.equal(units.splats[page.row], Math.ceil(page.splats / 4));
   index.addPage(page, bytes.slice(page.offset, page.offset + page.length));
   assert.ok(units.isBehind);
   assert.deepEqual(units.enter(), [unit]);
-  assert.deepEqual([units.units[unit]!.chunk, units.units[unit]!.isHead], [-1, false]);
+  assert.deepEqual([units.units[unit]!.row, units.units[unit]!.isHead], [-1, false]);
   assert.equal(units.splats.length, index.rows.count);
   assert.equal(units.units.filter(({ isHead: isHeadOfChunk }) => isHeadOfChunk).length, index.chunkCount);
 });
 
 /** An index of chunks and pages of some cells, for rows alone. */
 function indexOf(page: Page | undefined, firstChunk: number, chunks: number, firstRow: number, pages: Page[]): Index {
-  return { page, firstChunk, chunks, firstRow, pages } as unknown as Index;
+  return { page, firstChunk, chunkCount: chunks, firstRow, pages } as unknown as Index;
 }
 
 test("parents are in the index of a chunk or above it, and an unread page counts as a chunk that is not there", () => {

@@ -39,9 +39,9 @@ function smallIndex(): UnitIndex {
   const root = {
     start: 0,
     firstSegment: 0,
-    segments: 6,
+    segmentCount: 6,
     firstChunk: 0,
-    chunks: 3,
+    chunkCount: 3,
     pages: [],
     firstRow: 0,
     boxes: Float32Array.from(boxes.flat()),

@@ -24,7 +24,7 @@ function watched(capacity: number, ratios: () => Float64Array | undefined) {
   const rows = new Array<number>(capacity).fill(0);
   const shifts = new Array<number>(capacity).fill(0);
   const sceneRows = new SceneRows();
-  const root = { firstChunk: 0, chunks: 6, firstRow: 0, pages: [] } as unknown as Index;
+  const root = { firstChunk: 0, chunkCount: 6, firstRow: 0, pages: [] } as unknown as Index;
   sceneRows.enter(root, { splats: Uint32Array.from(SPLATS), cell: Uint32Array.from(CELLS) }, []);
   const scene = {
     info: { splats: 80 },

@@ -137,7 +137,7 @@ export class FolderIndex implements ScenePlaces {
   /** Enter the ranges of an index. */
   private enter(ranges: readonly ByteRange[], index: Index): void {
     for (const [row, range] of ranges.entries()) {
-      const page = index.pages[row - index.segments];
+      const page = index.pages[row - index.segmentCount];
       if (page === undefined) this.addresses.set(index.firstSegment + row, range.offset);
       else this.pageAddresses.set(page, range);
     }

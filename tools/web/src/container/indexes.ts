@@ -30,13 +30,15 @@ export interface Index {
   readonly page: Page | undefined;
   /** Number of pages on the path from the root. */
   readonly depth: number;
-  /** Offset of its first byte, 0 for the root, and of the end of its own segments. */
+  /** Offset of its first byte, 0 for the root. */
   readonly start: number;
-  readonly end: number;
+  /** Offset of the end of its own segments, where its first page begins. */
+  readonly segmentsEnd: number;
+  /** Numbers of its first segment and chunk, with the counts of its own. */
   readonly firstSegment: number;
-  readonly segments: number;
+  readonly segmentCount: number;
   readonly firstChunk: number;
-  readonly chunks: number;
+  readonly chunkCount: number;
   readonly pages: readonly Page[];
   /** First row in `SceneRows`. */
   readonly firstRow: number;

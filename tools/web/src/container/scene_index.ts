@@ -233,12 +233,13 @@ export class SceneIndex extends IndexTree implements ScenePlaces {
       this.parts.set(next++, { head, refinement: NONE, tail: NONE, attributes: NONE, opacities: [] });
     }
     const heads = next - index.firstChunk;
-    if (heads !== index.chunks) throw new CogsplatError("chunk-heads", `${heads} heads of ${index.chunks} chunks`);
+    if (heads !== index.chunkCount)
+      throw new CogsplatError("chunk-heads", `${heads} heads of ${index.chunkCount} chunks`);
   }
 
   /** Return the segments of a chunk of an index whose head is before a segment. */
-  private partsBefore(segment: number, chunk: number, { firstChunk, chunks }: Index): OwnSegments | undefined {
-    const parts = chunk >= firstChunk && chunk < firstChunk + chunks ? this.parts.get(chunk) : undefined;
+  private partsBefore(segment: number, chunk: number, { firstChunk, chunkCount }: Index): OwnSegments | undefined {
+    const parts = chunk >= firstChunk && chunk < firstChunk + chunkCount ? this.parts.get(chunk) : undefined;
     return parts && parts.head < segment ? parts : undefined;
   }
 
@@ -268,8 +269,8 @@ export class SceneIndex extends IndexTree implements ScenePlaces {
     }
   }
 
-  private checkEnds({ firstChunk, chunks }: Index): void {
-    for (let chunk = firstChunk; chunk < firstChunk + chunks; chunk++) {
+  private checkEnds({ firstChunk, chunkCount }: Index): void {
+    for (let chunk = firstChunk; chunk < firstChunk + chunkCount; chunk++) {
       const until = this.chunks.until[chunk]!;
       if (until > 0 && (until < chunk + 2 || until > this.total.chunks)) {
         throw new CogsplatError("chunk-until", `chunk ${chunk} ends at ${until}`);
@@ -277,9 +278,9 @@ export class SceneIndex extends IndexTree implements ScenePlaces {
     }
   }
 
-  private checkNeeds({ firstSegment, segments }: Index): void {
+  private checkNeeds({ firstSegment, segmentCount }: Index): void {
     const count = this.codebooks.length;
-    for (let segment = firstSegment; segment < firstSegment + segments; segment++) {
+    for (let segment = firstSegment; segment < firstSegment + segmentCount; segment++) {
       // A shift by 32 is one by 0.
       if (count < 32 && this.segments.needs[segment]! >>> count !== 0) {
         throw new CogsplatError("needs-range", `segment ${segment} needs a codebook that is not listed`);
@@ -356,9 +357,9 @@ export class SceneIndex extends IndexTree implements ScenePlaces {
   }
 
   /** Iterate over the segments of a kind that an index lists, each with its owner. */
-  private *ofKind(wanted: number, { firstSegment, segments }: Index): Generator<readonly [number, number]> {
+  private *ofKind(wanted: number, { firstSegment, segmentCount }: Index): Generator<readonly [number, number]> {
     const { kind, owner } = this.segments;
-    for (let i = firstSegment; i < firstSegment + segments; i++) if (kind[i] === wanted) yield [i, owner[i]!];
+    for (let i = firstSegment; i < firstSegment + segmentCount; i++) if (kind[i] === wanted) yield [i, owner[i]!];
   }
 
   /** Return the segment kinds of a codebook: the shape kind, or the colour bands up to an SH degree. */

@@ -38,7 +38,7 @@ export class SceneRows {
     const lastOfCell = new Map<number, number>();
     this.lastOfCell.set(index, lastOfCell);
     let start = index.page?.firstSplat ?? 0;
-    for (let i = 0; i < index.chunks; i++) {
+    for (let i = 0; i < index.chunkCount; i++) {
       const row = this.push(index, index.firstChunk + i, splats[i]!, start, cell[i]!);
       lastOfCell.set(cell[i]!, row);
       this.rowOfChunk.set(index.firstChunk + i, row);
@@ -51,7 +51,7 @@ export class SceneRows {
       start += page.splats;
     }
     const last = index.pages.at(-1);
-    this.starts.set(last === undefined ? index.firstChunk + index.chunks : last.firstChunk + last.chunks, start);
+    this.starts.set(last === undefined ? index.firstChunk + index.chunkCount : last.firstChunk + last.chunks, start);
   }
 
   /** Return the index that a page is; undefined for an unread one. */
@@ -77,7 +77,7 @@ export class SceneRows {
   /** Iterate over the rows of chunks and of unread pages, in the order of the file. */
   *inFileOrder(index = this.root): Generator<number, void, undefined> {
     if (index === undefined) return;
-    for (let i = 0; i < index.chunks; i++) yield index.firstRow + i;
+    for (let i = 0; i < index.chunkCount; i++) yield index.firstRow + i;
     for (const page of index.pages) {
       const below = this.indexes.get(page);
       if (below === undefined) yield page.row;

@@ -5,7 +5,7 @@ import type { Unit } from "../schedule/scheduler.js";
 /** Part of an index that units are made from. */
 export type UnitIndex = Pick<SceneIndex, "indexes" | "rows" | "segments" | "chunks" | "codebookSegmentsOf">;
 
-/** A unit of the scheduler, whose chunk is a row of `SceneRows`. */
+/** A unit of the scheduler. */
 export interface SegmentUnit extends Unit {
   /** Its segment; −1 − n for page n of `SceneIndex.pages`. */
   readonly segment: number;
@@ -71,7 +71,7 @@ export class SegmentUnits {
       if (page === undefined) continue;
       // The rows of a page replace it.
       const unit = this.of(-1 - page.number);
-      this.units[unit] = { ...this.units[unit]!, chunk: -1, isHead: false, dependencies: [] };
+      this.units[unit] = { ...this.units[unit]!, row: -1, isHead: false, dependencies: [] };
       this.heads.delete(page.row);
       this.ofRows[page.row] = [];
       read.push(unit);
@@ -91,18 +91,18 @@ export class SegmentUnits {
 
   private frameOf(page: Page | undefined): Frame {
     if (page === undefined) return { place: 0, weight: 1 };
-    const { start, end, pages } = page.listedBy;
+    const { start, segmentsEnd, pages } = page.listedBy;
     const { place, weight } = this.frames.get(page.listedBy)!;
     const all = pages.reduce((sum, { contribution }) => sum + contribution, 0);
     // Pages without contributions share alike.
     const times = all > 0 ? all / Math.max(page.contribution, LEAST_SHARE * all) : pages.length;
-    return { place: place + weight * (end - start), weight: weight * times };
+    return { place: place + weight * (segmentsEnd - start), weight: weight * times };
   }
 
   private enterSegments(index: Index, { place, weight }: Frame): void {
     const { kind, owner, offset, length } = this.index.segments;
     const { rows } = this.index;
-    const numbers = Array.from({ length: index.segments }, (_, i) => index.firstSegment + i);
+    const numbers = Array.from({ length: index.segmentCount }, (_, i) => index.firstSegment + i);
     const wanted = numbers.filter((segment) => this.isWanted(segment));
     const rowOf = (segment: number): number => (OF_CHUNKS.includes(kind[segment]!) ? rows.rowOf(owner[segment]!)! : -1);
     for (const [i, segment] of wanted.entries()) {
@@ -118,9 +118,9 @@ export class SegmentUnits {
       // The view table decides the order, so it counts as the beginning of its index.
       const begin = kind[segment] === SegmentKind.viewTable ? 0 : offset[segment]! - index.start;
       const size = length[segment]!;
-      this.push({ segment, chunk: row, isHead, end: place + weight * (begin + size), size, dependencies });
+      this.push({ segment, row, isHead, place: place + weight * (begin + size), size, dependencies });
     }
-    for (let i = 0; i < index.chunks; i++) this.splats.push(rows.splats[index.firstRow + i]!);
+    for (let i = 0; i < index.chunkCount; i++) this.splats.push(rows.splats[index.firstRow + i]!);
   }
 
   private enterPage(page: Page): void {
@@ -131,9 +131,9 @@ export class SegmentUnits {
     this.heads.set(page.row, this.units.length);
     this.push({
       segment,
-      chunk: page.row,
+      row: page.row,
       isHead: true,
-      end: place + weight * page.length,
+      place: place + weight * page.length,
       size: page.length,
       dependencies: parent === undefined ? [] : [parent],
     });
@@ -141,9 +141,9 @@ export class SegmentUnits {
   }
 
   private push(unit: SegmentUnit): void {
-    if (unit.chunk >= 0) {
-      this.ofRows[unit.chunk] ??= [];
-      this.ofRows[unit.chunk]!.push(this.units.length);
+    if (unit.row >= 0) {
+      this.ofRows[unit.row] ??= [];
+      this.ofRows[unit.row]!.push(this.units.length);
     }
     this.units.push(unit);
   }

@@ -210,12 +210,12 @@ export class Visit extends SceneFetch<VisitChange> {
   private request(units: readonly number[], ratios: Float64Array): void {
     const { chunks, pages } = this.index.rows;
     for (const unit of units) {
-      const { chunk: row } = this.units.units[unit]!;
+      const { row } = this.units.units[unit]!;
       if (row >= 0 && pages[row] === undefined) this.queue.expect(chunks[row]!);
     }
     const segments = this.acceptFromBeginning(this.segmentsOf(units));
     this.requests.fillConnection(segments, (segment) => {
-      const { chunk: row } = this.units.units[this.units.of(segment)]!;
+      const { row } = this.units.units[this.units.of(segment)]!;
       return row < 0 || ratios[row]! >= 1 ? "high" : "low";
     });
   }
@@ -250,7 +250,7 @@ export class Visit extends SceneFetch<VisitChange> {
   protected override onLost(segment: number): void {
     const unit = this.units.of(segment);
     this.arrived.add(unit);
-    const { chunk: row, isHead } = this.units.units[unit]!;
+    const { row, isHead } = this.units.units[unit]!;
     if (isHead && segment >= 0) this.onUndecodable(this.index.rows.chunks[row]!);
   }
 

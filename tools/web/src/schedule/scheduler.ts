@@ -11,12 +11,12 @@ export const EVICTED_SECONDS = 1;
 
 /** A segment or unread page that a client may fetch; units of an index are in file order. */
 export interface Unit {
-  /** Chunk of the segment, or row of the page; −1 for segments of no chunk, for example of codebooks. */
-  readonly chunk: number;
+  /** Row in `SceneRows` of the chunk or page; −1 for segments of no chunk, for example of codebooks. */
+  readonly row: number;
   /** Whether it is the head of the chunk, or the page. */
   readonly isHead: boolean;
   /** Place of the unit: in the root the end of the segment in the file, bytes (docs/streaming.md, 7). */
-  readonly end: number;
+  readonly place: number;
   readonly size: number;
   /** Units without which this one is useless: codebooks, and for a head that of the parent chunk. */
   readonly dependencies: readonly number[];
@@ -67,8 +67,8 @@ export class Scheduler {
     private readonly units: readonly Unit[],
     private readonly splats: ArrayLike<number>,
   ) {
-    units.forEach(({ chunk, isHead }, at) => {
-      if (isHead) this.heads.set(chunk, at);
+    units.forEach(({ row, isHead }, at) => {
+      if (isHead) this.heads.set(row, at);
     });
   }
 
@@ -77,9 +77,9 @@ export class Scheduler {
    * its place.
    */
   urgency(ratios: Float64Array): Float64Array {
-    return Float64Array.from(this.units, ({ chunk, end }) => {
-      const ratio = chunk >= 0 ? ratios[chunk]! : 1;
-      return (ratio * Math.min(ratio, 1)) / (end * end);
+    return Float64Array.from(this.units, ({ row, place }) => {
+      const ratio = row >= 0 ? ratios[row]! : 1;
+      return (ratio * Math.min(ratio, 1)) / (place * place);
     });
   }
 
@@ -154,10 +154,10 @@ class Round {
     for (const [chunk, head] of this.heads) {
       const held = this.isHeld(head);
       if (held) this.heldSplats += this.splats[chunk]!;
-      worths.set(chunk, this.urgency[head]! * this.units[head]!.end * (held ? HELD_FACTOR : 1));
+      worths.set(chunk, this.urgency[head]! * this.units[head]!.place * (held ? HELD_FACTOR : 1));
       parents.set(
         chunk,
-        this.units[head]!.dependencies.map((unit) => this.units[unit]!.chunk).find((parent) => parent >= 0),
+        this.units[head]!.dependencies.map((unit) => this.units[unit]!.row).find((parent) => parent >= 0),
       );
     }
     // Parents precede their children.
@@ -250,10 +250,10 @@ class Round {
       this.skipped.add(units[units.length - 1]!);
       return;
     }
-    const { chunk, isHead } = this.units[first]!;
+    const { row, isHead } = this.units[first]!;
     if (isHead) {
-      this.makeRoom(this.splats[chunk]!);
-      this.heldSplats += this.splats[chunk]!;
+      this.makeRoom(this.splats[row]!);
+      this.heldSplats += this.splats[row]!;
     }
     this.inFlight.add(first);
     this.bytesInFlight += this.missingBytes(first);
@@ -262,11 +262,11 @@ class Round {
 
   /** Stop a unit in flight. */
   private stop(unit: number): void {
-    const { chunk, isHead } = this.units[unit]!;
+    const { row, isHead } = this.units[unit]!;
     this.inFlight.delete(unit);
     this.bytesInFlight -= this.missingBytes(unit);
     this.stopped.push(unit);
-    if (isHead) this.heldSplats -= this.splats[chunk]!;
+    if (isHead) this.heldSplats -= this.splats[row]!;
   }
 
   /**
@@ -285,7 +285,7 @@ class Round {
   private evict(chunk: number): void {
     this.evicted.set(chunk, this.worths.get(chunk)!);
     this.units.forEach((part, unit) => {
-      if (part.chunk !== chunk) return;
+      if (part.row !== chunk) return;
       if (this.inFlight.has(unit)) this.stop(unit);
       else if (this.arrived.delete(unit) && part.isHead) this.heldSplats -= this.splats[chunk]!;
       this.received.delete(unit);
@@ -302,8 +302,8 @@ class Round {
 
   /** Return whether a unit is missing, and of a chunk to hold or of none. */
   private isWanted(unit: number): boolean {
-    const { chunk } = this.units[unit]!;
-    return !this.isHeld(unit) && (chunk < 0 || this.target === undefined || this.target.has(chunk));
+    const { row } = this.units[unit]!;
+    return !this.isHeld(unit) && (row < 0 || this.target === undefined || this.target.has(row));
   }
 
   /** Return the missing dependencies of a unit, then the unit. */

@@ -24,13 +24,13 @@ from . import canonical_msgpack, layout
 from . import root as cogs_root
 from .index_tables import HASH_BYTES, ChunkTable, SegmentTable
 from .layout import SegmentKind
-from .page_tree import IndexNode, PagePlace, in_file_order, read_node, root_node
+from .page_tree import Index, PagePlace, in_file_order, read_page, root_index
 from .root import Root
 from .segment_rows import I64, IndexRows, find_rows
 
 
 @dataclass(frozen=True, eq=False)
-class Index:
+class SceneIndex:
     """Tables of a file: root, segments and chunks, and the segments of each chunk.
 
     A row is an index into `segments`; -1 stands for a segment that is absent, or whose page was not
@@ -42,9 +42,9 @@ class Index:
         Root of the file.
     file_length : int
         Length of the file according to the preamble, bytes.
-    nodes : sequence of IndexNode
+    indices : sequence of Index
         Root and pages that were read, in file order.
-    gap : PagePlace or None
+    first_unread : PagePlace or None
         First page in file order that was not read.
     segments : SegmentTable
         Segments of the root and of all pages that were read.
@@ -76,8 +76,8 @@ class Index:
 
     root: Root
     file_length: int
-    nodes: Sequence[IndexNode]
-    gap: PagePlace | None
+    indices: Sequence[Index]
+    first_unread: PagePlace | None
     segments: SegmentTable
     chunks: ChunkTable
     offsets: I64
@@ -103,24 +103,24 @@ class Index:
     def subtrees(self) -> list[tuple[int, int]]:
         """First and end number of the chunks below each page that was read, in file order."""
         return [
-            (node.first_chunk, node.first_chunk + node.tables.extent.chunks)
-            for node in self.nodes
-            if node.path
+            (index.first_chunk, index.first_chunk + index.tables.extent.chunks)
+            for index in self.indices
+            if index.path
         ]
 
-    def node(self, path: tuple[int, ...]) -> IndexNode | None:
+    def at(self, path: tuple[int, ...]) -> Index | None:
         """Return the index with a path; None where it was not read, or is not in the file."""
-        return next((node for node in self.nodes if node.path == path), None)
+        return next((index for index in self.indices if index.path == path), None)
 
-    def whole(self) -> Index:
+    def whole(self) -> SceneIndex:
         """Return this index; `LazyIndex.whole` reads the missing pages first."""
         return self
 
-    def for_path(self, path: tuple[int, ...]) -> Index:
+    def for_path(self, path: tuple[int, ...]) -> SceneIndex:
         """Return this index; `LazyIndex.for_path` reads the pages of the path first."""
         return self
 
-    def for_description(self, *, pictures: bool) -> Index:
+    def for_description(self, *, pictures: bool) -> SceneIndex:
         """Return this index; `LazyIndex.for_description` reads a page first for `pictures`."""
         return self
 
@@ -134,7 +134,7 @@ class RootExtent:
     file_length: int
 
 
-def read_index(source: Source, *, partial: bool) -> Index:
+def read_scene_index(source: Source, *, partial: bool) -> SceneIndex:
     """Read and check preamble, root and all pages; raises as `reader.open_cogs`.
 
     Parameters
@@ -150,7 +150,7 @@ def read_index(source: Source, *, partial: bool) -> Index:
         tree.read(lambda page: has_range(source, page.start, page.length), up_to_gap=True)
         return tree.up_to_first_gap()
     tree.read(lambda page: True)
-    return tree.index()
+    return tree.scene_index()
 
 
 def read_root(source: Source, *, partial: bool) -> RootExtent:
@@ -278,9 +278,9 @@ class IndexTree:
         self._opacities: dict[int, Sequence[int]] = {}
         self._view_tables: dict[tuple[int, ...], int] = {}
         self._pictures: Mapping[str, int] = {}
-        self._nodes: list[IndexNode] = []
+        self._indices: list[Index] = []
         self._unread: dict[tuple[int, ...], PagePlace] = {}
-        self._root_rows = self._add(root_node(extent.root.tables, extent.root_end))
+        self._root_rows = self._add(root_index(extent.root.tables, extent.root_end))
 
     @property
     def unread(self) -> list[PagePlace]:
@@ -288,9 +288,9 @@ class IndexTree:
         return sorted(self._unread.values(), key=lambda page: page.start)
 
     @property
-    def nodes(self) -> Sequence[IndexNode]:
+    def indices(self) -> Sequence[Index]:
         """Root and pages that were read, in file order."""
-        return in_file_order(self._nodes)
+        return in_file_order(self._indices)
 
     def read(self, is_wanted: Callable[[PagePlace], bool], *, up_to_gap: bool = False) -> None:
         """Read the unread pages that are wanted, and then those below.
@@ -314,7 +314,7 @@ class IndexTree:
             with prefetching(self._source, [(page.start, page.length) for page in pages]):
                 for page in pages:
                     try:
-                        self._add(_read_page(self._source, page))
+                        self._add(_fetch_page(self._source, page))
                     except CogsplatError as error:
                         faults[page.path] = error
         for page in self.unread:
@@ -323,16 +323,16 @@ class IndexTree:
             if up_to_gap:
                 return
 
-    def _add(self, node: IndexNode) -> IndexRows:
+    def _add(self, index: Index) -> IndexRows:
         """Add an index after a check of its segments and chunks."""
-        rows = find_rows(self._source.name, self._extent.root, node)
-        tables = node.tables
-        own = slice(node.first_segment, node.first_segment + len(tables.segments))
+        rows = find_rows(self._source.name, self._extent.root, index)
+        tables = index.tables
+        own = slice(index.first_segment, index.first_segment + len(tables.segments))
         for field in fields(SegmentTable):
             getattr(self._segments, field.name)[own] = getattr(tables.segments, field.name)
         lengths = tables.segments.length.astype(np.int64)
-        self._offsets[own] = node.end + np.cumsum(lengths) - lengths
-        chunks = slice(node.first_chunk, node.first_chunk + len(tables.chunks))
+        self._offsets[own] = index.end + np.cumsum(lengths) - lengths
+        chunks = slice(index.first_chunk, index.first_chunk + len(tables.chunks))
         for field in fields(ChunkTable):
             getattr(self._chunks, field.name)[chunks] = getattr(tables.chunks, field.name)
         for name, column in self._rows.items():
@@ -340,25 +340,25 @@ class IndexTree:
         self._opacities.update(rows.opacities)
         self._pictures = rows.pictures or self._pictures
         if rows.view_table >= 0:
-            self._view_tables[node.path] = rows.view_table
-        self._nodes.append(node)
-        self._unread.pop(node.path, None)
-        self._unread.update({page.path: page for page in node.pages()})
+            self._view_tables[index.path] = rows.view_table
+        self._indices.append(index)
+        self._unread.pop(index.path, None)
+        self._unread.update({page.path: page for page in index.pages()})
         return rows
 
-    def index(self) -> Index:
+    def scene_index(self) -> SceneIndex:
         """Return an index of all that was read; other rows are placeholders."""
-        return self._index(self.nodes, len(self._segments), len(self._chunks))
+        return self._scene_index(self.indices, len(self._segments), len(self._chunks))
 
-    def up_to_first_gap(self) -> Index:
+    def up_to_first_gap(self) -> SceneIndex:
         """Return an index of all that was read and stands before the first page that was not."""
         if not self._unread:
-            return self.index()
+            return self.scene_index()
         first = self.unread[0]
-        nodes = [node for node in self.nodes if node.start < first.start]
-        return self._index(nodes, first.first_segment, first.first_chunk)
+        indices = [index for index in self.indices if index.start < first.start]
+        return self._scene_index(indices, first.first_segment, first.first_chunk)
 
-    def _index(self, nodes: Sequence[IndexNode], segments: int, chunks: int) -> Index:
+    def _scene_index(self, indices: Sequence[Index], segments: int, chunks: int) -> SceneIndex:
         """Return an index of some indices and of the first rows of the tables."""
         table = SegmentTable(
             *(getattr(self._segments, f.name)[:segments] for f in fields(SegmentTable))
@@ -367,11 +367,11 @@ class IndexTree:
             *(getattr(self._chunks, f.name)[:chunks] for f in fields(ChunkTable))
         )
         unread, rows, found = self.unread, self._root_rows, self._rows
-        return Index(
+        return SceneIndex(
             root=self._extent.root,
             file_length=self._extent.file_length,
-            nodes=nodes,
-            gap=unread[0] if unread else None,
+            indices=indices,
+            first_unread=unread[0] if unread else None,
             segments=table,
             chunks=chunk_table,
             offsets=self._offsets[:segments],
@@ -390,10 +390,10 @@ class IndexTree:
         )
 
 
-def _read_page(source: Source, page: PagePlace) -> IndexNode:
+def _fetch_page(source: Source, page: PagePlace) -> Index:
     """Read and check a page."""
     data = source.read(page.start, page.length)
     if zlib.crc32(data) != page.crc and isinstance(source, RemoteSource):
         # A cache may hold bytes of another version of the file (SPEC 8.8).
         data = source.reread(page.start, page.length)
-    return read_node(page, data, source.name)
+    return read_page(page, data, source.name)
