@@ -31,7 +31,6 @@ from .open_file import open_source
 from .packing import folder_files
 from .reader import CogsFile, open_cogs
 from .root import parse_root, root_map
-from .table_rows import concatenate, take
 from .writer import lay_out_index, plan_of_file, segment_table
 
 _DESCRIPTION_KEYS: Final = frozenset(field.name for field in fields(Description))
@@ -199,7 +198,9 @@ def described_source(
     pieces: list[Piece] = []
     added = segment_table(new)
     plan = plan_of_file(file.indices, kept, added.kind)
-    for part in lay_out_index(root, concatenate([take(file.segments, kept), added]), plan):
+    for part in lay_out_index(
+        root, SegmentTable.concatenate([file.segments.take(kept), added]), plan
+    ):
         pieces.append(Piece(BytesSource(part.index), 0, len(part.index)))
         for row in part.rows:
             if row < len(kept):

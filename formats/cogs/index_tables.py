@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Final, Self, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,17 +17,114 @@ from . import canonical_msgpack, layout
 from .canonical_msgpack import Value
 from .msgpack_map import CheckedMap
 
-U32 = NDArray[np.uint32]
-I64 = NDArray[np.int64]
-F32 = NDArray[np.float32]
-F64 = NDArray[np.float64]
-
 HASH_BYTES: Final = 16
 """Bytes of a segment's SHA-256 that are stored (SPEC 5.3)."""
 
 
+Rows = slice | Sequence[int] | NDArray[np.integer]
+"""Rows of a table: a slice or numbers."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """How a file stores a column of a table.
+
+    Parameters
+    ----------
+    dtype : str
+        numpy type of the stored values; in memory, they have it in native byte order.
+    width : int
+        Values per row.
+    is_optional : bool
+        Whether a column of zeros is left out.
+    """
+
+    dtype: str
+    width: int = 1
+    is_optional: bool = False
+
+
+U32 = Annotated[NDArray[np.uint32], Column("<u4")]
+OptionalU32 = Annotated[NDArray[np.uint32], Column("<u4", is_optional=True)]
+Boxes = Annotated[NDArray[np.float32], Column("<f4", width=6)]
+F64 = Annotated[NDArray[np.float64], Column("<f8")]
+
+
 @dataclass(frozen=True, eq=False)
-class SegmentTable:
+class Table:
+    """Arrays of equal length, one for each column of a table of an index.
+
+    The fields of a derived dataclass are the columns, each annotated with its `Column`, in the
+    order of SPEC, in which files have them.
+    """
+
+    COLUMNS: ClassVar[Mapping[str, Column]]
+
+    def __init_subclass__(cls) -> None:
+        hints = get_type_hints(cls, include_extras=True).items()
+        cls.COLUMNS = {name: hint.__metadata__[0] for name, hint in hints if name != "COLUMNS"}
+
+    def __len__(self) -> int:
+        return len(getattr(self, next(iter(self.COLUMNS))))
+
+    @classmethod
+    def zeros(cls, rows: int) -> Self:
+        """Return a table of zeros."""
+        values = {}
+        for name, column in cls.COLUMNS.items():
+            shape = (rows, column.width) if column.width > 1 else rows
+            values[name] = np.zeros(shape, np.dtype(column.dtype).newbyteorder("="))
+        return cls(**values)
+
+    @classmethod
+    def parse(cls, fields: CheckedMap) -> Self:
+        """Remove the columns from a map and return them; the first sets the number of rows.
+
+        Raises
+        ------
+        FormatError
+            ``root-missing``, ``root-type``, ``root-columns``.
+        UnsupportedError
+            ``root-must-understand``.
+        """
+        values: dict[str, NDArray[np.generic]] = {}
+        rows = None
+        for name, column in cls.COLUMNS.items():
+            if column.is_optional and not fields.has(name):
+                continue
+            found = fields.column(name, column.dtype, rows, column.width)
+            values[name] = found.astype(found.dtype.newbyteorder("="))
+            rows = len(found)
+        fields.finish()
+        return replace(cls.zeros(rows or 0), **values)
+
+    def columns(self) -> dict[str, Value]:
+        """Return the table as msgpack columns; optional columns of zeros are left out."""
+        return {
+            name: column_bytes(getattr(self, name), column.dtype)
+            for name, column in self.COLUMNS.items()
+            if not column.is_optional or getattr(self, name).any()
+        }
+
+    def take(self, rows: Rows) -> Self:
+        """Return some of the rows."""
+        return type(self)(**{name: getattr(self, name)[rows] for name in self.COLUMNS})
+
+    def put(self, rows: slice, table: Self) -> None:
+        """Replace rows by those of another table."""
+        for name in self.COLUMNS:
+            getattr(self, name)[rows] = getattr(table, name)
+
+    @classmethod
+    def concatenate(cls, tables: Sequence[Self]) -> Self:
+        """Return the rows of one or more tables behind each other."""
+        return cls(
+            **{name: np.concatenate([getattr(t, name) for t in tables]) for name in cls.COLUMNS}
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentTable(Table):
     """Segments of an index in file order, one row each (SPEC 5.3).
 
     Parameters
@@ -45,26 +143,16 @@ class SegmentTable:
         Bit mask of the codebooks needed to decode the segment.
     """
 
-    kind: NDArray[np.uint8]
+    kind: Annotated[NDArray[np.uint8], Column("u1")]
     owner: U32
     length: U32
     crc: U32
-    hash: NDArray[np.uint8]
+    hash: Annotated[NDArray[np.uint8], Column("u1", width=HASH_BYTES)]
     needs: U32
-
-    def __len__(self) -> int:
-        return len(self.kind)
-
-
-def no_segments() -> SegmentTable:
-    """Return a segment table without rows."""
-    none = np.zeros(0, np.uint32)
-    kinds = np.zeros(0, np.uint8)
-    return SegmentTable(kinds, none, none, none, np.zeros((0, HASH_BYTES), np.uint8), none)
 
 
 @dataclass(frozen=True, eq=False)
-class ChunkTable:
+class ChunkTable(Table):
     """Chunks of an index in order, one row each (SPEC 5.4).
 
     Parameters
@@ -85,20 +173,17 @@ class ChunkTable:
     """
 
     splats: U32
-    box: NDArray[np.float32]
-    contribution: NDArray[np.float64]
-    layer: U32
-    cell: U32
-    object: U32
-    quality: NDArray[np.float32]
-    until: U32
-
-    def __len__(self) -> int:
-        return len(self.splats)
+    box: Boxes
+    contribution: F64
+    layer: OptionalU32
+    cell: OptionalU32
+    object: OptionalU32
+    quality: Annotated[NDArray[np.float32], Column("<f4", is_optional=True)]
+    until: OptionalU32
 
 
 @dataclass(frozen=True, eq=False)
-class PageTable:
+class PageTable(Table):
     """Pages that an index lists, one row each; a row counts all that is below its page (SPEC 5.6).
 
     Parameters
@@ -109,7 +194,7 @@ class PageTable:
         CRC-32 of the page.
     segments, chunks : (p,) uint32
         Numbers of segments and chunks below the page.
-    span : (p,) int64
+    span : (p,) uint64
         Total length of the segments and pages below the page, which follow it, bytes.
     splats : (p,) uint32
         Number of splats below the page.
@@ -125,30 +210,11 @@ class PageTable:
     crc: U32
     segments: U32
     chunks: U32
-    span: I64
+    span: Annotated[NDArray[np.uint64], Column("<u8")]
     splats: U32
-    box: F32
+    box: Boxes
     contribution: F64
-    cell: U32
-
-    def __len__(self) -> int:
-        return len(self.length)
-
-
-def no_pages() -> PageTable:
-    """Return a page table without rows."""
-    none = np.zeros(0, np.uint32)
-    return PageTable(
-        none,
-        none,
-        none,
-        none,
-        np.zeros(0, np.int64),
-        none,
-        np.zeros((0, 6), np.float32),
-        np.zeros(0),
-        none,
-    )
+    cell: OptionalU32
 
 
 @dataclass(frozen=True)
@@ -200,61 +266,14 @@ def column_bytes(values: NDArray[np.generic], dtype: str) -> bytes:
     return np.ascontiguousarray(values).astype(dtype).tobytes()
 
 
-def segment_columns(table: SegmentTable) -> dict[str, Value]:
-    """Return a segment table as msgpack columns."""
-    return {
-        "kind": column_bytes(table.kind, "u1"),
-        "owner": column_bytes(table.owner, "<u4"),
-        "length": column_bytes(table.length, "<u4"),
-        "crc": column_bytes(table.crc, "<u4"),
-        "hash": column_bytes(table.hash, "u1"),
-        "needs": column_bytes(table.needs, "<u4"),
-    }
-
-
-def chunk_columns(table: ChunkTable) -> dict[str, Value]:
-    """Return a chunk table as msgpack columns; optional columns of zeros are left out."""
-    value: dict[str, Value] = {
-        "splats": column_bytes(table.splats, "<u4"),
-        "box": column_bytes(table.box, "<f4"),
-        "contribution": column_bytes(table.contribution, "<f8"),
-    }
-    for name in ("layer", "cell", "object"):
-        column = getattr(table, name)
-        if column.any():
-            value[name] = column_bytes(column, "<u4")
-    if table.quality.any():
-        value["quality"] = column_bytes(table.quality, "<f4")
-    if table.until.any():
-        value["until"] = column_bytes(table.until, "<u4")
-    return value
-
-
-def page_columns(table: PageTable) -> dict[str, Value]:
-    """Return a page table as msgpack columns; a column of cells that are all 0 is left out."""
-    value: dict[str, Value] = {
-        "length": column_bytes(table.length, "<u4"),
-        "crc": column_bytes(table.crc, "<u4"),
-        "segments": column_bytes(table.segments, "<u4"),
-        "chunks": column_bytes(table.chunks, "<u4"),
-        "span": column_bytes(table.span, "<u8"),
-        "splats": column_bytes(table.splats, "<u4"),
-        "box": column_bytes(table.box, "<f4"),
-        "contribution": column_bytes(table.contribution, "<f8"),
-    }
-    if table.cell.any():
-        value["cell"] = column_bytes(table.cell, "<u4")
-    return value
-
-
 def pack_page(tables: IndexTables) -> bytes:
     """Encode a page."""
     value: dict[str, Value] = {
-        "segments": segment_columns(tables.segments),
-        "chunks": chunk_columns(tables.chunks),
+        "segments": tables.segments.columns(),
+        "chunks": tables.chunks.columns(),
     }
     if len(tables.pages):
-        value["pages"] = page_columns(tables.pages)
+        value["pages"] = tables.pages.columns()
     return canonical_msgpack.pack(value)
 
 
@@ -275,15 +294,9 @@ def parse_segments(value: Value, where: str) -> SegmentTable:
     UnsupportedError
         ``segment-kind-unknown``, ``root-must-understand``.
     """
-    table = CheckedMap(value, f"{where}, segments", "5.3")
-    kind = table.column("kind", "u1", None).astype(np.uint8)
-    rows = len(kind)
-    owner = table.column("owner", "<u4", rows)
-    length = table.column("length", "<u4", rows)
-    crc = table.column("crc", "<u4", rows)
-    digest = table.column("hash", "u1", rows, HASH_BYTES)
-    needs = table.column("needs", "<u4", rows)
-    table.finish()
+    fields = CheckedMap(value, f"{where}, segments", "5.3")
+    table = SegmentTable.parse(fields)
+    kind = table.kind
     known = [int(k) for k in layout.SegmentKind]
     unknown = np.flatnonzero((kind < layout.SKIPPABLE_KIND) & ~np.isin(kind, known))
     if len(unknown):
@@ -292,58 +305,39 @@ def parse_segments(value: Value, where: str) -> SegmentTable:
             f"{where}, segment {unknown[0]}: kind {kind[unknown[0]]}, expected {known} or "
             f"{layout.SKIPPABLE_KIND} and above (SPEC 5.2)",
         )
-    if rows and int(length.min()) == 0:
-        raise table.error("length", "a segment of 0 bytes, expected at least 1")
-    return SegmentTable(
-        kind,
-        owner.astype(np.uint32),
-        length.astype(np.uint32),
-        crc.astype(np.uint32),
-        digest.astype(np.uint8).reshape(rows, HASH_BYTES),
-        needs.astype(np.uint32),
-    )
+    if not table.length.all():
+        raise fields.error("length", "a segment of 0 bytes, expected at least 1")
+    return table
 
 
 def parse_chunks(value: Value, where: str) -> ChunkTable:
     """Parse and check a chunk table; raises as `parse_segments`."""
-    table = CheckedMap(value, f"{where}, chunks", "5.4")
-    splats = table.column("splats", "<u4", None).astype(np.uint32)
-    rows = len(splats)
-    box = table.column("box", "<f4", rows, 6).astype(np.float32).reshape(rows, 6)
-    contribution = table.column("contribution", "<f8", rows).astype(np.float64)
-    optional = {
-        name: (
-            table.column(name, "<u4", rows).astype(np.uint32)
-            if table.has(name)
-            else np.zeros(rows, np.uint32)
-        )
-        for name in ("layer", "cell", "object")
-    }
-    quality = np.zeros(rows, np.float32)
-    if table.has("quality"):
-        quality = table.column("quality", "<f4", rows).astype(np.float32)
-    until = np.zeros(rows, np.uint32)
-    if table.has("until"):
-        until = table.column("until", "<u4", rows).astype(np.uint32)
-    table.finish()
-    if rows and not 1 <= int(splats.min()) <= int(splats.max()) <= MAX_CHUNK_SPLATS:
-        raise table.error(
-            "splats",
-            f"{int(splats.min())} to {int(splats.max())} in a chunk, "
-            f"expected 1 to {MAX_CHUNK_SPLATS}",
-        )
-    _check_boxes(table, box, contribution)
-    if not ((quality >= 0) & (quality <= PSNR_CAP_DB)).all():
-        raise table.error("quality", f"out of range, expected 0 to {PSNR_CAP_DB:g} dB")
-    return ChunkTable(splats, box, contribution, **optional, quality=quality, until=until)
+    fields = CheckedMap(value, f"{where}, chunks", "5.4")
+    table = ChunkTable.parse(fields)
+    _check_range(fields, "splats", table.splats, 1, MAX_CHUNK_SPLATS)
+    _check_boxes(fields, table)
+    if not ((table.quality >= 0) & (table.quality <= PSNR_CAP_DB)).all():
+        raise fields.error("quality", f"out of range, expected 0 to {PSNR_CAP_DB:g} dB")
+    return table
 
 
-def _check_boxes(table: CheckedMap, box: F32, contribution: F64) -> None:
+def _check_range(
+    fields: CheckedMap, name: str, column: NDArray[np.unsignedinteger], low: int, high: int
+) -> None:
+    """Refuse a column with a number out of range."""
+    if len(column) and not low <= int(column.min()) <= int(column.max()) <= high:
+        raise fields.error(
+            name, f"{int(column.min())} to {int(column.max())} in a row, expected {low} to {high}"
+        )
+
+
+def _check_boxes(fields: CheckedMap, table: ChunkTable | PageTable) -> None:
     """Refuse boxes and contributions of chunks or pages that are out of range (SPEC 5.4)."""
+    box, contribution = table.box, table.contribution
     if not (np.isfinite(box).all() and (box[:, :3] <= box[:, 3:]).all()):
-        raise table.error("box", "corners not finite or not ordered, expected minimum, maximum")
+        raise fields.error("box", "corners not finite or not ordered, expected minimum, maximum")
     if not (np.isfinite(contribution).all() and (contribution >= 0).all()):
-        raise table.error("contribution", "not finite or negative, expected 0 or more")
+        raise fields.error("contribution", "not finite or negative, expected 0 or more")
 
 
 def parse_pages(index: CheckedMap, where: str, most: int) -> PageTable:
@@ -359,40 +353,19 @@ def parse_pages(index: CheckedMap, where: str, most: int) -> PageTable:
         Maximum number of rows.
     """
     if not index.has("pages"):
-        return no_pages()
-    table = CheckedMap(index.pop("pages", dict), f"{where}, pages", "5.6")
-    length = table.column("length", "<u4", None).astype(np.uint32)
-    rows = len(length)
-    crc, segments, chunks = (
-        table.column(name, "<u4", rows).astype(np.uint32) for name in ("crc", "segments", "chunks")
-    )
-    span = table.column("span", "<u8", rows).astype(np.uint64)
-    splats = table.column("splats", "<u4", rows).astype(np.uint32)
-    box = table.column("box", "<f4", rows, 6).astype(np.float32).reshape(rows, 6)
-    contribution = table.column("contribution", "<f8", rows).astype(np.float64)
-    cell = np.zeros(rows, np.uint32)
-    if table.has("cell"):
-        cell = table.column("cell", "<u4", rows).astype(np.uint32)
-    table.finish()
-    if rows > most:
-        raise table.error("length", f"{rows} pages, expected at most {most}")
-    for name, column, low, high in (
-        ("length", length, 1, layout.MAX_PAGE_BYTES),
-        ("segments", segments, 1, layout.MAX_SEGMENTS),
-        ("span", span, 1, layout.MAX_FILE_BYTES),
-        ("splats", splats, 0, layout.MAX_SPLATS),
-    ):
-        if rows and not low <= int(column.min()) <= int(column.max()) <= high:
-            raise table.error(
-                name,
-                f"{int(column.min())} to {int(column.max())} of a page, expected {low} to {high}",
-            )
-        if name == "segments" and (chunks > segments).any():
-            raise table.error("chunks", "more chunks than segments below a page")
-    _check_boxes(table, box, contribution)
-    return PageTable(
-        length, crc, segments, chunks, span.astype(np.int64), splats, box, contribution, cell
-    )
+        return PageTable.zeros(0)
+    fields = CheckedMap(index.pop("pages", dict), f"{where}, pages", "5.6")
+    table = PageTable.parse(fields)
+    if len(table) > most:
+        raise fields.error("length", f"{len(table)} pages, expected at most {most}")
+    _check_range(fields, "length", table.length, 1, layout.MAX_PAGE_BYTES)
+    _check_range(fields, "segments", table.segments, 1, layout.MAX_SEGMENTS)
+    if (table.chunks > table.segments).any():
+        raise fields.error("chunks", "more chunks than segments below a page")
+    _check_range(fields, "span", table.span, 1, layout.MAX_FILE_BYTES)
+    _check_range(fields, "splats", table.splats, 0, layout.MAX_SPLATS)
+    _check_boxes(fields, table)
+    return table
 
 
 def parse_page(data: bytes, where: str, most_pages: int) -> IndexTables:

@@ -38,7 +38,6 @@ from .packing import folder_files
 from .reader import CogsFile, open_cogs
 from .root import Root
 from .segment_rows import CHUNK_KINDS, codebook_kinds
-from .table_rows import concatenate, take
 from .view_table_segment import pack_view_table
 from .writer import IndexPlan, Segment, lay_out_index, plan_index, segment_table, table_of_index
 
@@ -153,7 +152,7 @@ def joined_source(files: Sequence[CogsFile], name: str) -> Source:
     plan = plan_index(joint.root, joint.table, joint.parts)
     joint.sort_rows(plan)
     added = [*joint.added, *_add_view_tables(joint, plan)]
-    table = concatenate([joint.table, segment_table(added[len(joint.added) :])])
+    table = SegmentTable.concatenate([joint.table, segment_table(added[len(joint.added) :])])
     kept = len(joint.rows)
     pieces: list[Piece] = []
     for part in lay_out_index(joint.root, table, plan):
@@ -178,7 +177,7 @@ class _Joint:
         _require_alike(files)
         compensations = [file.compensation() for file in files]
         cells = self._cells()
-        chunks = concatenate([self._chunks(file) for file in files])
+        chunks = ChunkTable.concatenate([self._chunks(file) for file in files])
         ranks = np.concatenate([_ranks(file) for file in files])
         layers = np.concatenate([layers_of_chunks(each) for each in compensations])
         least = min(len(each.layers) for each in compensations)
@@ -194,11 +193,11 @@ class _Joint:
         # Place of each chunk, by its number, among those of all parts before pages are formed.
         self.turns: I64 = np.argsort(order)[tree]
         self.parts: I64 = parts[tree]
-        self.chunks: ChunkTable = take(replace(chunks, cell=cells.astype(np.uint32)), tree)
+        self.chunks: ChunkTable = replace(chunks, cell=cells.astype(np.uint32)).take(tree)
         self.compensation = join_compensations(compensations, self.numbers, ROOT_CHUNKS)
         self.rows, own = self._segments()
         self.added = self._added()
-        self.table: SegmentTable = concatenate([own, segment_table(self.added)])
+        self.table: SegmentTable = SegmentTable.concatenate([own, segment_table(self.added)])
 
     @cached_property
     def root(self) -> Root:
@@ -228,7 +227,7 @@ class _Joint:
             return None
         views = {self._viewpoint(whole, row): row for row in range(len(whole.positions))}
         codes = np.zeros((len(whole.positions), file.num_chunks), np.uint8)
-        for node in file.nodes:
+        for node in file.indices:
             table = file.view_table(node.path)
             if table is None:
                 continue
@@ -277,13 +276,13 @@ class _Joint:
         for part, file in enumerate(self.files):
             kinds = _BOOK_KINDS + CHUNK_KINDS if part == 0 else CHUNK_KINDS
             rows = np.flatnonzero(np.isin(file.segments.kind, kinds))
-            kept = take(file.segments, rows)
+            kept = file.segments.take(rows)
             owner = kept.owner.copy()
             of_chunk = np.isin(kept.kind, CHUNK_KINDS)
             owner[of_chunk] = self.numbers[part][owner[of_chunk]]
             tables.append(replace(kept, owner=owner))
             places.append(np.stack([np.full(len(rows), part), rows], axis=1))
-        return np.concatenate(places), concatenate(tables)
+        return np.concatenate(places), SegmentTable.concatenate(tables)
 
     def sort_rows(self, plan: IndexPlan) -> None:
         """Sort the segments of each index: each behind the head that it follows in its part.
@@ -404,7 +403,7 @@ def _ranks(file: CogsFile) -> I64:
     """
     above: dict[tuple[int, ...], int] = {}
     found: list[I64] = []
-    for node in file.nodes:
+    for node in file.indices:
         before = above.get(node.path[:-1], 0) if node.path else 0
         count = len(node.tables.chunks)
         above[node.path] = before + count
@@ -418,7 +417,7 @@ def _last_heads(file: CogsFile) -> I64:
     The search is in the index of the segment; before its first head, that is its first chunk.
     """
     found: list[I64] = []
-    for node in file.nodes:
+    for node in file.indices:
         heads = np.cumsum(node.tables.segments.kind == SegmentKind.HEAD)
         last = max(node.first_chunk + len(node.tables.chunks) - 1, 0)
         found.append(np.minimum(node.first_chunk + np.maximum(heads - 1, 0), last))

@@ -30,14 +30,10 @@ from .index_tables import (
     IndexTables,
     PageTable,
     SegmentTable,
-    chunk_columns,
     column_bytes,
-    no_pages,
-    page_columns,
     parse_chunks,
     parse_pages,
     parse_segments,
-    segment_columns,
 )
 from .msgpack_map import CheckedMap
 
@@ -124,7 +120,7 @@ class Root:
     first_view: Camera | None
     segments: SegmentTable
     chunks: ChunkTable
-    pages: PageTable = field(default_factory=no_pages)
+    pages: PageTable = field(default_factory=lambda: PageTable.zeros(0))
     attributes: Sequence[AttributeType] = field(default=())
     levels: Sequence[Level] = field(default=())
     up: NDArray[np.float64] | None = None
@@ -156,8 +152,8 @@ def root_map(root: Root) -> dict[str, Value]:
         "antialiased": info.antialiased,
         "box": [float(x) for x in root.box],
         "codebooks": [{"attribute": c.attribute, "rows": c.rows} for c in root.codebooks],
-        "segments": segment_columns(root.segments),
-        "chunks": chunk_columns(root.chunks),
+        "segments": root.segments.columns(),
+        "chunks": root.chunks.columns(),
     }
     if root.first_view is not None:
         value["first_view"] = camera_map(root.first_view)
@@ -174,7 +170,7 @@ def root_map(root: Root) -> dict[str, Value]:
             {"chunks": level.chunks, "scale": float(level.scale)} for level in root.levels
         ]
     if len(root.pages):
-        value["pages"] = page_columns(root.pages)
+        value["pages"] = root.pages.columns()
     return {**value, **root.unknown}
 
 

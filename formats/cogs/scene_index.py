@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from cogsplat.formats.storage.source import (
 
 from . import canonical_msgpack, layout
 from . import root as cogs_root
-from .index_tables import HASH_BYTES, ChunkTable, SegmentTable
+from .index_tables import ChunkTable, SegmentTable
 from .layout import SegmentKind
 from .page_tree import Index, PagePlace, in_file_order, read_page, root_index
 from .root import Root
@@ -252,24 +252,9 @@ class IndexTree:
         self._extent = extent
         sums = extent.root.tables.extent
         segments, chunks = sums.segments, sums.chunks
-        self._segments = SegmentTable(
-            np.full(segments, _UNREAD_KIND, np.uint8),
-            np.zeros(segments, np.uint32),
-            np.zeros(segments, np.uint32),
-            np.zeros(segments, np.uint32),
-            np.zeros((segments, HASH_BYTES), np.uint8),
-            np.zeros(segments, np.uint32),
-        )
-        self._chunks = ChunkTable(
-            np.zeros(chunks, np.uint32),
-            np.zeros((chunks, 6), np.float32),
-            np.zeros(chunks),
-            np.zeros(chunks, np.uint32),
-            np.zeros(chunks, np.uint32),
-            np.zeros(chunks, np.uint32),
-            np.zeros(chunks, np.float32),
-            np.zeros(chunks, np.uint32),
-        )
+        self._segments = SegmentTable.zeros(segments)
+        self._segments.kind[:] = _UNREAD_KIND
+        self._chunks = ChunkTable.zeros(chunks)
         self._offsets = np.zeros(segments, np.int64)
         self._rows = {
             name: np.full(chunks, -1, np.int64)
@@ -328,13 +313,11 @@ class IndexTree:
         rows = find_rows(self._source.name, self._extent.root, index)
         tables = index.tables
         own = slice(index.first_segment, index.first_segment + len(tables.segments))
-        for field in fields(SegmentTable):
-            getattr(self._segments, field.name)[own] = getattr(tables.segments, field.name)
+        self._segments.put(own, tables.segments)
         lengths = tables.segments.length.astype(np.int64)
         self._offsets[own] = index.end + np.cumsum(lengths) - lengths
         chunks = slice(index.first_chunk, index.first_chunk + len(tables.chunks))
-        for field in fields(ChunkTable):
-            getattr(self._chunks, field.name)[chunks] = getattr(tables.chunks, field.name)
+        self._chunks.put(chunks, tables.chunks)
         for name, column in self._rows.items():
             column[chunks] = getattr(rows, name)
         self._opacities.update(rows.opacities)
@@ -360,20 +343,14 @@ class IndexTree:
 
     def _scene_index(self, indices: Sequence[Index], segments: int, chunks: int) -> SceneIndex:
         """Return an index of some indices and of the first rows of the tables."""
-        table = SegmentTable(
-            *(getattr(self._segments, f.name)[:segments] for f in fields(SegmentTable))
-        )
-        chunk_table = ChunkTable(
-            *(getattr(self._chunks, f.name)[:chunks] for f in fields(ChunkTable))
-        )
         unread, rows, found = self.unread, self._root_rows, self._rows
         return SceneIndex(
             root=self._extent.root,
             file_length=self._extent.file_length,
             indices=indices,
             first_unread=unread[0] if unread else None,
-            segments=table,
-            chunks=chunk_table,
+            segments=self._segments.take(slice(segments)),
+            chunks=self._chunks.take(slice(chunks)),
             offsets=self._offsets[:segments],
             heads=found["heads"][:chunks],
             tails=found["tails"][:chunks],

@@ -22,7 +22,7 @@ from .camera_segment import pack_cameras
 from .compensation_segment import pack_layer
 from .description import Description
 from .description_segment import pack_segments
-from .index_tables import ChunkTable, no_segments
+from .index_tables import ChunkTable, SegmentTable
 from .layout import SegmentKind
 from .root import CodebookEntry, Level, Root
 from .view_table_segment import pack_view_table
@@ -105,7 +105,7 @@ def build_root(scene: EncodedScene, writer: str, look: FirstLook = NO_LOOK) -> R
         first_view=look.view,
         up=look.up,
         core_box=None if look.core_box is None else _within(look.core_box, scene.box),
-        segments=no_segments(),
+        segments=SegmentTable.zeros(0),
         chunks=table,
         attributes=attribute_types(scene.scene.extras),
         levels=[Level(level.chunks, level.scale) for level in scene.levels],

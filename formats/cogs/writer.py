@@ -27,15 +27,12 @@ from .index_tables import (
     IndexTables,
     PageTable,
     SegmentTable,
-    no_pages,
-    no_segments,
     pack_page,
 )
 from .layout import SegmentKind
 from .page_tree import Index
 from .root import Root
 from .segment_rows import CHUNK_KINDS
-from .table_rows import take
 from .view_table_segment import pack_view_table, unpack_view_table
 
 # Target size of pages in sequence, bytes, for one quick request each; and target number of pages,
@@ -281,7 +278,7 @@ def lay_out_index(root: Root, table: SegmentTable, plan: IndexPlan) -> list[Inde
     """
     parts: list[IndexPart] = []
     pages = _pages(root, table, plan, parts)
-    whole = replace(_listing(root, plan.chunks), segments=take(table, plan.rows), pages=pages)
+    whole = replace(_listing(root, plan.chunks), segments=table.take(plan.rows), pages=pages)
     root_bytes = canonical_msgpack.pack(cogs_root.root_map(whole))
     try:
         cogs_root.parse_root(canonical_msgpack.unpack(root_bytes, "root"), "root")
@@ -303,25 +300,25 @@ def lay_out_index(root: Root, table: SegmentTable, plan: IndexPlan) -> list[Inde
 def _pages(root: Root, table: SegmentTable, plan: IndexPlan, parts: list[IndexPart]) -> PageTable:
     """Return the table of the pages of an index, and append all parts below it in file order."""
     if not plan.pages:
-        return no_pages()
+        return PageTable.zeros(0)
     rows: list[tuple[int, int, Extent, slice]] = []
     for page in plan.pages:
         at = len(parts)
         below = _pages(root, table, page, parts)
-        tables = IndexTables(take(table, page.rows), take(root.chunks, page.chunks), below)
+        tables = IndexTables(table.take(page.rows), root.chunks.take(page.chunks), below)
         data = pack_page(tables)
         if len(data) > layout.MAX_PAGE_BYTES:
             raise ValueError(f"a page of {len(data)} bytes: expected chunks of smaller cells")
         parts.insert(at, IndexPart(data, page.rows))
         rows.append((len(data), zlib.crc32(data), tables.extent, page.chunks_below()))
-    chunks = [take(root.chunks, below) for *_, below in rows]
+    chunks = [root.chunks.take(below) for *_, below in rows]
     extents = [extent for _, _, extent, _ in rows]
     return PageTable(
         length=np.array([length for length, *_ in rows], np.uint32),
         crc=np.array([crc for _, crc, *_ in rows], np.uint32),
         segments=np.array([extent.segments for extent in extents], np.uint32),
         chunks=np.array([extent.chunks for extent in extents], np.uint32),
-        span=np.array([extent.span for extent in extents], np.int64),
+        span=np.array([extent.span for extent in extents], np.uint64),
         splats=np.array([extent.splats for extent in extents], np.uint32),
         box=np.stack([_box_around(each.box) for each in chunks]),
         contribution=np.array([each.contribution.sum() for each in chunks], np.float64),
@@ -425,7 +422,12 @@ _FIRST_VIEW: Final = 288
 
 def _listing(root: Root, chunks: slice) -> Root:
     """Return a root that lists some chunks, and no segments and pages."""
-    return replace(root, segments=no_segments(), chunks=take(root.chunks, chunks), pages=no_pages())
+    return replace(
+        root,
+        segments=SegmentTable.zeros(0),
+        chunks=root.chunks.take(chunks),
+        pages=PageTable.zeros(0),
+    )
 
 
 def _chunk_weights(root: Root, table: SegmentTable) -> list[int]:

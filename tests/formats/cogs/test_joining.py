@@ -83,7 +83,7 @@ def numbers_of(parts, joined):
 def test_the_joined_file_is_whole_and_keeps_every_byte_of_its_parts(parts, joined):
     with opened(parts) as files, cogsplat.open(joined) as whole:
         whole.verify()
-        assert len(whole.nodes) > 1
+        assert len(whole.indices) > 1
         assert whole.root.splats == sum(file.root.splats for file in files)
         assert payloads(whole) == sorted({each for file in files for each in payloads(file)})
         for file, numbers in zip(files, numbers_of(parts, joined), strict=True):
@@ -128,7 +128,7 @@ def test_an_index_of_one_part_has_its_view_table_and_no_other(parts, joined):
     tables = 0
     with cogsplat.open(joined) as whole:
         assert whole.view_table() is None
-        for node in whole.nodes:
+        for node in whole.indices:
             last = node.first_chunk + node.tables.extent.chunks
             below = set(range(node.first_chunk, last))
             table = whole.view_table(node.path)
@@ -193,10 +193,10 @@ def test_parts_that_have_pages_are_joined(tmp_path):
         cogsplat.encode(splats, paths[-1], request=request)
     cogsplat.join(paths, tmp_path / "all.cogs")
     with opened(paths) as files, cogsplat.open(tmp_path / "all.cogs") as whole:
-        assert min(len(file.nodes) for file in files) > 2
+        assert min(len(file.indices) for file in files) > 2
         whole.verify()
         assert payloads(whole) == sorted({each for file in files for each in payloads(file)})
-        for node in whole.nodes[1:]:
+        for node in whole.indices[1:]:
             last = node.first_chunk + node.tables.extent.chunks
             below = whole.chunks.cell[node.first_chunk : last].tolist()
             assert len({f"{cell:b}"[:2] for cell in below}) == 1

@@ -8,7 +8,7 @@ import numpy as np
 from cogsplat.codec.partition.chunk_tree import chunk_tree
 from cogsplat.codec.splats import SceneInfo
 from cogsplat.formats.cogs import layout
-from cogsplat.formats.cogs.index_tables import ChunkTable, SegmentTable, no_segments
+from cogsplat.formats.cogs.index_tables import ChunkTable, SegmentTable
 from cogsplat.formats.cogs.lazy_index import LazyIndex
 from cogsplat.formats.cogs.root import Root
 from cogsplat.formats.cogs.scene_index import read_root
@@ -74,7 +74,9 @@ def city():
         np.zeros(rows, np.uint32),
     )
     box = np.array([-10.0] * 3 + [10.0] * 3)
-    root = Root("test", _CHUNKS * _SPLATS, 1, SceneInfo(), box, [], None, no_segments(), chunks)
+    root = Root(
+        "test", _CHUNKS * _SPLATS, 1, SceneInfo(), box, [], None, SegmentTable.zeros(0), chunks
+    )
     return root, table
 
 

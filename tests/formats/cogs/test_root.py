@@ -16,8 +16,6 @@ from cogsplat.formats.cogs.index_tables import (
     IndexTables,
     PageTable,
     SegmentTable,
-    no_pages,
-    no_segments,
     pack_page,
 )
 from cogsplat.formats.cogs.page_tree import PagePlace, read_page
@@ -47,8 +45,8 @@ def pages(rows):
     numbers = rng.integers(1, 1 << 20, (6, rows), np.uint32)
     box = np.sort(rng.normal(size=(rows, 2, 3)), axis=1).reshape(rows, 6).astype(np.float32)
     return PageTable(
-        numbers[0], numbers[1], numbers[2], numbers[2] // 3, np.full(rows, 1 << 40), numbers[3],
-        box, rng.random(rows), numbers[4],
+        numbers[0], numbers[1], numbers[2], numbers[2] // 3, np.full(rows, 1 << 40, np.uint64),
+        numbers[3], box, rng.random(rows), numbers[4],
     )  # fmt: skip
 
 
@@ -76,7 +74,7 @@ def root(**changes):
     return dataclasses.replace(plain, **changes)
 
 
-ABSENT = {"first_view": None, "up": None, "core_box": None, "pages": no_pages()}
+ABSENT = {"first_view": None, "up": None, "core_box": None, "pages": PageTable.zeros(0)}
 
 
 def again(value):
@@ -119,7 +117,7 @@ def test_what_is_not_there_stays_away():
 
 
 def test_tables_of_no_rows():
-    actual = again(root(segments=no_segments(), chunks=chunks(0)))
+    actual = again(root(segments=SegmentTable.zeros(0), chunks=chunks(0)))
     assert (len(actual.segments), len(actual.chunks)) == (0, 0)
     assert actual.segments.hash.shape == (0, 16)
     assert actual.chunks.box.shape == (0, 6)

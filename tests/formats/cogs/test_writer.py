@@ -13,7 +13,7 @@ from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.codec.splats import SceneInfo
 from cogsplat.formats.cogs import layout, writer
 from cogsplat.formats.cogs import root as cogs_root
-from cogsplat.formats.cogs.index_tables import ChunkTable, no_segments
+from cogsplat.formats.cogs.index_tables import ChunkTable, SegmentTable
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.cogs.root import Root
@@ -33,7 +33,15 @@ def root(count, degree=1, *, layers=False, **changes):
     falling = numbers[::-1].astype(np.float64)
     table = ChunkTable(none + 2, box, falling, extra, extra, extra, quality, none)
     plain = Root(
-        "writer", 2 * count, degree, SceneInfo(), np.zeros(6), [], None, no_segments(), table
+        "writer",
+        2 * count,
+        degree,
+        SceneInfo(),
+        np.zeros(6),
+        [],
+        None,
+        SegmentTable.zeros(0),
+        table,
     )
     return dataclasses.replace(plain, **changes)
 

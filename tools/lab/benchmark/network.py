@@ -24,7 +24,7 @@ import numpy as np
 
 import cogsplat
 from cogsplat.formats.cogs.folder_writer import unpack_cogs
-from cogsplat.formats.cogs.index_tables import no_pages
+from cogsplat.formats.cogs.index_tables import PageTable
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.formats.cogs.root import Root
@@ -175,7 +175,7 @@ def _copies(file: CogsFile, chunks: int) -> tuple[Root, list[Segment]]:
     )
     splats = int(table.splats.sum())
     return replace(
-        file.root, splats=splats, chunks=table, pages=no_pages(), attributes=()
+        file.root, splats=splats, chunks=table, pages=PageTable.zeros(0), attributes=()
     ), segments
 
 
