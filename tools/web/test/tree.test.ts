@@ -188,6 +188,16 @@ function refusedWith(code: string): (error: unknown) => boolean {
   return (error) => error instanceof CogsplatError && error.code === code;
 }
 
+test("a page that breaks a rule is refused each time that it is read, and stays unread", () => {
+  const bytes = vectorBytes("invalid", "page-head");
+  const index = SceneIndex.open(bytes);
+  const page = index.nextPage()!;
+  const read = (): void => index.addPage(page, bytes.slice(page.offset, page.offset + page.length));
+  for (let time = 0; time < 2; time++) assert.throws(read, refusedWith("chunk-heads"));
+  assert.ok(!index.isRead(page));
+  assert.equal(index.nextPage(), page);
+});
+
 test("pages nest three deep", () => {
   const flat = vectorBytes("valid", "compensation");
   assert.ok(new SceneFile(treeFile(flat, chain(5, 3)), kernels()).index.complete);
