@@ -26,6 +26,7 @@ from .description_segment import description_map, pack_segments, parse_descripti
 from .folder_map import MANIFEST_NAME, MANIFEST_SUFFIX
 from .folder_source import names_folder
 from .folder_writer import copy_cogs, unpack_cogs
+from .index_tables import SegmentTable
 from .layout import SegmentKind
 from .open_file import open_source
 from .packing import folder_files
@@ -198,9 +199,8 @@ def described_source(
     pieces: list[Piece] = []
     added = segment_table(new)
     plan = plan_of_file(file.indices, kept, added.kind)
-    for part in lay_out_index(
-        root, SegmentTable.concatenate([file.segments.take(kept), added]), plan
-    ):
+    table = SegmentTable.concatenate([file.segments.take(kept), added])
+    for part in lay_out_index(root, table, plan):
         pieces.append(Piece(BytesSource(part.index), 0, len(part.index)))
         for row in part.rows:
             if row < len(kept):
