@@ -19,6 +19,7 @@ from web_package import build_once
 import cogsplat
 from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.formats.cameras.inria import write_cameras_json
+from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, synth_rooms
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 from cogsplat.tools.main import cli
 
@@ -38,6 +39,22 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> SmallScene:
     config = EncodeConfig(chunk_splats=300, prune=PruneConfig(peak=0.001))
     cogsplat.encode(splats, scene.cogs, cameras=cameras, config=config)
     return scene
+
+
+@pytest.fixture(scope="session")
+def paged_house(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A house of 4 rooms cut by cells: the root and two pages, each with a view table."""
+    from cogsplat.codec.encode.config import EncodeConfig
+
+    path = tmp_path_factory.mktemp("paged") / "house.cogs"
+    config = EncodeConfig(
+        profile="near-lossless", cells=True, chunk_splats=64, order="contribution"
+    )
+    scene, cameras = synth_rooms(4, 8000, sh_degree=1), rooms_cameras(4, views=2)
+    cogsplat.encode(scene, path, cameras=cameras, config=config)
+    with cogsplat.open(path) as file:
+        assert sorted(file.view_table_rows) == [(), (0,), (1,)]
+    return path
 
 
 @pytest.fixture(scope="session")

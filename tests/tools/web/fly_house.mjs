@@ -1,12 +1,13 @@
 // Fly through a house in virtual time, under a budget of splats: `node --expose-gc fly_house.mjs DIST SCENE POSES JSON`.
 //
 // POSES has one pose per tenth of a second; the camera repeats the path forwards and backwards. The output is JSON: splats
-// held, chunks fetched again after an eviction, and the memory at intervals of `heapSeconds`.
+// held, chunks fetched again after an eviction, and the memory at intervals of `heapSeconds`; with `record` also the units
+// and ratios of the scheduler, and its decisions.
 import { readFileSync } from "node:fs";
 import { pathToFileURL } from "node:url";
 
 const [dist, scenePath, posesPath, options] = process.argv.slice(2);
-const { budget, seconds, bytesPerSecond, latency, heapSeconds } = JSON.parse(options);
+const { budget, seconds, bytesPerSecond, latency, heapSeconds, record: isRecorded } = JSON.parse(options);
 /** Milliseconds of virtual time from one event to the next. */
 const STEP = 25;
 
@@ -119,8 +120,46 @@ Scheduler.prototype.decide = function (ratios, holdings) {
   }
   record();
   found.decisions++;
+  if (isRecorded) recordDecision(this, ratios, holdings, decision);
   return decision;
 };
+
+const recorded = [];
+let [lastScheduler, lastRatios, visit] = [];
+
+/** Record a decision; segments and pages by their places in the file, rows by their chunks or pages. */
+function recordDecision(scheduler, ratios, holdings, decision) {
+  const { index, source } = visit;
+  const start = ({ segment }) => (segment < 0 ? index.pages[-1 - segment].offset : source.places.range(segment).offset);
+  const { chunks, pages } = index.rows;
+  const row = (at) => (at < 0 ? null : [pages[at]?.offset ?? -1, chunks[at]]);
+  const starts = scheduler.units.map(start);
+  const entry = {
+    arrived: [...holdings.arrived].map((unit) => starts[unit]),
+    inFlight: [...holdings.inFlight].map((unit) => starts[unit]),
+    received: [...holdings.received].map(([unit, bytes]) => [starts[unit], bytes]),
+    evictedWorths: [...holdings.evictedWorths].map(([at, worth]) => [row(at), worth]),
+    bytesPerSecond: holdings.bytesPerSecond,
+    latency: holdings.latency,
+    stop: decision.stop.map((unit) => starts[unit]),
+    evict: [...decision.evict.keys()].map(row),
+    fetch: decision.fetch.map((unit) => starts[unit]),
+  };
+  if (scheduler !== lastScheduler) {
+    entry.units = scheduler.units.map((unit) => ({
+      ...{ start: start(unit), place: unit.end, size: unit.size, row: row(unit.chunk), isHead: unit.isHead },
+      dependencies: unit.dependencies.map((other) => starts[other]),
+    }));
+    entry.splats = scheduler.splats.map((splats, at) => [row(at), splats]);
+  }
+  if (ratios !== lastRatios) {
+    entry.ratios = [...ratios].map((ratio, at) => [row(at), ratio]);
+    // A table is used when it is read, a moment after it has arrived.
+    entry.tables = [...visit.poseRatios.tables.keys()].map((of) => of.start);
+  }
+  [lastScheduler, lastRatios] = [scheduler, ratios];
+  recorded.push(entry);
+}
 
 const link = new Link(new Uint8Array(readFileSync(scenePath)));
 const poses = JSON.parse(readFileSync(posesPath, "utf8"));
@@ -137,7 +176,7 @@ const pass = async () => {
 while (!isOpen) await pass();
 const scene = await opening;
 const abort = new AbortController();
-const visit = await Visit.begin(scene, {
+visit = await Visit.begin(scene, {
   ...{ format: "packed", splatBudget: budget, signal: abort.signal, compensate: true },
 });
 const drawn = new Map();
@@ -166,5 +205,5 @@ for (let tenth = 0; now - start < 1000 * seconds; ) {
 }
 abort.abort();
 await ended;
-console.log(JSON.stringify({ ...found, bytes: link.sent, fileBytes: link.bytes.length, splats: scene.info.splats }));
-process.exit(0);
+const output = { ...found, recorded, bytes: link.sent, fileBytes: link.bytes.length, splats: scene.info.splats };
+process.stdout.write(JSON.stringify(output), () => process.exit(0));

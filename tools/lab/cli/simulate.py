@@ -424,6 +424,7 @@ def _policy_report(results: _Results, policy: str) -> dict[str, object]:
                 "psnr_db": moment.psnr_db,
                 "ssim": moment.ssim,
                 "wasted_bytes": moment.wasted_bytes,
+                "requests": moment.requests,
             }
             for moment in along
         ],
@@ -485,10 +486,10 @@ def _write_csv(along: dict[str, list[Moment]], path: Path, *, force: bool) -> No
     """Write all moments as CSV."""
     page = io.StringIO()
     lines = csv.writer(page, lineterminator="\n")
-    lines.writerow(("policy", "time_s", "bytes", "psnr_db", "ssim", "wasted_bytes"))
+    lines.writerow(("policy", "time_s", "bytes", "psnr_db", "ssim", "wasted_bytes", "requests"))
     for name, seen in along.items():
         for m in seen:
             figures = f"{m.seconds:.4f}", m.bytes, f"{m.psnr_db:.3f}", f"{m.ssim:.4f}"
-            lines.writerow((name, *figures, m.wasted_bytes))
+            lines.writerow((name, *figures, m.wasted_bytes, m.requests))
     with atomic_write(path, force=force) as file:
         file.write(page.getvalue().encode())

@@ -1,29 +1,30 @@
-"""Ratios of chunks and places of segments below a tree of pages (docs/streaming.md, 4, 7)."""
+"""Ratios of rows and places of units below a tree of pages (docs/streaming.md, 4, 7)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.segments.view_shares import ViewTable
-from cogsplat.formats.cogs.page_tree import Index
+from cogsplat.formats.cogs.layout import SegmentKind
+from cogsplat.formats.cogs.page_tree import IndexNode
 
 from .chunk_ratios import MIN_RATIO, PoseRatios, ratios_from_boxes, ratios_from_view_table
 from .poses import Pose
 
 F64 = NDArray[np.float64]
 
+Path = tuple[int, ...]
+
 # Least share of a page in the contribution of all pages of its index.
 _LEAST_SHARE: Final = 1e-12
 
 
-def index_ratios(
-    indices: Sequence[Index], tables: Mapping[tuple[int, ...], ViewTable]
-) -> PoseRatios:
-    """Return the ratio function of the chunks of all indices of a file.
+class IndexRatios:
+    """Ratios of the chunks and pages of all indices of a file.
 
     Parameters
     ----------
@@ -31,43 +32,54 @@ def index_ratios(
         All indices in file order.
     tables : mapping of tuple of int to ViewTable
         View table of each index that has one, by its path.
-
-    Returns
-    -------
-    PoseRatios
-        Ratio of each chunk: in its index, relative to all chunks and pages that the index lists,
-        times the ratio of the page.
     """
-    own = [_ratios_of(index, tables.get(index.path)) for index in indices]
 
-    def ratios(pose: Pose) -> F64:
-        found: list[F64] = []
-        of_pages: dict[tuple[int, ...], float] = {}
-        for index, ratios_at in zip(indices, own, strict=True):
-            values = ratios_at(pose)
-            if index.path:
-                values = np.maximum(of_pages[index.path] * values, MIN_RATIO)
-            chunks = len(index.tables.chunks)
-            found.append(values[:chunks])
-            for row, value in enumerate(values[chunks:].tolist()):
-                of_pages[(*index.path, row)] = value
-        return np.concatenate(found)
+    def __init__(self, nodes: Sequence[IndexNode], tables: Mapping[Path, ViewTable]) -> None:
+        self._nodes, self._tables = nodes, tables
+        self._known: dict[tuple[Path, bool], PoseRatios] = {}
 
-    return ratios
+    def at(self, pose: Pose, arrived: Collection[Path] | None = None) -> F64:
+        """Return the ratio of each row of `scene_rows.SceneRows` at a pose, (r,) float64.
+
+        Each is relative to all chunks and pages of its index, times the ratio of the index' page.
+
+        Parameters
+        ----------
+        pose : Pose
+        arrived : collection of tuple of int, optional
+            Indices whose tables have arrived; boxes give the ratios of others. By default all.
+        """
+        chunks: list[F64] = []
+        pages: list[F64] = []
+        of_pages: dict[Path, float] = {}
+        for node in self._nodes:
+            has_table = node.path in self._tables and (arrived is None or node.path in arrived)
+            values = self._ratios(node, has_table)(pose)
+            if node.path:
+                values = np.maximum(of_pages[node.path] * values, MIN_RATIO)
+            count = len(node.tables.chunks)
+            chunks.append(values[:count])
+            pages.append(values[count:])
+            of_pages |= {(*node.path, row): value for row, value in enumerate(values[count:])}
+        return np.concatenate([*chunks, *pages])
+
+    def _ratios(self, node: IndexNode, has_table: bool) -> PoseRatios:
+        """Return the ratio function of the chunks and then the pages that an index lists."""
+        key = node.path, has_table
+        if key not in self._known:
+            chunks, pages = node.tables.chunks, node.tables.pages
+            boxes = np.concatenate([chunks.box, pages.box]).astype(np.float64)
+            contribution = np.concatenate([chunks.contribution, pages.contribution])
+            self._known[key] = (
+                ratios_from_view_table(self._tables[node.path], boxes, contribution)
+                if has_table
+                else ratios_from_boxes(boxes, contribution)
+            )
+        return self._known[key]
 
 
-def _ratios_of(index: Index, table: ViewTable | None) -> PoseRatios:
-    """Return the ratio function of the chunks and then the pages that an index lists."""
-    chunks, pages = index.tables.chunks, index.tables.pages
-    boxes = np.concatenate([chunks.box, pages.box]).astype(np.float64)
-    contribution = np.concatenate([chunks.contribution, pages.contribution])
-    if table is None:
-        return ratios_from_boxes(boxes, contribution)
-    return ratios_from_view_table(table, boxes, contribution)
-
-
-def segment_places(indices: Sequence[Index]) -> F64:
-    """Return the place of each segment: where it would end if pages arrived side by side.
+def unit_places(nodes: Sequence[IndexNode]) -> tuple[F64, F64]:
+    """Return the places of all segments and pages: where they would end if pages came in parallel.
 
     Parameters
     ----------
@@ -76,23 +88,28 @@ def segment_places(indices: Sequence[Index]) -> F64:
 
     Returns
     -------
-    (s,) float64
-        Bytes; of segments that the root lists, the offset behind the segment.
+    segments, pages : (s,) float64, (p,) float64
+        Bytes; of segments that the root lists, the offset behind the segment. A view table counts
+        as if it stood at the start of its index. Both in file order.
     """
-    found: list[F64] = []
+    segments: list[F64] = []
+    pages: list[float] = []
     # Place of each page's beginning, and the place that one of its bytes takes.
-    frames: dict[tuple[int, ...], tuple[float, float]] = {(): (0.0, 1.0)}
-    for index in indices:
-        place, weight = frames[index.path]
-        lengths = index.tables.segments.length.astype(np.float64)
-        ends = float(index.end - index.start) + np.cumsum(lengths)
-        found.append(place + weight * ends)
-        behind = place + weight * float(index.segments_end - index.start)
-        contributions = index.tables.pages.contribution.tolist()
+    frames: dict[Path, tuple[float, float]] = {(): (0.0, 1.0)}
+    for node in nodes:
+        place, weight = frames[node.path]
+        lengths = node.tables.segments.length.astype(np.float64)
+        ends = float(node.end - node.start) + np.cumsum(lengths)
+        is_table = node.tables.segments.kind == SegmentKind.VIEW_TABLE
+        segments.append(place + weight * np.where(is_table, lengths, ends))
+        behind = place + weight * float(node.segments_end - node.start)
+        table = node.tables.pages
+        contributions = table.contribution.tolist()
         whole = sum(contributions)
         for row, contribution in enumerate(contributions):
             # Pages without contributions share alike.
             share = max(contribution, _LEAST_SHARE * whole)
             times = whole / share if whole > 0.0 else float(len(contributions))
-            frames[(*index.path, row)] = behind, weight * times
-    return np.concatenate(found)
+            frames[(*node.path, row)] = behind, weight * times
+            pages.append(behind + weight * times * float(table.length[row]))
+    return np.concatenate(segments), np.array(pages, np.float64)

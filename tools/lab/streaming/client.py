@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.formats.cogs.layout import COLOUR_BANDS, SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.tools.lab.scheduling.index_ratios import segment_places
+from cogsplat.tools.lab.scheduling.index_ratios import unit_places
+from cogsplat.tools.lab.scheduling.scene_rows import pages_in_file_order, scene_rows
 from cogsplat.tools.lab.scheduling.scheduler import best_chain
 
 from .traces import Trace
@@ -23,20 +24,30 @@ I64 = NDArray[np.int64]
 DECISION_INTERVAL: Final = 0.1
 """Time between two evaluations of the pose, s (docs/streaming.md, 11)."""
 
-Priorities = Callable[[Camera], F64]
-"""Function from a camera to the urgency of each unit, (u,) float64; 0 if not to be fetched."""
+PAGE: Final = 0
+"""Kind of a unit that is a page; no segment has it (SPEC 5.2)."""
+
+CHUNK_KINDS: Final = (SegmentKind.HEAD, SegmentKind.REFINEMENT, SegmentKind.TAIL)
+"""Kinds of the units that are segments of chunks."""
+
+Priorities = Callable[[Camera, Collection[int]], F64]
+"""Function from a camera and the units present to the urgency of each unit, (u,) float64.
+
+0 if not to be fetched.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """Segments of a file that rendering needs, in the order of the file.
+    """Segments of a file that rendering needs, and its pages, in the order of the file.
 
     Parameters
     ----------
     kind : (u,) int64
-        `SegmentKind` of each unit.
+        `SegmentKind` of each unit, or `PAGE`.
     chunk : (u,) int64
-        Chunk of a head, refinement or tail; -1 for codebooks.
+        Chunk of a head, refinement or tail; row of a page (`scene_rows.SceneRows`); -1 for
+        codebooks and view tables.
     end : (u,) int64
         Offset of the first byte after each unit.
     size_bytes : (u,) int64
@@ -44,9 +55,11 @@ class Units:
     dependencies : list of tuple of int
         Units required to decode or draw each unit: head, head of the parent chunk, codebooks.
     index_bytes : int
-        Size of preamble, root and pages, which are fetched before any unit.
+        Size of preamble and root, which are fetched before any unit.
     places : (u,) float64, optional
         Place of each unit, bytes (docs/streaming.md, 7); by default its end.
+    page_of : (u,) int64, optional
+        Unit of the page that lists each unit, -1 for the root; by default the root lists all.
     """
 
     kind: I64
@@ -56,6 +69,21 @@ class Units:
     dependencies: list[tuple[int, ...]]
     index_bytes: int
     places: F64 | None = None
+    page_of: I64 | None = None
+
+    def listed(self, present: Collection[int]) -> NDArray[np.bool_]:
+        """Return which units the root and the pages present list, (u,) bool."""
+        if self.page_of is None:
+            return np.ones(len(self), np.bool_)
+        return np.isin(self.page_of, [-1, *present])
+
+    def pages_in(self, present: Collection[int]) -> list[int]:
+        """Return the rows of the pages among units."""
+        return [int(self.chunk[unit]) for unit in present if self.kind[unit] == PAGE]
+
+    def tells_more(self, unit: int) -> bool:
+        """Whether urgencies or the units listed change when a unit has arrived."""
+        return bool(self.kind[unit] in (PAGE, SegmentKind.VIEW_TABLE))
 
     @property
     def place(self) -> F64:
@@ -94,11 +122,20 @@ class Arrivals:
         Time at which each unit was complete.
     evicted_at : (u,) float64, optional
         Time at which each unit was evicted, infinite for never; by default never for all.
+    requested_at : (q,) float64, optional
+        Time of each request, ascending; by default each unit had its own.
     """
 
     units: list[int]
     seconds: F64
     evicted_at: F64 | None = None
+    requested_at: F64 | None = None
+
+    def requests_by(self, seconds: float) -> int:
+        """Return the number of requests made until a time, that of the root included."""
+        if self.requested_at is None:
+            return 1 + len(self.fetched_by(seconds))
+        return int(np.searchsorted(self.requested_at, seconds, "right"))
 
     def fetched_by(self, seconds: float) -> list[int]:
         """Return the units fetched until a time, with repetitions."""
@@ -116,38 +153,66 @@ class Arrivals:
 def units_of(file: CogsFile) -> Units:
     """List the fetchable units of a file; of a truncated file only complete chunks count."""
     kinds = file.segments.kind.astype(np.int64)
-    chunk_kinds = [SegmentKind.HEAD, SegmentKind.REFINEMENT, SegmentKind.TAIL]
-    fetched_kinds = [*chunk_kinds, *COLOUR_BANDS, SegmentKind.SHAPE_CODEBOOK]
-    of_chunk = np.isin(kinds, chunk_kinds)
+    fetched_kinds = [
+        *CHUNK_KINDS,
+        *COLOUR_BANDS,
+        SegmentKind.SHAPE_CODEBOOK,
+        SegmentKind.VIEW_TABLE,
+    ]
+    of_chunk = np.isin(kinds, CHUNK_KINDS)
     is_fetchable = ~of_chunk | (file.segments.owner < file.complete_chunks())
     is_fetchable &= np.array([file.is_present(row) for row in range(len(kinds))], np.bool_)
     rows = np.flatnonzero(np.isin(kinds, fetched_kinds) & is_fetchable)
-    rows = rows[np.argsort(file.offsets[rows], kind="stable")]
-    of_chunk = of_chunk[rows]
-    kind, owner = kinds[rows], file.segments.owner[rows].astype(np.int64)
-    chunk = np.where(of_chunk, owner, -1)
+    nodes, scene = file.nodes, scene_rows(file.nodes, file.parents())
+    segment_place, page_place = unit_places(nodes)
+    lengths = file.segments.length.astype(np.int64)
+    node_of = np.repeat(np.arange(len(nodes)), [len(node.tables.segments) for node in nodes])
+    paths = [node.path for node in nodes]
+    # Pages that the source lacks are no units.
+    listed = [
+        (row, node, place)
+        for row, (node, place) in enumerate(pages_in_file_order(nodes))
+        if place.path in paths
+    ]
+    page_rows = np.array([row for row, *_ in listed], np.int64)
+    kind = np.concatenate([kinds[rows], np.full(len(listed), PAGE)])
+    owner = np.where(of_chunk, file.segments.owner.astype(np.int64), -1)[rows]
+    chunk = np.concatenate([owner, scene.chunks + page_rows])
+    size = np.concatenate([lengths[rows], [place.length for *_, place in listed]]).astype(np.int64)
+    starts = np.concatenate([file.offsets[rows], [place.start for *_, place in listed]])
+    end = starts.astype(np.int64) + size
+    places = np.concatenate([segment_place[rows], page_place[page_rows]])
+    listing = np.concatenate([node_of[rows], [paths.index(node.path) for _, node, _ in listed]])
+    order = np.argsort(end, kind="stable")
+    kind, chunk, end, size = kind[order], chunk[order], end[order], size[order]
+    # All pages but the root, in file order, are those of the nodes behind the first.
+    pages = np.array([-1, *np.flatnonzero(kind == PAGE).tolist()], np.int64)
+    page_of = pages[listing[order].astype(np.int64)]
+    dependencies = _dependencies(kind, chunk, scene.parent)
+    # The first segment of the file follows the root.
+    index = int(file.offsets[0]) if len(file.offsets) else file.file_length
+    return Units(kind, chunk, end, size, dependencies, index, places[order], page_of)
+
+
+def _dependencies(kind: I64, chunk: I64, parent: I64) -> list[tuple[int, ...]]:
+    """Return the dependencies of each unit (docs/streaming.md, 7)."""
     heads = {int(chunk[u]): u for u in np.flatnonzero(kind == SegmentKind.HEAD).tolist()}
     shapes = tuple(np.flatnonzero(kind == SegmentKind.SHAPE_CODEBOOK).tolist())
     colours = tuple(np.flatnonzero(np.isin(kind, COLOUR_BANDS)).tolist())
-    parent_of = file.parents()
     dependencies: list[tuple[int, ...]] = []
-    for u in range(len(rows)):
-        if kind[u] == SegmentKind.HEAD:
-            parent = int(parent_of[chunk[u]])
-            dependencies.append(shapes + ((heads[parent],) if parent >= 0 else ()))
-        elif kind[u] == SegmentKind.TAIL:
-            dependencies.append((*colours, heads[int(chunk[u])]))
-        elif kind[u] == SegmentKind.REFINEMENT:
-            dependencies.append((heads[int(chunk[u])],))
+    for of_kind, row in zip(kind.tolist(), chunk.tolist(), strict=True):
+        above = (heads[int(parent[row])],) if row >= 0 and parent[row] >= 0 else ()
+        if of_kind == SegmentKind.HEAD:
+            dependencies.append(shapes + above)
+        elif of_kind == PAGE:
+            dependencies.append(above)
+        elif of_kind == SegmentKind.TAIL:
+            dependencies.append((*colours, heads[row]))
+        elif of_kind == SegmentKind.REFINEMENT:
+            dependencies.append((heads[row],))
         else:
             dependencies.append(())
-    size = file.segments.length[rows].astype(np.int64)
-    end = file.offsets[rows].astype(np.int64) + size
-    # The first segment of the file follows the root.
-    index = int(file.offsets[0]) if len(file.offsets) else file.file_length
-    index += sum(file.page_bytes)
-    places = segment_places(file.indices)[rows]
-    return Units(kind, chunk, end, size, dependencies, index, places)
+    return dependencies
 
 
 def simulate_fetch(units: Units, trace: Trace, link: Link, priorities: Priorities) -> Arrivals:
@@ -174,8 +239,8 @@ def simulate_fetch(units: Units, trace: Trace, link: Link, priorities: Prioritie
     while missing.any():
         # Nothing is chosen before the index has arrived.
         chosen_at = max(now - link.latency, 0.0)
-        urgency = priorities(trace.camera_at(chosen_at))
-        unit = _next_unit(units, urgency, _by_urgency(urgency), missing)
+        urgency = priorities(trace.camera_at(chosen_at), fetched)
+        unit = _next_unit(units, urgency, _by_urgency(urgency, units.listed(fetched)), missing)
         if unit is None:
             if chosen_at >= trace.seconds:
                 break
@@ -188,14 +253,18 @@ def simulate_fetch(units: Units, trace: Trace, link: Link, priorities: Prioritie
     return Arrivals(fetched, np.array(seconds))
 
 
-def fetch_order(units: Units, urgency: F64, present: Sequence[int] = ()) -> list[int]:
+def fetch_order(
+    units: Units, priorities: Priorities, camera: Camera, present: Sequence[int] = ()
+) -> list[int]:
     """Return the order in which a client at a fixed pose fetches its missing units.
 
     Parameters
     ----------
     units : Units
-    urgency : (u,) float64
-        Urgency of each unit at the pose (`Priorities`).
+    priorities : Priorities
+        Urgency of each unit.
+    camera : Camera
+        Pose of the client.
     present : sequence of int
         Units fetched before.
 
@@ -207,18 +276,24 @@ def fetch_order(units: Units, urgency: F64, present: Sequence[int] = ()) -> list
     """
     missing = np.ones(len(units), np.bool_)
     missing[list(present)] = False
-    order = _by_urgency(urgency)
     found: list[int] = []
-    while (unit := _next_unit(units, urgency, order, missing)) is not None:
-        missing[unit] = False
-        found.append(unit)
+    tells_more = True
+    while tells_more:
+        there = [*present, *found]
+        urgency = priorities(camera, there)
+        order = _by_urgency(urgency, units.listed(there))
+        tells_more = False
+        while not tells_more and (unit := _next_unit(units, urgency, order, missing)) is not None:
+            missing[unit] = False
+            found.append(unit)
+            tells_more = units.tells_more(unit)
     return found
 
 
-def _by_urgency(urgency: F64) -> I64:
-    """Return the units of urgency above 0, by falling urgency."""
+def _by_urgency(urgency: F64, is_listed: NDArray[np.bool_]) -> I64:
+    """Return the listed units of urgency above 0, by falling urgency."""
     order = np.argsort(-urgency, kind="stable")
-    return order[urgency[order] > 0.0]
+    return order[(urgency[order] > 0.0) & is_listed[order]]
 
 
 def _next_unit(units: Units, urgency: F64, order: I64, missing: NDArray[np.bool_]) -> int | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,18 +15,25 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import sample_evenly
+from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.tools.lab.scheduling.chunk_ratios import (
-    PoseRatios,
-    ratios_from_boxes,
-    ratios_from_view_table,
-)
-from cogsplat.tools.lab.scheduling.index_ratios import index_ratios
+from cogsplat.tools.lab.scheduling.index_ratios import IndexRatios
 from cogsplat.tools.lab.scheduling.poses import Pose
+from cogsplat.tools.lab.scheduling.scene_rows import scene_rows
 
-from .client import Arrivals, Link, Priorities, Units, fetch_order, simulate_fetch, units_of
+from .client import (
+    CHUNK_KINDS,
+    Arrivals,
+    Link,
+    Priorities,
+    Units,
+    fetch_order,
+    simulate_fetch,
+    units_of,
+)
 from .partial_renderer import PartialRenderer
 from .policies import (
+    ClientRatios,
     by_true_contribution,
     by_urgency,
     file_order,
@@ -95,6 +102,8 @@ class Moment:
         SSIM against the same picture.
     wasted_bytes : int
         Part of `bytes` in chunks that contributed to no picture so far.
+    requests : int
+        Requests made.
     """
 
     seconds: float
@@ -102,6 +111,7 @@ class Moment:
     psnr_db: float
     ssim: float
     wasted_bytes: int
+    requests: int = 0
 
 
 def bytes_until(moments: Sequence[Moment], goal_db: float) -> int | None:
@@ -159,15 +169,14 @@ class Client:
     scene: Splats
 
 
-def _ratios_in_file(file: CogsFile, chunks: int) -> PoseRatios:
-    """Return the ratios of the first chunks of a file, by its view tables that are there."""
+def _stored_tables(file: CogsFile) -> dict[tuple[int, ...], ViewTable]:
+    """Return the view tables of a file that are there, by the path of their index."""
     tables: dict[tuple[int, ...], ViewTable] = {}
     for path, row in file.view_table_rows.items():
         table = file.view_table(path) if file.is_present(row) else None
         if table is not None:
             tables[path] = table
-    ratios = index_ratios(file.indices, tables)
-    return lambda pose: ratios(pose)[:chunks]
+    return tables
 
 
 class Simulation:
@@ -206,57 +215,72 @@ class Simulation:
         self._source, self._peer = source, peer
         self._renderer = PartialRenderer(file, threads, compensate=compensate)
         self._known = sample_evenly(known, TABLE_VIEWS)
-        chunks = slice(0, self._renderer.chunks)
-        row = file.view_table_rows.get(())
-        stored = file.view_table() if row is not None and file.is_present(row) else None
-        if stored is None:
-            self._table = self._measured_table(progress)
-        else:
-            self._table = stored
-        self._boxes = file.chunks.box[chunks].astype(np.float64)
-        self._splats = file.chunks.splats[chunks].astype(np.float64)
-        self._contribution = file.chunks.contribution[chunks].astype(np.float64)
-        # `visit` uses only information in the file, never the measured table.
-        self._visit_ratios = _ratios_in_file(file, self._renderer.chunks)
-        self._ratios = (
-            ratios_from_view_table(self._table, self._boxes, self._contribution)
-            if stored is None
-            else self._visit_ratios
-        )
+        self._rows = scene_rows(file.nodes, file.parents())
+        stored = _stored_tables(file)
+        # `visit` uses only information in the file, never a measured table.
+        self._visit_ratios = self._stored_ratios(file, stored)
+        self._boxes = IndexRatios(file.nodes, {})
+        if () in stored:
+            self.known_views = len(stored[()].positions)
+            self._ratios = self._visit_ratios
+            return
+        self.known_views = len(self._known)
+        measured = IndexRatios(file.nodes, self._measured_tables(file, progress))
+        self._ratios = lambda pose, _: measured.at(pose)
 
-    def _measured_table(self, progress: Progress) -> ViewTable:
-        """Measure the view table from the known views."""
+    def _stored_ratios(
+        self, file: CogsFile, tables: dict[tuple[int, ...], ViewTable]
+    ) -> ClientRatios:
+        """Return the ratios for a client that has some of the view tables."""
+        ratios, units = IndexRatios(file.nodes, tables), self.units
+        starts = {int(file.offsets[row]): path for path, row in file.view_table_rows.items()}
+        unit_starts = (units.end - units.size_bytes).tolist()
+        path_of = {
+            unit: starts[unit_starts[unit]]
+            for unit in np.flatnonzero(units.kind == SegmentKind.VIEW_TABLE).tolist()
+        }
+
+        def of_client(pose: Pose, present: Collection[int]) -> F64:
+            return ratios.at(pose, {path_of[unit] for unit in present if unit in path_of})
+
+        return of_client
+
+    def _measured_tables(
+        self, file: CogsFile, progress: Progress
+    ) -> dict[tuple[int, ...], ViewTable]:
+        """Measure the view tables of all indices from the known views."""
         count = len(self._known)
-        rows = []
+        shares = []
         for number, camera in enumerate(self._known):
             progress("table", number, count)
-            rows.append(self._renderer.chunk_contributions(camera))
+            shares.append(self._rows.with_sums(self._renderer.chunk_contributions(camera)))
         progress("table", count, count)
-        return measured_view_table(self._known, np.stack(rows))
+        columns = np.stack(shares)
+        tables = {}
+        page = self._rows.chunks
+        for node in file.nodes:
+            end, pages = node.first_chunk + len(node.tables.chunks), len(node.tables.pages)
+            of_node = [*range(node.first_chunk, end), *range(page, page + pages)]
+            tables[node.path] = measured_view_table(self._known, columns[:, of_node])
+            page += pages
+        return tables
 
     @property
     def chunks(self) -> int:
         """Number of chunks."""
         return self._renderer.chunks
 
-    @property
-    def known_views(self) -> int:
-        """Number of viewpoints in the view table."""
-        return len(self._table.positions)
-
     def policy(self, name: str) -> Priorities:
         """Return a policy by its name in `POLICIES`."""
-        units, boxes, contribution = self.units, self._boxes, self._contribution
+        units, rows = self.units, self._rows
         makers: dict[str, Callable[[], Priorities]] = {
             "file": lambda: file_order(units),
-            "distance": lambda: nearest_chunks(units, boxes),
-            "sgss": lambda: sgss_chunks(units, boxes, self._splats),
-            "frustum": lambda: by_urgency(units, ratios_from_boxes(boxes, contribution)),
+            "distance": lambda: nearest_chunks(units, rows.box),
+            "sgss": lambda: sgss_chunks(units, rows.box, rows.splats.astype(np.float64)),
+            "frustum": lambda: by_urgency(units, lambda pose, _: self._boxes.at(pose)),
             "views": lambda: by_urgency(units, self._ratios),
             "visit": lambda: by_urgency(units, self._visit_ratios),
-            "oracle": lambda: by_true_contribution(
-                units, self._renderer.chunk_contributions, contribution
-            ),
+            "oracle": lambda: by_true_contribution(units, self._renderer.chunk_contributions, rows),
         }
         return makers[name]()
 
@@ -284,15 +308,16 @@ class Simulation:
 
             return Client(made.units, made.priorities, rows, splats_of_pieces, splats)
         rows_of_units = [
-            self._renderer.rows(chunk) if chunk >= 0 else slice(0, 0)
-            for chunk in units.chunk.tolist()
+            self._renderer.rows(chunk) if kind in CHUNK_KINDS else slice(0, 0)
+            for kind, chunk in zip(units.kind.tolist(), units.chunk.tolist(), strict=True)
         ]
 
         def splats_of_segments(present: Sequence[int], camera: Camera) -> Splats:
             if name == "whole" and len(present) < len(units):
                 return splats.take(slice(0, 0))
             ratios = self._visit_ratios if name == "visit" else self._ratios
-            return self._renderer.splats_of_units(units, present, ratios(Pose.from_camera(camera)))
+            at_pose = ratios(Pose.from_camera(camera), present)
+            return self._renderer.splats_of_units(units, present, at_pose)
 
         priorities = self.policy("file" if name == "whole" else name)
         return Client(units, priorities, rows_of_units, splats_of_segments, splats)
@@ -333,7 +358,7 @@ class Simulation:
             return simulate_fetch(client.units, trace, link, client.priorities)
         return simulate_visit(
             client.units,
-            self._splats.astype(np.int64).tolist(),
+            self._rows.budget_splats,
             self._visit_ratios,
             trace,
             link,
@@ -397,7 +422,8 @@ class Simulation:
                 sizes = client.units.size_bytes[fetched]
                 rows_seen = is_seen[id(client.scene)]
                 unseen = [
-                    client.units.chunk[unit] >= 0 and not rows_seen[client.rows[unit]].any()
+                    client.units.kind[unit] in CHUNK_KINDS
+                    and not rows_seen[client.rows[unit]].any()
                     for unit in fetched
                 ]
                 splats = client.splats_of(arrived.present_at(seconds), camera)
@@ -410,6 +436,7 @@ class Simulation:
                     psnr(picture, reference),
                     ssim(picture, reference),
                     int(sizes[np.array(unseen, np.bool_)].sum()),
+                    arrived.requests_by(seconds),
                 )
                 measured[name].append(moment)
         progress("trace", moments, moments)
@@ -437,7 +464,7 @@ class Simulation:
             progress("views", number, len(views))
             reference = self.reference(camera)
             for name, client in clients.items():
-                order = fetch_order(client.units, client.priorities(camera))
+                order = fetch_order(client.units, client.priorities, camera)
                 sizes = np.cumsum(client.units.size_bytes[order])
                 counts = [int(np.searchsorted(sizes, share * total, "right")) for share in SHARES]
                 pictures = (

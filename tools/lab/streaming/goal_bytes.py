@@ -55,7 +55,7 @@ def bytes_to_hold_goal(
         reference = simulation.reference(camera)
         for name, client in clients.items():
             held = present[name]
-            missing = fetch_order(client.units, client.priorities(camera), held)
+            missing = fetch_order(client.units, client.priorities, camera, held)
 
             def is_enough(count: int) -> bool:
                 splats = client.splats_of([*held, *missing[:count]], camera)  # noqa: B023

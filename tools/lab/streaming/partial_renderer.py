@@ -18,8 +18,9 @@ from cogsplat.codec.splats import Splats
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.tools.lab.scheduling.chunk_ratios import visible_splat_counts
+from cogsplat.tools.lab.scheduling.scene_rows import scene_rows
 
-from .client import Units
+from .client import CHUNK_KINDS, Units
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -49,13 +50,13 @@ class PartialRenderer:
         self._runs = [
             slice(int(end - count), int(end)) for end, count in zip(ends, counts, strict=True)
         ]
-        self._parents = file.parents()
+        self._rows = scene_rows(file.nodes, file.parents())
         self._has_cells = bool(file.chunks.cell.all())
         self._compensation: Compensation | None = file.compensation() if compensate else None
 
     @property
     def chunks(self) -> int:
-        """Number of chunks."""
+        """Number of complete chunks."""
         return len(self._runs)
 
     @property
@@ -102,13 +103,14 @@ class PartialRenderer:
         units : Units
         present : iterable of int
             Units received.
-        ratios : (c,) float64, optional
-            Visibility ratio of each chunk at the pose, for compensation (docs/streaming.md, 10). By
-            default all chunks count fully.
+        ratios : (r,) float64, optional
+            Visibility ratio of each row at the pose, for compensation (docs/streaming.md, 10). By
+            default all rows count fully.
         """
+        there = list(present)
         kinds: dict[int, set[int]] = {}
-        for unit in present:
-            if units.chunk[unit] >= 0:
+        for unit in there:
+            if units.kind[unit] in CHUNK_KINDS:
                 kinds.setdefault(int(units.chunk[unit]), set()).add(int(units.kind[unit]))
         chunks = sorted(chunk for chunk, have in kinds.items() if SegmentKind.HEAD in have)
         is_fine = np.zeros(len(self._fine), np.bool_)
@@ -125,23 +127,32 @@ class PartialRenderer:
         for name in ("means", "scales", "quats", "opacities", "sh0"):
             getattr(out, name)[is_coarse] = getattr(self._coarse, name)[rows[is_coarse]]
         out.shN[~has_tail[rows]] = 0.0
-        return self._compensate(out, chunks, ratios)
+        return self._compensate(out, chunks, units.pages_in(there), ratios)
 
-    def _compensate(self, splats: Splats, chunks: list[int], ratios: F64 | None) -> Splats:
+    def _compensate(
+        self, splats: Splats, chunks: list[int], pages: list[int], ratios: F64 | None
+    ) -> Splats:
         """Apply compensation to the splats of chunks, if the file defines it for this set."""
         if self._compensation is None or not chunks:
             return splats
-        is_prefix = chunks == list(range(len(chunks)))
-        if not is_prefix and not (self._has_cells and has_all_parents(chunks, self._parents)):
-            return splats
-        counts = self._compensation.chunk_splats
-        if ratios is not None:
-            counts = visible_splat_counts(counts, ratios)
         numbers = np.array(chunks, np.int64)
         if not self._has_cells:
+            if chunks != list(range(len(chunks))):
+                return splats
             prefix = np.full(len(chunks), len(chunks), np.int64)
             return self._compensation.apply_per_chunk(splats, numbers, prefix)
-        prefixes = equivalent_prefixes(chunks, self._parents, counts)
-        last = self._compensation.last_chunks
-        parts = descendant_parts(chunks, self._parents, counts, last)
+        # Rows of the chunks and unread pages that the client knows, numbered in file order.
+        known = self._rows.known(pages)
+        place = np.full(len(self._rows) + 1, -1, np.int64)
+        place[known] = np.arange(len(known))
+        parents, held = place[self._rows.parent[known]], place[numbers].tolist()
+        if not has_all_parents(held, parents):
+            return splats
+        counts = self._rows.splats[known]
+        if ratios is not None:
+            counts = visible_splat_counts(counts, ratios[known])
+        first_chunks = np.append(self._rows.first_chunk[known], self._rows.chunks)
+        last = int(np.searchsorted(first_chunks, self._compensation.last_chunks))
+        prefixes = first_chunks[equivalent_prefixes(held, parents, counts)]
+        parts = descendant_parts(held, parents, counts, last)
         return self._compensation.apply_per_chunk(splats, numbers, prefixes, parts)

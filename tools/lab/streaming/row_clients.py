@@ -6,7 +6,7 @@ decoded independently would cost more per splat.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -69,7 +69,11 @@ def antimatter_client(splats: Splats, size_bytes: int, index_bytes: int) -> RowC
     """
     rows = _pieces(baselines.sort_descending(baselines.antimatter(splats)))
     order: F64 = 1.0 / (1.0 + np.arange(len(rows), dtype=np.float64))
-    return RowClient(_units(rows, size_bytes, index_bytes), rows, lambda _: order)
+
+    def priorities(_: Camera, __: Collection[int] = ()) -> F64:
+        return order
+
+    return RowClient(_units(rows, size_bytes, index_bytes), rows, priorities)
 
 
 def sgss_client(
@@ -111,7 +115,7 @@ def sgss_client(
         extents, np.bincount(cells, minlength=len(boxes)).astype(np.float64)
     )
 
-    def priorities(camera: Camera) -> F64:
+    def priorities(camera: Camera, _: Collection[int] = ()) -> F64:
         weight = cell_priorities(Pose.from_camera(camera))
         rank = np.where(weight > 0.0, np.where(weight >= _HIGH_PRIORITY, 2.0, 1.0), 0.0)
         result: F64 = rank[owner] - part + 1.0

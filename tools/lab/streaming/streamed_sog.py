@@ -20,7 +20,7 @@ without a pause, and decoding takes no time.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
@@ -78,7 +78,7 @@ class StreamedSogClient:
     units: Units
     budget_splats: int
 
-    def priorities(self, camera: Camera) -> F64:
+    def priorities(self, camera: Camera, _: Collection[int] = ()) -> F64:
         """Return the priority of each file at a pose; 0 for files that no leaf needs."""
         tree, priorities = self.tree, np.zeros(len(self.rows))
         if tree.environment is not None:

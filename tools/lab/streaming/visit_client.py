@@ -5,7 +5,7 @@ The client follows docs/streaming.md, 7 to 11. Responses share the bandwidth of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -13,17 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.formats.cogs.layout import SegmentKind
-from cogsplat.tools.lab.scheduling.chunk_ratios import PoseRatios, weighted_ratios
+from cogsplat.tools.lab.scheduling.chunk_ratios import weighted_ratios
 from cogsplat.tools.lab.scheduling.poses import Pose, predicted_poses
 from cogsplat.tools.lab.scheduling.scheduler import (
     EVICTED_SECONDS,
     ClientState,
+    Decision,
     Scheduler,
     Unit,
     window_bytes,
 )
 
-from .client import DECISION_INTERVAL, Arrivals, Link, Units
+from .client import CHUNK_KINDS, DECISION_INTERVAL, PAGE, Arrivals, Link, Units
+from .policies import ClientRatios
 from .traces import Trace
 
 F64 = NDArray[np.float64]
@@ -102,7 +104,7 @@ class _State:
 def simulate_visit(
     units: Units,
     splats: Sequence[int],
-    ratios: PoseRatios,
+    ratios: ClientRatios,
     trace: Trace,
     link: Link,
     *,
@@ -115,9 +117,9 @@ def simulate_visit(
     ----------
     units : Units
     splats : sequence of int
-        Splat count of each chunk.
-    ratios : PoseRatios
-        Visibility ratios of the chunks at a pose.
+        Splat count of each chunk, and by which each page counts in a budget.
+    ratios : ClientRatios
+        Visibility ratios of the chunks and pages at a pose.
     trace : Trace
         Camera path; the scene is opened at its start.
     link : Link
@@ -136,6 +138,36 @@ def simulate_visit(
     return run.arrivals()
 
 
+def scheduled_units(units: Units, present: Collection[int]) -> tuple[list[int], list[Unit]]:
+    """Return the units that a client schedules: all listed ones but the pages that it has read.
+
+    Parameters
+    ----------
+    units : Units
+    present : collection of int
+        Units that the client has.
+
+    Returns
+    -------
+    listed, rows : list of int, list of Unit
+        Numbers of the units, and the units as the scheduler takes them.
+    """
+    is_read = (units.kind == PAGE) & np.isin(np.arange(len(units)), list(present))
+    listed = np.flatnonzero(units.listed(present) & ~is_read).tolist()
+    number = {unit: k for k, unit in enumerate(listed)}
+    rows = [
+        Unit(
+            int(units.chunk[unit]),
+            bool(units.kind[unit] in (SegmentKind.HEAD, PAGE)),
+            float(units.place[unit]),
+            int(units.size_bytes[unit]),
+            tuple(number[other] for other in units.dependencies[unit]),
+        )
+        for unit in listed
+    ]
+    return listed, rows
+
+
 class _Run:
     """Event loop of one simulated visit."""
 
@@ -143,7 +175,7 @@ class _Run:
         self,
         units: Units,
         splats: Sequence[int],
-        ratios: PoseRatios,
+        ratios: ClientRatios,
         trace: Trace,
         link: Link,
         budget_splats: int,
@@ -152,25 +184,20 @@ class _Run:
         self._units, self._splats, self._ratios_at = units, splats, ratios
         self._trace, self._link, self._browser = trace, link, browser
         self._budget = budget_splats
-        heads = (units.kind == SegmentKind.HEAD).tolist()
-        rows = zip(
-            units.chunk.tolist(),
-            heads,
-            units.place.tolist(),
-            units.size_bytes.tolist(),
-            units.dependencies,
-            strict=True,
-        )
-        self._scheduler = Scheduler([Unit(*row) for row in rows], splats)
         self._sizes: list[int] = units.size_bytes.tolist()
         self._state = _State()
         self._rate = link.bits_per_second / 8.0
+        self._scheduler: Scheduler | None = None
+        # Units that the scheduler knows, by their numbers there, and back.
+        self._listed: list[int] = []
+        self._number: dict[int, int] = {}
         self._ratios: F64 | None = None
         self._decided_at = -np.inf
         self._decoder_free_at = browser.decoder_seconds
         self._fetched: list[int] = []
         self._seconds: list[float] = []
         self._evicted_at: list[float] = []
+        self._requested_at: list[float] = [browser.start_seconds]
 
     def arrivals(self) -> Arrivals:
         """Run the simulation."""
@@ -191,6 +218,7 @@ class _Run:
             [self._fetched[k] for k in order.tolist()],
             usable_at[order],
             np.array(self._evicted_at)[order],
+            np.array(self._requested_at),
         )
 
     def _usable_at(self) -> F64:
@@ -239,28 +267,46 @@ class _Run:
 
     def _decide(self, now: float) -> None:
         """Run the scheduler and execute its decision."""
+        if self._scheduler is None:
+            self._scheduler = self._enter_indices()
         if self._ratios is None or (
             now - self._decided_at >= DECISION_INTERVAL and self._is_moving(now)
         ):
             before = self._pose(now - _OBSERVED_SECONDS)
             poses = predicted_poses(self._pose(now), before, _OBSERVED_SECONDS)
-            self._ratios, self._decided_at = weighted_ratios(self._ratios_at, poses), now
-        decision = self._scheduler.decide(self._ratios, self._client_state(now))
+            present = self._state.present
+            self._ratios = weighted_ratios(lambda pose: self._ratios_at(pose, present), poses)
+            self._decided_at = now
+        decision = self._decision(self._scheduler, self._ratios, now)
         if self._abort(decision.abort) > len(decision.abort):
             self._evict(decision.evict, now)
-            decision = self._scheduler.decide(self._ratios, self._client_state(now))
+            decision = self._decision(self._scheduler, self._ratios, now)
             self._abort(decision.abort)
         self._evict(decision.evict, now)
         self._request(decision.fetch, now)
         if self._state.buffered.intersection(decision.fetch):
             self._decide(now)
 
+    def _enter_indices(self) -> Scheduler:
+        """Return a scheduler of the units that the root and the pages read list."""
+        self._listed, rows = scheduled_units(self._units, self._state.present)
+        self._number = {unit: number for number, unit in enumerate(self._listed)}
+        return Scheduler(rows, self._splats)
+
+    def _decision(self, scheduler: Scheduler, ratios: F64, now: float) -> Decision:
+        """Return the scheduler's decision, for the units of the file."""
+        decision = scheduler.decide(ratios, self._client_state(now))
+        abort, fetch = (
+            [self._listed[k] for k in found] for found in (decision.abort, decision.fetch)
+        )
+        return Decision(abort, decision.evict, fetch)
+
     def _client_state(self, now: float) -> ClientState:
         """Return the input of the scheduler."""
-        state = self._state
-        received = {unit: int(size) for unit, size in state.received.items()}
-        in_flight = frozenset([*state.in_flight(), *state.awaited])
-        present = frozenset(state.present)
+        state, number = self._state, self._number
+        received = {number[unit]: int(size) for unit, size in state.received.items()}
+        in_flight = frozenset(number[unit] for unit in [*state.in_flight(), *state.awaited])
+        present = frozenset(number[unit] for unit in state.present if unit in number)
         worths = {
             chunk: worth
             for chunk, (seconds, worth) in state.evicted.items()
@@ -322,6 +368,7 @@ class _Run:
             together.sort()
             received = state.received.get(together[0], 0.0)
             state.requests.append(_Request(together, now + self._link.latency, received))
+            self._requested_at.append(now)
 
     def _is_adjacent(self, together: Sequence[int], unit: int) -> bool:
         """Whether a unit directly precedes or follows a range of units in the file."""
@@ -383,8 +430,10 @@ class _Run:
         """Add a received unit and queue it for decoding."""
         self._state.present.add(unit)
         self._state.awaited.discard(unit)
-        chunk = int(self._units.chunk[unit])
-        rows = self._splats[chunk] if chunk >= 0 else 0
+        if self._units.tells_more(unit):
+            self._scheduler, self._ratios = None, None
+        is_decoded = self._units.kind[unit] in CHUNK_KINDS
+        rows = self._splats[int(self._units.chunk[unit])] if is_decoded else 0
         self._decoder_free_at = (
             max(self._decoder_free_at, now) + rows / self._browser.splats_per_second
         )

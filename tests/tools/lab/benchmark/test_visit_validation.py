@@ -37,9 +37,11 @@ def test_units_follow_from_the_recorded_chunks(house: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("scene", ["house", "paged_house"])
 def test_browser_and_simulation_end_with_the_same_splats(
-    house: Path, monkeypatch: pytest.MonkeyPatch, web_package: Path
+    scene: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, web_package: Path
 ) -> None:
+    house: Path = request.getfixturevalue(scene)
     monkeypatch.setenv("COGSPLAT_CHROMIUM", executable())
     monkeypatch.setattr(visit_validation, "_WEB", web_package)
     with cogsplat.open(house) as file:

@@ -39,7 +39,7 @@ def test_arrival_times_follow_from_bandwidth_and_latency(house_file: CogsFile) -
 def test_units_arrive_after_their_dependencies(house_file: CogsFile, seed: int) -> None:
     units = units_of(house_file)
     urgency = np.random.default_rng(seed).random(len(units))
-    came = simulate_fetch(units, TRACE, Link(1e6, 0.02), lambda _: urgency)
+    came = simulate_fetch(units, TRACE, Link(1e6, 0.02), lambda _, __: urgency)
     assert sorted(came.units) == list(range(len(units)))
     place = {unit: at for at, unit in enumerate(came.units)}
     for unit, dependencies in enumerate(units.dependencies):
@@ -56,7 +56,7 @@ def test_units_are_chosen_by_the_pose_one_latency_earlier(house_file: CogsFile) 
     units = units_of(house_file)
     positions: list[np.ndarray] = []
 
-    def priorities(camera: cogsplat.Camera) -> np.ndarray:
+    def priorities(camera: cogsplat.Camera, _: object) -> np.ndarray:
         positions.append(camera.position)
         return -np.arange(len(units), dtype=np.float64)
 

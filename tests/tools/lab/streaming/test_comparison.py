@@ -117,7 +117,9 @@ def test_visit_uses_boxes_for_files_without_a_view_table(
     boxes = house_file.chunks.box.astype(np.float64)
     ratios = ratios_from_boxes(boxes, house_file.chunks.contribution.astype(np.float64))
     splats = house_file.chunks.splats.astype(np.int64).tolist()
-    expected = simulate_visit(units_of(house_file), splats, ratios, trace, link)
+    expected = simulate_visit(
+        units_of(house_file), splats, lambda pose, _: ratios(pose), trace, link
+    )
     assert simulation.arrivals("visit", simulation.client("visit"), trace, link).units == (
         expected.units
     )

@@ -1,16 +1,28 @@
 """Simulated visits: arrival times, memory budget, browser delays."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+import cogsplat
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.tools.lab.scheduling.chunk_ratios import ratios_from_boxes
-from cogsplat.tools.lab.streaming.client import Arrivals, Link, Units, units_of
+from cogsplat.tools.lab.streaming.client import (
+    PAGE,
+    Arrivals,
+    Link,
+    Units,
+    fetch_order,
+    units_of,
+)
+from cogsplat.tools.lab.streaming.comparison import POLICIES, Simulation
 from cogsplat.tools.lab.streaming.traces import Trace, recorded_trace
 from cogsplat.tools.lab.streaming.visit_client import Browser, simulate_visit
 from cogsplat.tools.lab.synthetic.rooms import rooms_walk
 
+REST = recorded_trace([rooms_walk(4)[20].downscaled(8)] * 2, 1.0)
 WALK = recorded_trace(rooms_walk(4)[::20], 1.0)
 LINK = Link(80_000.0, 0.05)
 # The download ends before the walk.
@@ -27,7 +39,13 @@ def run_visit(
     )
     splats = chunks.splats.astype(np.int64).tolist()
     return units, simulate_visit(
-        units, splats, ratios, trace, link, budget_splats=budget, browser=browser
+        units,
+        splats,
+        lambda pose, _: ratios(pose),
+        trace,
+        link,
+        budget_splats=budget,
+        browser=browser,
     )
 
 
@@ -74,6 +92,41 @@ def test_units_of_the_first_request_are_read_from_its_buffer(
     # Units that exceed the budget were not read from the buffer before.
     heads = units.kind[came] == SegmentKind.HEAD
     assert splats[np.unique(units.chunk[came[heads & ~later]])].sum() < splats.sum()
+
+
+def test_pages_arrive_before_what_they_list_and_a_small_budget_needs_none(
+    paged_house: Path,
+) -> None:
+    with cogsplat.open(paged_house) as file:
+        simulation = Simulation(file, [], threads=1)
+    client, units = simulation.client("visit"), simulation.units
+    assert units.page_of is not None
+    pages = np.flatnonzero(units.kind == PAGE)
+    assert len(pages) == 2
+    budget = int(0.15 * int(file.root.splats))
+    for splats, known in ((0, 2), (budget, 0)):
+        came = simulation.arrivals("visit", client, REST, FAST, budget_splats=splats)
+        assert np.isin(pages, came.units).sum() == known
+        place = {unit: at for at, unit in enumerate(came.units)}
+        listed = [unit for unit in came.units if units.page_of[unit] >= 0]
+        assert bool(listed) == bool(known)
+        assert all(place[int(units.page_of[unit])] < place[unit] for unit in listed)
+        assert 4 < came.requests_by(1e9) < len(came.units)
+        drawn = client.splats_of(came.present_at(1e9), REST.camera_at(0.0))
+        assert len(drawn) == file.root.splats if not splats else 0 < len(drawn) <= budget
+
+
+def test_a_page_is_read_once_and_its_bytes_count(paged_house: Path) -> None:
+    with cogsplat.open(paged_house) as file:
+        units = units_of(file)
+        assert units.index_bytes + units.size_bytes.sum() == file.file_length
+        for name in POLICIES:
+            if name in ("antimatter", "sgss-cells"):
+                continue
+            simulation = Simulation(file, [], threads=1)
+            client = simulation.client(name)
+            found = fetch_order(units, client.priorities, REST.camera_at(0.0))
+            assert sorted(found) == list(range(len(units)))
 
 
 def test_browser_delays_postpone_arrivals(house_file: CogsFile) -> None:
