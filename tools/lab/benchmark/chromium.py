@@ -50,7 +50,7 @@ def chromium(arguments: Sequence[str] = ()) -> Iterator[Browser]:
 
 
 @contextmanager
-def opened_page(url: str, ready: str) -> Iterator[Page]:
+def opened_page(url: str, ready: str, arguments: Sequence[str] = ()) -> Iterator[Page]:
     """Open a page in a new browser and wait until it is ready.
 
     Parameters
@@ -59,13 +59,15 @@ def opened_page(url: str, ready: str) -> Iterator[Page]:
         Address of the page.
     ready : str
         JavaScript expression that is true when the page is ready.
+    arguments : sequence of str
+        Command-line arguments of the browser in addition to Playwright's.
 
     Yields
     ------
     Page
         Page whose calls time out after five minutes.
     """
-    with chromium() as browser:
+    with chromium(arguments) as browser:
         page = browser.new_page()
         page.set_default_timeout(_TIMEOUT_MS)
         page.goto(url)

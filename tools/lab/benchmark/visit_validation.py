@@ -5,14 +5,16 @@ WALK.json`` from a checkout, after ``npm ci && npm run build`` in ``tools/web``.
 
 Headless Chromium follows the path with the npm package over a slow link and records which chunks
 it has decoded at given times. The recorded and the simulated chunks are rendered afterwards by the
-Python renderer, so software WebGL does not affect the result. The simulation uses the browser's
-measured start times of the first request and of decoding.
+Python renderer, so software WebGL does not affect the result. The page keeps the rows of the
+chunks, as one that draws them would. The simulation uses the browser's measured start times of the
+first request and of decoding.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+import time
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final, TypedDict
 
@@ -25,9 +27,9 @@ from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.tools.delivery import slow_server
-from cogsplat.tools.delivery.slow_server import SlowServer, running
+from cogsplat.tools.delivery.slow_server import Reply, SlowServer, running
 from cogsplat.tools.lab.scheduling.poses import Pose
-from cogsplat.tools.lab.streaming.client import Link, Units
+from cogsplat.tools.lab.streaming.client import CHUNK_KINDS, Link, Units
 from cogsplat.tools.lab.streaming.comparison import Moment, Simulation
 from cogsplat.tools.lab.streaming.curves import picture_strips
 from cogsplat.tools.lab.streaming.traces import Trace, recorded_trace
@@ -39,6 +41,14 @@ from .chromium import opened_page
 
 _WEB: Final = Path(__file__).resolve().parents[2] / "web"
 _PAGE: Final = b'<!doctype html><title>visit</title><script type="module" src="visits.js"></script>'
+_SCENE: Final = "scene.cogs"
+# The page may measure its memory only where no other origin shares its process; without the
+# argument the browser waits for its next garbage collection.
+_ISOLATION: Final = {
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Embedder-Policy": "require-corp",
+}
+_ARGUMENTS: Final = ("--enable-blink-features=ForceEagerMeasureMemory",)
 _FRAME_SECONDS: Final = 1 / 30
 """Time between two poses sent to the page."""
 
@@ -55,6 +65,47 @@ class PageState(TypedDict):
 
 
 @dataclass(frozen=True)
+class Visit:
+    """What a browser did along a path.
+
+    Parameters
+    ----------
+    browser : Browser
+        Its delays.
+    noted : list of PageState
+        Chunks that it had decoded at given times.
+    traffic : list of (int, int)
+        Bytes of the scene sent, and requests made, until each of these times.
+    first_rows : float
+        Time of the first decoded rows, s.
+    page_bytes, worker_bytes : int
+        Memory of the page and of its workers at the last moment, bytes.
+    """
+
+    browser: Browser
+    noted: list[PageState]
+    traffic: list[tuple[int, int]]
+    first_rows: float
+    page_bytes: int
+    worker_bytes: int
+
+
+class _IsolatedServer(SlowServer):
+    """Server whose pages may measure their memory, with a log of the requests for the scene."""
+
+    def __init__(self, files: dict[str, bytes], cached: dict[str, bytes]) -> None:
+        super().__init__(files, cached=cached)
+        self.requested_at: list[float] = []
+
+    def reply(self, name: str, range_header: str | None) -> Reply:
+        """Return the response to a request."""
+        if name == _SCENE:
+            self.requested_at.append(time.monotonic())
+        reply = super().reply(name, range_header)
+        return replace(reply, headers={**reply.headers, **_ISOLATION})
+
+
+@dataclass(frozen=True)
 class Comparison:
     """Browser and simulation compared at one time.
 
@@ -66,8 +117,12 @@ class Comparison:
         Splats in memory, in the browser and in the simulation.
     size_bytes, simulated_bytes : int
         Bytes of the chunks in memory, in the browser and in the simulation.
+    fetched_bytes, simulated_fetched : int
+        Bytes received, in the browser and in the simulation, which counts whole segments.
+    requests, simulated_requests : int
+        Requests made.
     psnr_db, simulated_db : float
-        PSNR of both pictures against the full scene at the pose.
+        PSNR of both pictures against the full scene, or the source, at the pose.
     """
 
     seconds: float
@@ -75,6 +130,10 @@ class Comparison:
     simulated_splats: int
     size_bytes: int
     simulated_bytes: int
+    fetched_bytes: int
+    simulated_fetched: int
+    requests: int
+    simulated_requests: int
     psnr_db: float
     simulated_db: float
 
@@ -86,8 +145,8 @@ def run_browser(
     moments: list[float],
     budget_splats: int,
     splats_per_second: float,
-) -> tuple[Browser, list[PageState]]:
-    """Follow a camera path in Chromium; return its delays, and the chunks decoded at given times.
+) -> Visit:
+    """Follow a camera path in Chromium.
 
     Parameters
     ----------
@@ -100,34 +159,42 @@ def run_browser(
         Memory limit, splats; 0 for no limit.
     splats_per_second : float
         Decoding throughput of this machine's workers.
-
-    Returns
-    -------
-    tuple of Browser and list of PageState
     """
     files = {"index.html": _PAGE, "visits.js": (_WEB / "scripts" / "visits.js").read_bytes()}
     for name in ("cogsplat.js", "worker.js", "visit.js"):
         files[name] = (_WEB / "dist" / name).read_bytes()
     times = np.arange(0.0, trace.seconds + _FRAME_SECONDS, _FRAME_SECONDS)
     visit = {
-        "url": "/scene.cogs",
+        "url": f"/{_SCENE}",
         "poses": [_pose(Pose.from_camera(trace.camera_at(float(seconds)))) for seconds in times],
         "interval": _FRAME_SECONDS,
         "budget": budget_splats,
         "moments": moments,
     }
     programs = dict(files)
-    files["scene.cogs"] = scene.read_bytes()
+    files[_SCENE] = scene.read_bytes()
     with (
-        running(SlowServer(files, cached=programs)) as server,
-        opened_page(server.url, "window.visit !== undefined") as page,
+        running(_IsolatedServer(files, programs)) as server,
+        opened_page(server.url, "window.visit !== undefined", _ARGUMENTS) as page,
     ):
         # Warm-up without a slow link: compiles the programs and starts the workers.
         page.evaluate("(visit) => window.visit(visit)", {**visit, "moments": [0.5]})
         server.link = slow_server.Link(link.bits_per_second, link.latency)
+        server.requested_at.clear()
+        server.traffic.rows.clear()
         result = page.evaluate("(visit) => window.visit(visit)", visit)
-    browser = Browser(result["started"], splats_per_second, result["decoding"])
-    return browser, result["noted"]
+    begin = server.requested_at[0] - result["started"]
+    ends = [begin + entry["seconds"] for entry in result["noted"]]
+    return Visit(
+        Browser(result["started"], splats_per_second, result["decoding"]),
+        result["noted"],
+        [
+            (server.traffic.size_bytes(_SCENE, end), sum(at <= end for at in server.requested_at))
+            for end in ends
+        ],
+        result["rows"],
+        *result["memory"],
+    )
 
 
 def _pose(pose: Pose) -> dict[str, object]:
@@ -141,22 +208,32 @@ def _pose(pose: Pose) -> dict[str, object]:
 
 
 def units_of_chunks(units: Units, chunks: list[tuple[int, bool, bool]]) -> list[int]:
-    """Return the numbers of the units that a page had decoded: heads, refinements and tails."""
-    found = []
+    """Return the numbers of the units that a page had: of its chunks, and what lists these.
+
+    Pages and view tables of indices that list none of the chunks do not change what is drawn.
+    """
+    found: list[int] = []
     for chunk, refined, tail in chunks:
         kinds = {SegmentKind.HEAD: True, SegmentKind.REFINEMENT: refined, SegmentKind.TAIL: tail}
         present = [kind for kind, is_present in kinds.items() if is_present]
         found += np.flatnonzero((units.chunk == chunk) & np.isin(units.kind, present)).tolist()
-    return found
+    if units.page_of is None:
+        return found
+    pages = {-1, *units.page_of[found].tolist()}
+    for page in sorted(pages - {-1}):
+        while page >= 0:
+            pages.add(page)
+            page = int(units.page_of[page])
+    is_table = (units.kind == SegmentKind.VIEW_TABLE) & np.isin(units.page_of, list(pages))
+    return [*sorted(pages - {-1}), *np.flatnonzero(is_table).tolist(), *found]
 
 
 def compare(
     simulation: Simulation,
     trace: Trace,
     link: Link,
-    noted: list[PageState],
+    visit: Visit,
     budget_splats: int,
-    browser: Browser,
 ) -> tuple[list[Comparison], dict[str, list[np.ndarray]]]:
     """Compare the chunks that a browser had decoded with the simulated chunks.
 
@@ -166,12 +243,10 @@ def compare(
     trace : Trace
         Camera path of the visit.
     link : Link
-    noted : list of PageState
-        Chunks recorded in the browser.
+    visit : Visit
+        What the browser did.
     budget_splats : int
         Memory limit, splats; 0 for no limit.
-    browser : Browser
-        Delays of the browser.
 
     Returns
     -------
@@ -181,16 +256,18 @@ def compare(
     """
     client = simulation.client("visit")
     arrivals = simulation.arrivals(
-        "visit", client, trace, link, budget_splats=budget_splats, browser=browser
+        "visit", client, trace, link, budget_splats=budget_splats, browser=visit.browser
     )
     rows = []
     pictures: dict[str, list[np.ndarray]] = {"": [], "browser": [], "simulated": []}
-    for entry in noted:
+    for entry, (fetched_bytes, requests) in zip(visit.noted, visit.traffic, strict=True):
         seconds = entry["seconds"]
         camera = trace.camera_at(seconds)
-        reference = simulation.picture(camera)
+        reference = simulation.reference(camera)
         held = [units_of_chunks(simulation.units, entry["chunks"]), arrivals.present_at(seconds)]
-        of_chunks = np.where(simulation.units.chunk >= 0, simulation.units.size_bytes, 0)
+        sizes_of = simulation.units.size_bytes
+        of_chunks = np.where(np.isin(simulation.units.kind, CHUNK_KINDS), sizes_of, 0)
+        fetched = simulation.units.index_bytes + sizes_of[arrivals.fetched_by(seconds)].sum()
         sizes = [int(of_chunks[present].sum()) for present in held]
         drawn = [client.splats_of(present, camera) for present in held]
         pair = [simulation.picture(camera, splats) for splats in drawn]
@@ -201,6 +278,10 @@ def compare(
                 len(drawn[1]),
                 sizes[0],
                 sizes[1],
+                fetched_bytes,
+                int(fetched),
+                requests,
+                arrivals.requests_by(seconds),
                 psnr(pair[0], reference),
                 psnr(pair[1], reference),
             )
@@ -219,6 +300,13 @@ def compare(
 @click.option("--latency", default=20.0, show_default=True, help="Latency of the link, ms.")
 @click.option(
     "--budget", default=0, show_default=True, help="Memory limit, splats; 0 for no limit."
+)
+@click.option("--source", type=click.Path(exists=True, path_type=Path), help="Compare with it.")
+@click.option(
+    "--at",
+    type=FiniteNumber(0.0),
+    multiple=True,
+    help="Moment, seconds; repeatable, in place of --moments.",
 )
 @click.option("--moments", default=12, show_default=True)
 @click.option(
@@ -244,6 +332,8 @@ def main(
     mbit: float,
     latency: float,
     budget: int,
+    source: Path | None,
+    at: tuple[float, ...],
     moments: int,
     seconds: float | None,
     splats_per_second: float,
@@ -254,14 +344,17 @@ def main(
     walked = recorded_trace(read_cameras(trace), pose_seconds)
     known, _ = hold_out(read_cameras(cameras), 8)
     end = min(seconds or walked.seconds, walked.seconds)
-    times = [end * (k + 1) / moments for k in range(moments)]
+    times = sorted(at) or [end * (k + 1) / moments for k in range(moments)]
     link = Link(1e6 * mbit, latency / 1000.0)
-    browser, noted = run_browser(scene, walked, link, times, budget, splats_per_second)
+    visit = run_browser(scene, walked, link, times, budget, splats_per_second)
+    drawn = None if source is None else cogsplat.read(source)
     with cogsplat.open(scene) as file:
-        simulation = Simulation(file, known, compensate=True)
-    rows, shown = compare(simulation, walked, link, noted, budget, browser)
+        simulation = Simulation(file, known, compensate=True, source=drawn)
+    rows, shown = compare(simulation, walked, link, visit, budget)
     if pictures is not None:
-        kept = np.unique(np.linspace(0, moments - 1, min(moments, 6)).round().astype(int)).tolist()
+        kept = np.unique(
+            np.linspace(0, len(times) - 1, min(len(times), 6)).round().astype(int)
+        ).tolist()
         judged = {
             "browser": [
                 Moment(rows[k].seconds, rows[k].size_bytes, rows[k].psnr_db, 0.0, 0) for k in kept
@@ -274,15 +367,31 @@ def main(
         chosen = {name: [found[k] for k in kept] for name, found in shown.items()}
         write_png(picture_strips(chosen, judged, scene.name), pictures, force=True)
     if as_json:
-        click.echo(json.dumps([asdict(row) for row in rows]))
+        click.echo(
+            json.dumps(
+                {
+                    "rows": [asdict(row) for row in rows],
+                    "first_rows_s": visit.first_rows,
+                    "page_bytes": visit.page_bytes,
+                    "worker_bytes": visit.worker_bytes,
+                }
+            )
+        )
         return
     for row in rows:
         click.echo(
-            f"{row.seconds:6.2f} s  {row.splats:8,} splats {row.psnr_db:6.2f} dB  simulated "
-            f"{row.simulated_splats:8,} {row.simulated_db:6.2f} dB"
+            f"{row.seconds:6.2f} s  {row.splats:8,} splats {row.psnr_db:6.2f} dB "
+            f"{row.fetched_bytes:10,} B {row.requests:4} requests  simulated "
+            f"{row.simulated_splats:8,} {row.simulated_db:6.2f} dB {row.simulated_fetched:10,} B "
+            f"{row.simulated_requests:4}"
         )
+    browser = visit.browser
     starts = [round(1000.0 * s) for s in (browser.start_seconds, browser.decoder_seconds)]
     click.echo(f"first request after {starts[0]} ms, first worker after {starts[1]} ms")
+    click.echo(
+        f"first rows after {1000 * visit.first_rows:.0f} ms, memory of the page "
+        f"{visit.page_bytes / 1e6:.1f} MB, of its workers {visit.worker_bytes / 1e6:.1f} MB"
+    )
     away = np.array([abs(row.psnr_db - row.simulated_db) for row in rows])
     click.echo(f"differences: {away.mean():.2f} dB on average, {away.max():.2f} at most")
 

@@ -8,7 +8,7 @@ import { Visit } from "./visit.js";
  * @param poses - Where the visitor is, one pose every `interval` seconds from the first request on.
  * @param budget - Most splats in memory; 0 for any number.
  * @param moments - Seconds, ascending.
- * @returns When the first request was made and the first worker had started, and for each moment when it was noted, and the chunks, each with whether it is refined and whether it has its coefficients above DC.
+ * @returns When the first request was made, the first worker had started and the first rows had come; for each moment when it was noted, and the chunks, each with whether it is refined and whether it has its coefficients above DC; and the memory of the page and its workers at the last moment, bytes.
  */
 window.visit = async ({ url, poses, interval, budget, moments }) => {
   performance.clearResourceTimings();
@@ -28,10 +28,12 @@ window.visit = async ({ url, poses, interval, budget, moments }) => {
   look();
   const timer = setInterval(look, 1000 * interval);
   const held = new Map();
+  let rows;
   const gone = (async () => {
     for await (const change of visit.changes()) {
       if (change.kind === "evicted") held.delete(change.chunk);
-      else held.set(change.chunk, [change.chunk, change.refined, change.tail]);
+      else held.set(change.chunk, change);
+      rows ??= seconds();
     }
   })().catch((error) => {
     if (!abort.signal.aborted) throw error;
@@ -39,11 +41,24 @@ window.visit = async ({ url, poses, interval, budget, moments }) => {
   const noted = [];
   for (const moment of moments) {
     await new Promise((resolve) => setTimeout(resolve, 1000 * (moment - seconds())));
-    noted.push({ seconds: seconds(), chunks: [...held.values()] });
+    const chunks = [...held.values()].map(({ chunk, refined, tail }) => [chunk, refined, tail]);
+    noted.push({ seconds: seconds(), chunks });
   }
+  const memory = await measured();
   clearInterval(timer);
   abort.abort();
   await gone;
   const [first] = performance.getEntriesByName(new URL(url, location.href).href);
-  return { started: (first.startTime - begin) / 1000, decoding, noted };
+  return { started: (first.startTime - begin) / 1000, decoding, rows, noted, memory };
 };
+
+/** Return the memory of the page and of its workers, bytes; undefined where the browser does not tell. */
+async function measured() {
+  if (!self.crossOriginIsolated) return undefined;
+  const { breakdown } = await performance.measureUserAgentSpecificMemory();
+  const sum = (isWorker) =>
+    breakdown
+      .filter(({ attribution }) => attribution.some(({ scope }) => scope.includes("Worker")) === isWorker)
+      .reduce((bytes, part) => bytes + part.bytes, 0);
+  return [sum(false), sum(true)];
+}

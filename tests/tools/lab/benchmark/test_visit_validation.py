@@ -52,10 +52,15 @@ def test_browser_and_simulation_end_with_the_same_splats(
     # Late enough for the download on a busy machine. The chunks within a budget depend on the
     # order of arrival, so only their number is checked.
     for budget in (0, total // 2):
-        browser, noted = run_browser(house, walked, link, [8.0], budget, 2e6)
-        rows, pictures = compare(simulation, walked, link, noted, budget, browser)
+        visit = run_browser(house, walked, link, [8.0], budget, 2e6)
+        rows, pictures = compare(simulation, walked, link, visit, budget)
+        browser = visit.browser
         assert 0.0 <= browser.start_seconds < browser.decoder_seconds < 8.0
+        assert browser.decoder_seconds < visit.first_rows < 8.0
+        assert min(visit.page_bytes, visit.worker_bytes) > 100_000
         (row,) = rows
+        assert 0 < row.simulated_fetched <= row.fetched_bytes <= 2 * house.stat().st_size
+        assert row.requests >= 1
         # Timers of browsers may be a millisecond early.
         assert row.seconds > 7.9
         assert set(pictures) == {"", "browser", "simulated"}
