@@ -173,8 +173,9 @@ def run_browser(
     }
     programs = dict(files)
     files[_SCENE] = scene.read_bytes()
+    server = _IsolatedServer(files, programs)
     with (
-        running(_IsolatedServer(files, programs)) as server,
+        running(server),
         opened_page(server.url, "window.visit !== undefined", _ARGUMENTS) as page,
     ):
         # Warm-up without a slow link: compiles the programs and starts the workers.
