@@ -106,17 +106,17 @@ class Reference:
         self._budget, self._poses = budget, predicted_poses(pose, pose, 0.1)
         starts = (self._units.end - self._units.size_bytes).tolist()
         self._unit = {start: unit for unit, start in enumerate(starts)}
-        rows = scene_rows(file.nodes, file.parents())
+        rows = scene_rows(file.indices, file.parents())
         self._splats = rows.budget_splats
-        pages = [place.start for _, place in pages_in_file_order(file.nodes)]
+        pages = [place.start for _, place in pages_in_file_order(file.indices)]
         self._row = {
             (start, int(rows.first_chunk[rows.chunks + k])): rows.chunks + k
             for k, start in enumerate(pages)
         }
         self._row |= {(-1, chunk): chunk for chunk in range(rows.chunks)}
         tables = {path: file.view_table(path) for path in file.view_table_rows}
-        self._paths = {node.start: node.path for node in file.nodes}
-        self._ratios = IndexRatios(file.nodes, {path: t for path, t in tables.items() if t})
+        self._paths = {index.start: index.path for index in file.indices}
+        self._ratios = IndexRatios(file.indices, {path: t for path, t in tables.items() if t})
 
     def row(self, place: list[int] | None) -> int:
         """Return the number of a row that the program recorded; -1 for none."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.formats.cogs.layout import SegmentKind
-from cogsplat.formats.cogs.page_tree import IndexNode
+from cogsplat.formats.cogs.page_tree import Index
 
 from .chunk_ratios import MIN_RATIO, PoseRatios, ratios_from_boxes, ratios_from_view_table
 from .poses import Pose
@@ -34,8 +34,8 @@ class IndexRatios:
         View table of each index that has one, by its path.
     """
 
-    def __init__(self, nodes: Sequence[IndexNode], tables: Mapping[Path, ViewTable]) -> None:
-        self._nodes, self._tables = nodes, tables
+    def __init__(self, indices: Sequence[Index], tables: Mapping[Path, ViewTable]) -> None:
+        self._indices, self._tables = indices, tables
         self._known: dict[tuple[Path, bool], PoseRatios] = {}
 
     def at(self, pose: Pose, arrived: Collection[Path] | None = None) -> F64:
@@ -52,33 +52,33 @@ class IndexRatios:
         chunks: list[F64] = []
         pages: list[F64] = []
         of_pages: dict[Path, float] = {}
-        for node in self._nodes:
-            has_table = node.path in self._tables and (arrived is None or node.path in arrived)
-            values = self._ratios(node, has_table)(pose)
-            if node.path:
-                values = np.maximum(of_pages[node.path] * values, MIN_RATIO)
-            count = len(node.tables.chunks)
+        for index in self._indices:
+            has_table = index.path in self._tables and (arrived is None or index.path in arrived)
+            values = self._ratios(index, has_table)(pose)
+            if index.path:
+                values = np.maximum(of_pages[index.path] * values, MIN_RATIO)
+            count = len(index.tables.chunks)
             chunks.append(values[:count])
             pages.append(values[count:])
-            of_pages |= {(*node.path, row): value for row, value in enumerate(values[count:])}
+            of_pages |= {(*index.path, row): value for row, value in enumerate(values[count:])}
         return np.concatenate([*chunks, *pages])
 
-    def _ratios(self, node: IndexNode, has_table: bool) -> PoseRatios:
+    def _ratios(self, index: Index, has_table: bool) -> PoseRatios:
         """Return the ratio function of the chunks and then the pages that an index lists."""
-        key = node.path, has_table
+        key = index.path, has_table
         if key not in self._known:
-            chunks, pages = node.tables.chunks, node.tables.pages
+            chunks, pages = index.tables.chunks, index.tables.pages
             boxes = np.concatenate([chunks.box, pages.box]).astype(np.float64)
             contribution = np.concatenate([chunks.contribution, pages.contribution])
             self._known[key] = (
-                ratios_from_view_table(self._tables[node.path], boxes, contribution)
+                ratios_from_view_table(self._tables[index.path], boxes, contribution)
                 if has_table
                 else ratios_from_boxes(boxes, contribution)
             )
         return self._known[key]
 
 
-def unit_places(nodes: Sequence[IndexNode]) -> tuple[F64, F64]:
+def unit_places(indices: Sequence[Index]) -> tuple[F64, F64]:
     """Return the places of all segments and pages: where they would end if pages came in parallel.
 
     Parameters
@@ -96,20 +96,20 @@ def unit_places(nodes: Sequence[IndexNode]) -> tuple[F64, F64]:
     pages: list[float] = []
     # Place of each page's beginning, and the place that one of its bytes takes.
     frames: dict[Path, tuple[float, float]] = {(): (0.0, 1.0)}
-    for node in nodes:
-        place, weight = frames[node.path]
-        lengths = node.tables.segments.length.astype(np.float64)
-        ends = float(node.end - node.start) + np.cumsum(lengths)
-        is_table = node.tables.segments.kind == SegmentKind.VIEW_TABLE
+    for index in indices:
+        place, weight = frames[index.path]
+        lengths = index.tables.segments.length.astype(np.float64)
+        ends = float(index.end - index.start) + np.cumsum(lengths)
+        is_table = index.tables.segments.kind == SegmentKind.VIEW_TABLE
         segments.append(place + weight * np.where(is_table, lengths, ends))
-        behind = place + weight * float(node.segments_end - node.start)
-        table = node.tables.pages
+        behind = place + weight * float(index.segments_end - index.start)
+        table = index.tables.pages
         contributions = table.contribution.tolist()
         whole = sum(contributions)
         for row, contribution in enumerate(contributions):
             # Pages without contributions share alike.
             share = max(contribution, _LEAST_SHARE * whole)
             times = whole / share if whole > 0.0 else float(len(contributions))
-            frames[(*node.path, row)] = behind, weight * times
+            frames[(*index.path, row)] = behind, weight * times
             pages.append(behind + weight * times * float(table.length[row]))
     return np.concatenate(segments), np.array(pages, np.float64)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.formats.cogs.index_tables import ChunkTable, PageTable
-from cogsplat.formats.cogs.page_tree import IndexNode, PagePlace
+from cogsplat.formats.cogs.page_tree import Index, PagePlace
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -85,32 +85,32 @@ class SceneRows:
         return rows[np.argsort(self.first_chunk[rows], kind="stable")]
 
 
-def pages_in_file_order(nodes: Sequence[IndexNode]) -> Iterator[tuple[IndexNode, PagePlace]]:
+def pages_in_file_order(indices: Sequence[Index]) -> Iterator[tuple[Index, PagePlace]]:
     """Yield the pages that all indices list, each with the index that lists it."""
-    for node in nodes:
-        for place in node.pages():
-            yield node, place
+    for index in indices:
+        for place in index.pages():
+            yield index, place
 
 
-def scene_rows(nodes: Sequence[IndexNode], parents: I64) -> SceneRows:
+def scene_rows(indices: Sequence[Index], parents: I64) -> SceneRows:
     """Return the chunks and pages of the indices of a file.
 
     Parameters
     ----------
-    nodes : sequence of IndexNode
+    indices : sequence of Index
         All indices in file order.
     parents : (c,) int64
         Parent of each chunk; -1 for none.
     """
-    listed = list(pages_in_file_order(nodes))
+    listed = list(pages_in_file_order(indices))
     chunks = len(parents)
     page_rows = {place.path: chunks + k for k, (_, place) in enumerate(listed)}
-    lists = [page_rows.get(node.path, -1) for node in nodes]
+    lists = [page_rows.get(index.path, -1) for index in indices]
     places = [place for _, place in listed]
-    page_parents = [_page_parent(nodes, node, place.path[-1]) for node, place in listed]
-    tables: list[ChunkTable | PageTable] = [node.tables.chunks for node in nodes]
+    page_parents = [_page_parent(indices, index, place.path[-1]) for index, place in listed]
+    tables: list[ChunkTable | PageTable] = [index.tables.chunks for index in indices]
     own = [len(table) for table in tables]
-    tables += [node.tables.pages for node in nodes]
+    tables += [index.tables.pages for index in indices]
     return SceneRows(
         np.concatenate([part.splats.astype(np.int64) for part in tables]),
         np.array([*range(chunks), *(place.first_chunk for place in places)], np.int64),
@@ -119,7 +119,7 @@ def scene_rows(nodes: Sequence[IndexNode], parents: I64) -> SceneRows:
         np.array(
             [
                 *np.repeat(lists, own).tolist(),
-                *(page_rows.get(node.path, -1) for node, _ in listed),
+                *(page_rows.get(index.path, -1) for index, _ in listed),
             ],
             np.int64,
         ),
@@ -129,15 +129,15 @@ def scene_rows(nodes: Sequence[IndexNode], parents: I64) -> SceneRows:
     )
 
 
-def _page_parent(nodes: Sequence[IndexNode], listing: IndexNode, row: int) -> int:
+def _page_parent(indices: Sequence[Index], listing: Index, row: int) -> int:
     """Return the parent of a page (SPEC 5.4); -1 for none."""
     cell = int(listing.tables.pages.cell[row])
     around = [cell >> k for k in range(cell.bit_length())]
-    by_path = {node.path: node for node in nodes}
+    by_path = {index.path: index for index in indices}
     for depth in range(len(listing.path), -1, -1):
-        node = by_path[listing.path[:depth]]
+        index = by_path[listing.path[:depth]]
         # Own chunks stand before the pages of their index.
-        found = np.flatnonzero(np.isin(node.tables.chunks.cell, around))
+        found = np.flatnonzero(np.isin(index.tables.chunks.cell, around))
         if len(found):
-            return node.first_chunk + int(found[-1])
+            return index.first_chunk + int(found[-1])
     return -1

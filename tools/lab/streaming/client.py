@@ -163,7 +163,7 @@ def units_of(file: CogsFile) -> Units:
     is_fetchable = ~of_chunk | (file.segments.owner < file.complete_chunks())
     is_fetchable &= np.array([file.is_present(row) for row in range(len(kinds))], np.bool_)
     rows = np.flatnonzero(np.isin(kinds, fetched_kinds) & is_fetchable)
-    nodes, scene = file.nodes, scene_rows(file.nodes, file.parents())
+    nodes, scene = file.indices, scene_rows(file.indices, file.parents())
     segment_place, page_place = unit_places(nodes)
     lengths = file.segments.length.astype(np.int64)
     node_of = np.repeat(np.arange(len(nodes)), [len(node.tables.segments) for node in nodes])

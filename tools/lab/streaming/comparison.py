@@ -215,24 +215,24 @@ class Simulation:
         self._source, self._peer = source, peer
         self._renderer = PartialRenderer(file, threads, compensate=compensate)
         self._known = sample_evenly(known, TABLE_VIEWS)
-        self._rows = scene_rows(file.nodes, file.parents())
+        self._rows = scene_rows(file.indices, file.parents())
         stored = _stored_tables(file)
         # `visit` uses only information in the file, never a measured table.
         self._visit_ratios = self._stored_ratios(file, stored)
-        self._boxes = IndexRatios(file.nodes, {})
+        self._boxes = IndexRatios(file.indices, {})
         if () in stored:
             self.known_views = len(stored[()].positions)
             self._ratios = self._visit_ratios
             return
         self.known_views = len(self._known)
-        measured = IndexRatios(file.nodes, self._measured_tables(file, progress))
+        measured = IndexRatios(file.indices, self._measured_tables(file, progress))
         self._ratios = lambda pose, _: measured.at(pose)
 
     def _stored_ratios(
         self, file: CogsFile, tables: dict[tuple[int, ...], ViewTable]
     ) -> ClientRatios:
         """Return the ratios for a client that has some of the view tables."""
-        ratios, units = IndexRatios(file.nodes, tables), self.units
+        ratios, units = IndexRatios(file.indices, tables), self.units
         starts = {int(file.offsets[row]): path for path, row in file.view_table_rows.items()}
         unit_starts = (units.end - units.size_bytes).tolist()
         path_of = {
@@ -258,7 +258,7 @@ class Simulation:
         columns = np.stack(shares)
         tables = {}
         page = self._rows.chunks
-        for node in file.nodes:
+        for node in file.indices:
             end, pages = node.first_chunk + len(node.tables.chunks), len(node.tables.pages)
             of_node = [*range(node.first_chunk, end), *range(page, page + pages)]
             tables[node.path] = measured_view_table(self._known, columns[:, of_node])

@@ -50,7 +50,7 @@ class PartialRenderer:
         self._runs = [
             slice(int(end - count), int(end)) for end, count in zip(ends, counts, strict=True)
         ]
-        self._rows = scene_rows(file.nodes, file.parents())
+        self._rows = scene_rows(file.indices, file.parents())
         self._has_cells = bool(file.chunks.cell.all())
         self._compensation: Compensation | None = file.compensation() if compensate else None
 
