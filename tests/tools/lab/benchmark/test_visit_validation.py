@@ -61,8 +61,8 @@ def test_browser_and_simulation_end_with_the_same_splats(
         # Workers of a complete visit have ended.
         assert (visit.worker_bytes > 100_000) == bool(budget)
         (row,) = rows
-        assert 0 < row.simulated_fetched
-        assert 0 < row.fetched_bytes
+        assert row.simulated_fetched > 0
+        assert row.fetched_bytes > 0
         assert row.requests >= 1
         # Timers of browsers may be a millisecond early.
         assert row.seconds > 7.9
