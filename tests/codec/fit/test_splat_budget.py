@@ -49,5 +49,5 @@ def test_counts_are_corrected_by_the_psnr_per_halving():
     assert corrected_count(1000, 37.0, 35.0, 5000) is None
     # A small deficit is accepted, and so is the maximum count.
     assert corrected_count(1000, 36.0, 35.0, 5000) is None
-    assert corrected_count(1000, 35.8, 35.0, 5000) == 1231
+    assert corrected_count(1000, 35.7, 35.0, 5000) == 1253
     assert corrected_count(1000, 33.0, 35.0, 1000) is None
