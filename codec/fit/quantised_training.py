@@ -63,6 +63,11 @@ _CODEBOOK_NAME: Final = re.compile(r"codebook\.([0-9]{1,2})\.(\w{1,20})\.([0-9]{
 # cameras; an object, a room and a terrace of 12 cameras lose and gain nothing.
 _MAX_SCORED_VIEWS, _LEAST_SCORED_VIEWS = 64, 96
 
+# Preset of the compensation fit, whatever the others: tuning leaves few splats, so that the fit
+# takes a second of minutes. In eight tuned files, the fit of `best` shows up to 2.3 dB more in the
+# first 16 to 64 KiB than that of `fast`, and nowhere there over 0.1 dB less.
+_FIT_PRESET: Final = "best"
+
 
 class QuantisedTraining:
     """Training of a scene through the quantisers that store it, towards a target.
@@ -99,7 +104,10 @@ class QuantisedTraining:
         self._prefix_weight = config.prefix_weight
         self._size_of = size_of
         self._progress = progress
-        preset = PRESETS[config.preset]
+        best = PRESETS[_FIT_PRESET]
+        preset = replace(
+            PRESETS[config.preset], fit_iterations=best.fit_iterations, fit_views=best.fit_views
+        )
         threads, profile = config.train.threads, config.profile
         cameras, covering = request.views.cameras, request.views.covering
         views = sample_evenly(cameras, _MAX_SCORED_VIEWS)
