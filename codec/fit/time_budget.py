@@ -108,12 +108,18 @@ class TimeBudget:
         return max(1, round(planned * factor))
 
     def affordable_count(
-        self, planned: int, seconds: float, reserved_seconds: float, extra: int = 0
+        self,
+        planned: int,
+        seconds: float,
+        reserved_seconds: float,
+        *,
+        extra: int = 0,
+        done: int = 0,
     ) -> int:
         """Return the number of repetitions that end by the deadline; `planned` without a deadline.
 
-        At least 1, and between `_MIN_FACTOR` and `_MAX_FACTOR` times `planned`: the lower bound may
-        miss the deadline.
+        At least 1, `done` and `_MIN_FACTOR` times `planned`, which may miss the deadline, and at
+        most `_MAX_FACTOR` times `planned`.
 
         Parameters
         ----------
@@ -125,14 +131,15 @@ class TimeBudget:
             Time to leave for the work that follows.
         extra : int
             Further repetitions to leave time for, but no more than a fifth of the repetitions.
+        done : int
+            Repetitions already made; they count in the result.
         """
         if self._deadline is None:
             return planned
-        affordable = int((self._deadline - self._clock() - reserved_seconds) / seconds)
+        affordable = int((self._deadline - self._clock() - reserved_seconds) / seconds) + done
         affordable -= min(extra, affordable // 5)
-        return max(
-            1, min(max(affordable, round(_MIN_FACTOR * planned)), round(_MAX_FACTOR * planned))
-        )
+        most = min(affordable, round(_MAX_FACTOR * planned))
+        return max(1, done, most, round(_MIN_FACTOR * planned))
 
     def has_time(self, reserved_seconds: float) -> bool:
         """Return whether more than `reserved_seconds` remain, or there is no deadline."""

@@ -58,8 +58,8 @@ _RESERVED_SETUPS: Final = 2.0
 _CORRECTION_CYCLES: Final = 8
 # Views in which the first deletion errors are measured; later ones accumulate in training.
 _DELETION_VIEWS: Final = 128
-# Cycle whose duration the number of cycles is planned by; one-off compilation is over by then.
-_TIMED_CYCLE: Final = 2
+# First cycles, which are not timed: they compile kernels.
+_UNTIMED_CYCLES: Final = 1
 # Steps that are not timed, because they compile kernels, and steps that are timed before the first
 # plan that has to meet a deadline.
 _WARM_STEPS, _TIMED_STEPS = 2, 8
@@ -445,21 +445,25 @@ class _TuningRun:
             cycles = -(-self._config.quantised_steps // interval)
             planned = self.time_budget.scaled_steps(cycles, extend=True) * interval
             quality_db = quantised.initial_quality(self.trainer.splats)
+        usual, begin = planned // interval, self.time_budget.now()
         while done < planned:
-            begin = self.time_budget.now()
             quality_db = self._run_cycle(quantised, done, planned, quality_db)
             done += interval
-            seconds = self.time_budget.now() - begin
-            if is_new and done == _TIMED_CYCLE * interval:
-                cycles = self.time_budget.affordable_count(
-                    (planned - done) // interval,
-                    seconds,
+            cycles = done // interval
+            if is_new and cycles == _UNTIMED_CYCLES:
+                begin = self.time_budget.now()
+            elif is_new:
+                # Planned anew after each cycle: early ones differ from later ones, and other
+                # programs may start or end.
+                planned = interval * self.time_budget.affordable_count(
+                    usual,
+                    (self.time_budget.now() - begin) / (cycles - _UNTIMED_CYCLES),
                     _RESERVED_SETUPS * setup_seconds,
-                    _CORRECTION_CYCLES,
+                    extra=_CORRECTION_CYCLES,
+                    done=cycles,
                 )
-                planned = done + cycles * interval
             self._progress("train quantised", done, planned)
-            if (done // interval) % _CHECKPOINT_CYCLES == 0:
+            if cycles % _CHECKPOINT_CYCLES == 0:
                 self._quantised = done, planned, quality_db
                 self._report_encode(quantised)
         has_time = partial(self.time_budget.has_time, _RESERVED_SETUPS * setup_seconds)

@@ -73,9 +73,22 @@ def test_repetitions_leave_the_reserved_time():
     clock.spend(20.0)
     assert budget.now() - begin == 20.0
     assert budget.affordable_count(20, 2.0, 30.0) == 25
-    assert budget.affordable_count(20, 2.0, 30.0, 3) == 22
+    assert budget.affordable_count(20, 2.0, 30.0, extra=3) == 22
     # What follows gets a fifth at most.
-    assert budget.affordable_count(20, 2.0, 30.0, 8) == 20
+    assert budget.affordable_count(20, 2.0, 30.0, extra=8) == 20
+
+
+def test_repetitions_made_count_in_a_new_plan():
+    clock = Clock()
+    budget = TimeBudget(100.0, clock)
+    assert budget.affordable_count(20, 2.0, 30.0, extra=3) == 32
+    clock.spend(40.0)
+    # 20 repetitions in 40 s keep to the plan.
+    assert budget.affordable_count(20, 2.0, 30.0, extra=3, done=20) == 32
+    # At half the speed, fewer remain; when the time is over, none.
+    assert budget.affordable_count(20, 4.0, 30.0, extra=3, done=10) == 14
+    clock.spend(40.0)
+    assert budget.affordable_count(20, 4.0, 30.0, extra=3, done=15) == 15
 
 
 def test_a_fixed_factor_ignores_the_clock():
