@@ -25,7 +25,7 @@ from cogsplat.codec.segments.prefix_compensation import (
 )
 from cogsplat.codec.splats import Splats
 
-from .encoded import EncodedScene
+from .encoded import EncodedChunk, EncodedScene
 from .partial_prefixes import decode_partial_prefixes
 from .prefix_sampling import choose_prefixes, interpolate_prefixes
 from .shift_optimiser import FitConfig, ShiftOptimiser, coded_splats, shift_codebook_rows
@@ -51,7 +51,9 @@ _MEASURED_VIEWS: Final = 2
 _MEASURED_PREFIXES: Final = 10
 
 
-def plan_layers(chunk_splats: Sequence[int], effective_splats: int) -> list[int]:
+def plan_layers(
+    chunk_splats: Sequence[int], effective_splats: int, most_chunks: int | None = None
+) -> list[int]:
     """Return the number of chunks of each layer's prefix, ascending; the whole scene has no layer.
 
     Parameters
@@ -60,10 +62,12 @@ def plan_layers(chunk_splats: Sequence[int], effective_splats: int) -> list[int]
         Splats of each chunk.
     effective_splats : int
         Effective number of splats of the source (`prefix_inflation.effective_splats`).
+    most_chunks : int, optional
+        Chunks of a layer at most (`most_layer_chunks`); no limit by default.
     """
     layers: list[int] = []
     splats, last = 0, 0
-    for chunk, count in enumerate(chunk_splats[:-1], start=1):
+    for chunk, count in enumerate(chunk_splats[:-1][:most_chunks], start=1):
         splats += count
         if splats > _LONGEST_LAYER * effective_splats:
             break
@@ -71,6 +75,17 @@ def plan_layers(chunk_splats: Sequence[int], effective_splats: int) -> list[int]
             layers.append(chunk)
             last = splats
     return layers
+
+
+def most_layer_chunks(chunks: Sequence[EncodedChunk]) -> int | None:
+    """Return the limit on a layer's chunks: those of the root where pages follow the cells.
+
+    In longer prefixes some cells are whole and others coarse, which no client fetches. From the
+    last layer on, shifts fade with the missing descendants of each chunk (SPEC 8.5). None where
+    all prefixes are fetched.
+    """
+    follows_cells = len(chunks) > ROOT_CHUNKS and all(chunk.cell for chunk in chunks)
+    return ROOT_CHUNKS if follows_cells else None
 
 
 def _step_interval(splats: int) -> int:
@@ -94,6 +109,7 @@ def fit(
     *,
     prefixes: Sequence[Splats] | None = None,
     inflations: Sequence[Inflation] | None = None,
+    most_chunks: int | None = None,
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> Compensation:
@@ -116,6 +132,8 @@ def fit(
         Prefix of each layer (`plan_layers`) without shifts; by default rows of `splats`.
     inflations : sequence of Inflation, optional
         Initial shifts of each layer; by default `best_inflation` of its prefix.
+    most_chunks : int, optional
+        Chunks of a layer at most (`plan_layers`).
     executor : Executor, optional
         Runs the work of single views; None for threads of this process.
     progress : Progress
@@ -134,7 +152,7 @@ def fit(
     estimation).
     """
     config = config or FitConfig()
-    layers = plan_layers(chunk_splats, effective_splats)
+    layers = plan_layers(chunk_splats, effective_splats, most_chunks)
     counts = np.array(chunk_splats, np.int64)
     if not layers:
         return Compensation((), counts)
@@ -163,7 +181,7 @@ def fit(
     if not optimiser.is_quantised:
         optimiser.quantise()
     found = optimiser.layers()
-    unchanged = _identity_chunks(chunk_splats, effective_splats, layers)
+    unchanged = _identity_chunks(chunk_splats, effective_splats, layers, most_chunks)
     if unchanged:
         found.append(_identity_layer(unchanged))
     return Compensation(tuple(found), counts)
@@ -198,7 +216,8 @@ def compensate_prefixes(
     config = config or FitConfig()
     counts = [chunk.splats for chunk in encoded.chunks]
     effective_splats = prefix_inflation.effective_splats(contribution)
-    layers = plan_layers(counts, effective_splats)
+    most_chunks = most_layer_chunks(encoded.chunks)
+    layers = plan_layers(counts, effective_splats, most_chunks)
     if not layers:
         return encoded
     splats = encoded.decoded
@@ -219,22 +238,11 @@ def compensate_prefixes(
         config,
         prefixes=decode_partial_prefixes(encoded, layers, _LONG_LAYER),
         inflations=[_initial_inflation(encoded, chunks, effective_splats) for chunks in layers],
+        most_chunks=most_chunks,
         executor=executor,
         progress=progress,
     )
-    return replace(encoded, compensation=_of_first_chunks(found, encoded))
-
-
-def _of_first_chunks(compensation: Compensation, encoded: EncodedScene) -> Compensation:
-    """Return the layers without those of chunks in pages that follow the cells.
-
-    In longer prefixes some cells are whole and others coarse, which no client fetches. From the
-    last layer on, shifts fade with the missing descendants of each chunk (SPEC 8.5).
-    """
-    if len(encoded.chunks) <= ROOT_CHUNKS or not all(chunk.cell for chunk in encoded.chunks):
-        return compensation
-    layers = [layer for layer in compensation.layers if layer.chunks <= ROOT_CHUNKS]
-    return replace(compensation, layers=tuple(layers))
+    return replace(encoded, compensation=found)
 
 
 def _initial_inflation(encoded: EncodedScene, chunks: int, effective_splats: int) -> Inflation:
@@ -305,7 +313,7 @@ def initial_compensation(chunk_splats: Sequence[int], effective_splats: int) -> 
         scales = np.full(chunks, round(best.scales / SCALE_STEP), np.int8)
         opacities = np.full(chunks, round(best.opacities / OPACITY_STEP), np.int8)
         found.append(replace(_identity_layer(chunks), scales=scales, opacities=opacities))
-    unchanged = _identity_chunks(chunk_splats, effective_splats, layers)
+    unchanged = _identity_chunks(chunk_splats, effective_splats, layers, None)
     if unchanged:
         found.append(_identity_layer(unchanged))
     return Compensation(tuple(found), np.array(chunk_splats, np.int64))
@@ -378,7 +386,11 @@ def errors(
 
 
 def placeholder_compensation(
-    chunk_splats: Sequence[int], effective_splats: int, config: FitConfig | None = None
+    chunk_splats: Sequence[int],
+    effective_splats: int,
+    config: FitConfig | None = None,
+    *,
+    most_chunks: int | None = None,
 ) -> Compensation:
     """Return a compensation without shifts that has the size of a fitted one.
 
@@ -390,9 +402,11 @@ def placeholder_compensation(
         Effective number of splats of the source.
     config : FitConfig, optional
         Share of coded splats and bits of a code.
+    most_chunks : int, optional
+        Chunks of a layer at most (`plan_layers`).
     """
     config = config or FitConfig()
-    layers = plan_layers(chunk_splats, effective_splats)
+    layers = plan_layers(chunk_splats, effective_splats, most_chunks)
     ends = np.cumsum(chunk_splats)
     sizes = [int(ends[chunks - 1]) for chunks in layers]
     coded = coded_splats(sizes, effective_splats, config)
@@ -407,17 +421,21 @@ def placeholder_compensation(
             )
         found.append(layer)
         first = size
-    unchanged = _identity_chunks(chunk_splats, effective_splats, layers)
+    unchanged = _identity_chunks(chunk_splats, effective_splats, layers, most_chunks)
     if unchanged:
         found.append(_identity_layer(unchanged))
     return Compensation(tuple(found), np.array(chunk_splats, np.int64))
 
 
 def _identity_chunks(
-    chunk_splats: Sequence[int], effective_splats: int, layers: Sequence[int]
+    chunk_splats: Sequence[int],
+    effective_splats: int,
+    layers: Sequence[int],
+    most_chunks: int | None,
 ) -> int:
     """Return the number of chunks of the last layer, which has no shifts; 0 for no such layer."""
     if not layers:
         return 0
     chunks = int(np.searchsorted(np.cumsum(chunk_splats), _UNCHANGED * effective_splats)) + 1
-    return chunks if layers[-1] < chunks < len(chunk_splats) else 0
+    most = len(chunk_splats) - 1 if most_chunks is None else most_chunks
+    return chunks if layers[-1] < chunks <= most else 0

@@ -17,7 +17,7 @@ from cogsplat.codec.scoring.reference_views import ReferenceViews
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.close_views import ViewDistance, close_views, view_distances
 
-from .compensation_fit import compensate_prefixes, placeholder_compensation
+from .compensation_fit import compensate_prefixes, most_layer_chunks, placeholder_compensation
 from .config import Target
 from .encoded import EncodedScene
 from .encoder import compress_chunks, encode_chunks
@@ -246,7 +246,8 @@ class Finisher:
                 encoded = self.preview.reserve(encoded)
             counts = [chunk.splats for chunk in encoded.chunks]
             fit = self.preset.fit_config(self.prepared.config.threads)
-            blank = placeholder_compensation(counts, self.effective_splats, fit)
+            most = most_layer_chunks(encoded.chunks)
+            blank = placeholder_compensation(counts, self.effective_splats, fit, most_chunks=most)
             encoded = replace(encoded, compensation=blank)
         if self.table_views:
             encoded = reserve_view_table(encoded, len(self.table_views))

@@ -115,6 +115,7 @@ def test_layers_grow_and_leave_out_the_whole():
     assert plan_layers([100] * 10, 800) == [1, 2, 3, 5, 7]
     assert plan_layers([100], 800) == []
     assert plan_layers([900, 100], 800) == []
+    assert plan_layers([100] * 10, 800, most_chunks=4) == [1, 2, 3]
 
 
 def test_one_chunk_wants_nothing(scene):
