@@ -23,8 +23,9 @@ _SMALL_ROUND_DB: Final = 3.0
 _LOSS_PER_HALVING_DB: Final = 4.0
 # Accepted range of PSNR after training, less the storing loss, relative to the target, dB. Outside
 # it, another number of splats takes fewer bytes. Measured in four scenes at 34 to 40 dB: more
-# splats save 10 % at most, or cost 5 %, where it is -1.2 to -0.7. At -1.3, -1.8 and -1.9, the target
-# is missed nearly before storing, splats take up to 28 bytes each, and more splats save 17 to 47 %.
+# splats save 10 % at most, or cost 5 %, where it is -1.2 to -0.7. At -1.3, -1.8 and -1.9 the target
+# is missed nearly before storing: splats take up to 28 bytes each, and more splats save 17 to
+# 47 %.
 _TOO_MANY_DB: Final = 0.6
 _TOO_FEW_DB: Final = -1.2
 
