@@ -15,49 +15,11 @@ from cogsplat.codec.rate.segment_order import (
     OrderedSegment,
     SegmentGain,
 )
-from cogsplat.codec.segments.codebooks import (
-    Codebook,
-    decode_colour_codebook,
-    decode_shape_codebook,
-)
+from cogsplat.codec.segments.codebooks import EncodedCodebook
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.segments.prefix_compensation import Compensation
 from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.codec.splats import Splats
-
-
-@dataclass(frozen=True)
-class EncodedCodebook:
-    """Payloads of a codebook.
-
-    Parameters
-    ----------
-    attribute : str
-        ``shape`` or ``colour``.
-    rows : int
-        Number of rows.
-    payloads : tuple of bytes
-        One for a shape codebook, one per SH band for a colour codebook.
-    """
-
-    attribute: str
-    rows: int
-    payloads: tuple[bytes, ...]
-
-    def decode(self, sh_degree: int) -> Codebook:
-        """Decode the rows of the codebook.
-
-        Parameters
-        ----------
-        sh_degree : int
-            SH degree of the scene, 0 to 3.
-        """
-        where = f"{self.attribute} codebook"
-        payloads = [memoryview(payload) for payload in self.payloads]
-        if self.attribute == "shape":
-            return decode_shape_codebook(payloads[0], self.rows, where)
-        bands = dict(enumerate(payloads, start=1))
-        return decode_colour_codebook(bands, self.rows, sh_degree, where)
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,12 +27,12 @@ from cogsplat.codec.rate import allocation
 from cogsplat.codec.rate.pruning import keep_mask
 from cogsplat.codec.scoring.contribution import Scores
 from cogsplat.codec.scoring.reference_views import ReferenceViews
+from cogsplat.codec.segments.codebooks import EncodedCodebook
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams.grid import MAX_VALUE
 from cogsplat.codec.workspace import IN_MEMORY, Rearrangement, Workspace
 
 from .config import EncodeConfig
-from .encoded import EncodedCodebook
 
 # A cell's chunk holds at least 1/8 of the maximum; splats of smaller cells move to the next layer.
 _CELL_DIVISOR: Final = 8

@@ -21,9 +21,9 @@ from .config import EncodeConfig, Target
 from .presets import DEFAULT_PRESET, PRESETS, Preset
 
 if TYPE_CHECKING:
-    from cogsplat.codec.encode.encoded import EncodedCodebook
     from cogsplat.codec.scoring.contribution import Scores
     from cogsplat.codec.scoring.score_config import ScoreConfig
+    from cogsplat.codec.segments.codebooks import EncodedCodebook
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.encode.config import MAX_QUALITY_DB, MIN_QUALITY_DB, EncodeConfig
-from cogsplat.codec.encode.encoded import EncodedCodebook, EncodedScene
+from cogsplat.codec.encode.encoded import EncodedScene
 from cogsplat.codec.encode.finishing import Finisher, SizeOf
 from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.encode.presets import PRESETS
@@ -22,6 +22,7 @@ from cogsplat.codec.progress import Progress
 from cogsplat.codec.rate.allocation import lagrangian
 from cogsplat.codec.scoring.contribution import score
 from cogsplat.codec.scoring.reference_views import render_references
+from cogsplat.codec.segments.codebooks import EncodedCodebook
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.drawn_views import ViewDrawer
 from cogsplat.codec.views.view_sets import TEST_VIEWS, sample_evenly

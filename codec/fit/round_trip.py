@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.encode.encoded import EncodedCodebook, EncodedScene
+from cogsplat.codec.encode.encoded import EncodedScene
 from cogsplat.codec.encode.encoder import encode_chunks
 from cogsplat.codec.encode.prepared import PreparedScene
 from cogsplat.codec.executor import LocalThreads
 from cogsplat.codec.geometry import rotations
+from cogsplat.codec.segments.codebooks import EncodedCodebook
 from cogsplat.codec.splats import Splats
 
 from .differentiable_rendering import Gradients, with_values

@@ -131,3 +131,37 @@ def missing_codebook_error(stream: StoredStream, number: int, attribute: str) ->
         f"expected a {attribute} codebook that the segment needs",
         clause="6.7",
     )
+
+
+@dataclass(frozen=True)
+class EncodedCodebook:
+    """Payloads of a codebook.
+
+    Parameters
+    ----------
+    attribute : str
+        ``shape`` or ``colour``.
+    rows : int
+        Number of rows.
+    payloads : tuple of bytes
+        One for a shape codebook, one per SH band for a colour codebook.
+    """
+
+    attribute: str
+    rows: int
+    payloads: tuple[bytes, ...]
+
+    def decode(self, sh_degree: int) -> Codebook:
+        """Decode the rows of the codebook.
+
+        Parameters
+        ----------
+        sh_degree : int
+            SH degree of the scene, 0 to 3.
+        """
+        where = f"{self.attribute} codebook"
+        payloads = [memoryview(payload) for payload in self.payloads]
+        if self.attribute == "shape":
+            return decode_shape_codebook(payloads[0], self.rows, where)
+        bands = dict(enumerate(payloads, start=1))
+        return decode_colour_codebook(bands, self.rows, sh_degree, where)

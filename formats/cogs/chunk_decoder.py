@@ -11,7 +11,6 @@ from typing import Final
 import numpy as np
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.encode.encoded import EncodedCodebook
 from cogsplat.codec.errors import LimitError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.segments import codebooks
@@ -21,7 +20,7 @@ from cogsplat.codec.segments.chunk_sets import (
     equivalent_prefixes,
     has_all_parents,
 )
-from cogsplat.codec.segments.codebooks import Codebook
+from cogsplat.codec.segments.codebooks import Codebook, EncodedCodebook
 from cogsplat.codec.segments.opacities import decode_opacities
 from cogsplat.codec.segments.prefix_compensation import Compensation, Layer
 from cogsplat.codec.segments.view_shares import ViewTable

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.capture import merged_capture
-from cogsplat.codec.encode.joined_compensation import join_compensations, layers_of_chunks
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.partition.chunk_tree import ROOT_CHUNKS, chunk_tree
 from cogsplat.codec.partition.nested_cells import WHOLE
 from cogsplat.codec.partition.part_cells import cell_within, part_cells
 from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.segments.joined_compensation import join_compensations, layers_of_chunks
 from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, check_output
 from cogsplat.formats.storage.limits import Limits
@@ -58,13 +58,18 @@ class Joined:
         Written file.
     size_bytes : int
         Its length, bytes.
-    parts, splats, chunks : int
-        Numbers of parts, and of splats and chunks of the file.
+    parts : int
+        Number of parts.
+    sh_degree : int
+        SH degree of the file.
+    splats, chunks : int
+        Numbers of its splats and chunks.
     """
 
     path: Path
     size_bytes: int
     parts: int
+    sh_degree: int
     splats: int
     chunks: int
 
@@ -130,7 +135,7 @@ def join(
                 copy_cogs(whole, out, progress=progress)
                 # Windows replaces no file that is open.
                 stack.close()
-    return Joined(target, source.size, len(files), splats, chunks)
+    return Joined(target, source.size, len(files), files[0].root.sh_degree, splats, chunks)
 
 
 def joined_source(files: Sequence[CogsFile], name: str) -> Source:

@@ -10,12 +10,12 @@ import click
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.config import EncodeConfig, Target
-from cogsplat.codec.encode.encoded import EncodedCodebook
 from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.order.chunk_plan import DEFAULT_CHUNK_SPLATS
 from cogsplat.codec.partition.nested_cells import DEFAULT_CELL_SPLATS
 from cogsplat.codec.rate.pruning import PruneConfig
+from cogsplat.codec.segments.codebooks import EncodedCodebook
 from cogsplat.codec.workspace import Workspace
 from cogsplat.formats.cogs.open_file import open_scene
 from cogsplat.formats.storage.byte_counts import ByteCount

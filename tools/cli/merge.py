@@ -212,9 +212,8 @@ def _join(parts: Sequence[Path], out: Path, *, force: bool, shown: bool, as_json
         made = cogsplat.join(parts, out, force=force, limits=current_limits(), progress=stages)
     written = WrittenScene(COGS_NAME, made.size_bytes, made.splats)
     if as_json:
-        names = [display_name(part) for part in parts]
-        seconds = stages.rounded_seconds()
-        print_json({**written.report(out), "parts": names, "seconds": seconds})
+        degree = {"sh_degree": made.sh_degree, "objects": []}
+        print_json({**written.report(out), **degree, "seconds": stages.rounded_seconds()})
     elif shown:
         print_line(f"{written.line(out)}, {count_text(made.splats, 'splat')}")
         print_facts(

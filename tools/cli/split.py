@@ -17,6 +17,7 @@ from cogsplat.codec.partition.part_planes import part_cameras
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.scenes.ply.splitting import plan_parts, write_parts
 from cogsplat.formats.storage.atomic import atomic_write, is_folder, storage_errors
+from cogsplat.tools.terminal.limits_option import limits_option
 from cogsplat.tools.terminal.options import cameras_option, force_option, json_option, quiet_option
 from cogsplat.tools.terminal.output import (
     count_text,
@@ -71,6 +72,7 @@ class _Part:
     help="Splats of a part. Some parts may have up to a quarter more.",
 )
 @cameras_option("Each part gets those that show it. Without it, views of each part are planned.")
+@limits_option
 @force_option
 @quiet_option
 @json_option

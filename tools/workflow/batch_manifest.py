@@ -101,8 +101,9 @@ class BatchScene:
         Raises
         ------
         CogsplatError
-            The input cannot be read.
+            The input cannot be read; the errors of `require_well_formed`.
         """
+        self.require_well_formed()
         digest = hashlib.sha256(json.dumps([self.output, self.words]).encode())
         if is_url(self.input):
             _update_by_url(digest, self.input)

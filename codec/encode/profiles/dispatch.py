@@ -10,13 +10,12 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.encode.encoded import EncodedCodebook
 from cogsplat.codec.encode.prepared import ChunkedScene
 from cogsplat.codec.progress import Progress
 from cogsplat.codec.rate import costs as rate_costs
 from cogsplat.codec.rate import segment_order
 from cogsplat.codec.rate.costs import Costs
-from cogsplat.codec.segments.codebooks import ColourCodebook, ShapeCodebook
+from cogsplat.codec.segments.codebooks import ColourCodebook, EncodedCodebook, ShapeCodebook
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.splats import Splats
 

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from cogsplat.codec.encode import colour_transform
 from cogsplat.codec.encode.colour_transform import ColourBasis
 from cogsplat.codec.encode.config import Ablation
-from cogsplat.codec.encode.encoded import EncodedCodebook
 from cogsplat.codec.geometry.sh import C0
 from cogsplat.codec.rate import allocation, refinement_split, segment_order
 from cogsplat.codec.rate import costs as rate_costs
 from cogsplat.codec.rate.costs import Costs
 from cogsplat.codec.rate.head_coarseness import FINE, HeadCoarseness, head_coarseness
 from cogsplat.codec.segments.codebooks import ColourCodebook as DecodedColourCodebook
+from cogsplat.codec.segments.codebooks import EncodedCodebook
 from cogsplat.codec.segments.payloads import Payloads
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams import grid as grids

@@ -79,9 +79,9 @@ const evicted = new Map();
 
 /** Return the worth of each chunk that is not held: the largest of itself and its descendants (docs/streaming.md, 9). */
 function worthsOf({ heads, units }, ratios) {
-  const worths = new Map([...heads].map(([chunk, head]) => [chunk, ratios[chunk] / units[head].end]));
+  const worths = new Map([...heads].map(([chunk, head]) => [chunk, ratios[chunk] / units[head].place]));
   for (const chunk of [...heads.keys()].sort((a, b) => b - a)) {
-    const parent = units[heads.get(chunk)].dependencies.map((unit) => units[unit].chunk).find((other) => other >= 0);
+    const parent = units[heads.get(chunk)].dependencies.map((unit) => units[unit].row).find((other) => other >= 0);
     if (parent !== undefined) worths.set(parent, Math.max(worths.get(parent), worths.get(chunk)));
   }
   return worths;
@@ -104,9 +104,9 @@ Scheduler.prototype.decide = function (ratios, holdings) {
     evicted.set(chunk, { at: now, worth });
     found.evictions++;
   }
-  for (const unit of decision.stop) if (this.units[unit].isHead) held.delete(this.units[unit].chunk);
+  for (const unit of decision.stop) if (this.units[unit].isHead) held.delete(this.units[unit].row);
   for (const unit of decision.fetch) {
-    const { chunk, isHead } = this.units[unit];
+    const { row: chunk, isHead } = this.units[unit];
     if (!isHead) continue;
     held.add(chunk);
     const before = evicted.get(chunk);
@@ -147,7 +147,7 @@ function recordDecision(scheduler, ratios, holdings, decision) {
   };
   if (scheduler !== lastScheduler) {
     entry.units = scheduler.units.map((unit) => ({
-      ...{ start: start(unit), place: unit.end, size: unit.size, row: row(unit.chunk), isHead: unit.isHead },
+      ...{ start: start(unit), place: unit.place, size: unit.size, row: row(unit.row), isHead: unit.isHead },
       dependencies: unit.dependencies.map((other) => starts[other]),
     }));
     entry.splats = scheduler.splats.map((splats, at) => [row(at), splats]);

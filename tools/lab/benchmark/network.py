@@ -169,10 +169,7 @@ def _copies(file: CogsFile, chunks: int) -> tuple[Root, list[Segment]]:
     segments = [_segment(file, int(row), int(file.segments.owner[row])) for row in books]
     one = [_segment(file, row, 0) for row in parts]
     segments += [replace(part, owner=chunk) for chunk in range(chunks) for part in one]
-    row = np.full(chunks, chosen)
-    table = type(file.chunks)(
-        *(getattr(file.chunks, name)[row] for name in file.chunks.__dataclass_fields__)
-    )
+    table = file.chunks.take(np.full(chunks, chosen))
     splats = int(table.splats.sum())
     return replace(
         file.root, splats=splats, chunks=table, pages=PageTable.zeros(0), attributes=()
