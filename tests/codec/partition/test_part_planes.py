@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.partition.nested_cells import WHOLE_SCENE, Region
 from cogsplat.codec.partition.part_planes import (
-    LEAST_CAMERAS,
+    FAR_CAMERAS,
     count_parts,
     divide,
     halve,
@@ -90,25 +90,28 @@ def block() -> np.ndarray:
 
 def test_cameras_inside_the_enlarged_box_belong_to_a_part(block: np.ndarray) -> None:
     # The box without outliers is about 0.2 to 9.8, enlarged by 2.4.
-    inside = [looking((x, 5, 5), 1.0, f"in {x}") for x in (-2.0, 1.0, 5.0, 12.0)]
-    outside = [looking((x, 5, 5), 1.0, f"out {x}") for x in (-2.5, 12.5)]
-    found = part_cameras(block, [outside[0], *inside, outside[1]])
-    assert found == inside
+    inside = [looking((x, 5, 5), -1.0, f"in {x}") for x in (-2.0, 1.0, 5.0, 12.0)]
+    outside = [looking((-2.5, 5, 5), -1.0, "away"), looking((12.5, 5, 5), 1.0, "away")]
+    assert part_cameras(block, [outside[0], *inside, outside[1]]) == inside
 
 
-def test_the_nearest_cameras_that_see_a_part_join_too_few(block: np.ndarray) -> None:
-    cameras = [
-        looking((-90, 5, 5), 1.0, "far"),
-        looking((-50, 5, 5), 1.0, "nearer"),
+def test_cameras_that_see_much_of_a_part_from_far_join_spread_out(block: np.ndarray) -> None:
+    seeing = [looking((-20 - x, 5, 5), 1.0, f"far {x}") for x in range(100)]
+    others = [
         looking((-20, 5, 5), -1.0, "turned away"),
-        looking((5, 5, 5), 1.0, "inside"),
-        looking((-30, 5, 5), 1.0, "near"),
         looking((-20, 90, 5), 1.0, "past it"),
-        looking((-60, 5, 5), 1.0, "fourth"),
+        # Its picture has less than a quarter of the part.
+        looking((-20, 35, 5), 1.0, "aside"),
     ]
-    found = [camera.name for camera in part_cameras(block, cameras)]
-    assert found == ["nearer", "inside", "near", "fourth"]
-    assert len(found) == LEAST_CAMERAS
+    inside = looking((5, 5, 5), 1.0, "inside")
+    found = part_cameras(block, [*seeing[::-1], *others, inside])
+    assert len(found) == FAR_CAMERAS + 1
+    assert found[-1] == inside
+    places = [-camera.position[0] for camera in found[:-1]]
+    assert places == sorted(places, reverse=True)
+    assert (places[-1], places[0]) == (20, 119)
+    assert np.diff(places).max() < -3
+    assert part_cameras(block, seeing[:3]) == seeing[:3]
 
 
 def test_a_part_that_no_camera_sees_has_none(block: np.ndarray) -> None:
