@@ -65,8 +65,8 @@ class EncodeRequest:
     target : Target, optional
         PSNR or file size to search for; it replaces `EncodeConfig.quality_db`.
     basis : EncodedCodebook, optional
-        Codebook of another file (`CogsFile.stored_codebook`) to use in place of a new one, for
-        profile ``transform`` and a scene with shN: files with the same codebooks can be joined.
+        Colour codebook of another file (`CogsFile.stored_codebook`) to use in place of a new one,
+        only for the profile ``transform``: files with the same codebooks can be joined.
     memory_bytes : int, optional
         Resident-memory limit of the process. Larger arrays are kept in mapped files next to the
         output: for a scene given as the path of a PLY, with any profile but `vq`.
@@ -79,7 +79,8 @@ class EncodeRequest:
     ------
     ValueError
         An unknown preset; the order ``gain`` with scores and no cameras; a target for the profile
-        `near-lossless`; a basis for another profile than `transform`; an executor or a preview
+        `near-lossless`; a basis of another attribute than colour, or for another profile than
+        `transform`; an executor or a preview
         together with a memory limit.
     DataError
         ``bad-view-text``: `up`, `view` or `trained_at` cannot be parsed.

@@ -12,7 +12,7 @@ MAX_CELL = (1 << 32) - 1
 
 
 def part_cells(boxes: NDArray[np.float64]) -> list[int]:
-    """Return a cell for each part: parts are halved by their middles until each is alone.
+    """Return a cell for each part: the set of parts is halved by middles until each is alone.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def part_cells(boxes: NDArray[np.float64]) -> list[int]:
 
 
 def cell_within(outer: int, inner: int) -> int:
-    """Return the number of a part's cell in the scene in which the part is the cell `outer`.
+    """Return the scene's number for cell `inner` of a part that is the scene's cell `outer`.
 
     Where it does not fit 32 bits, the smallest cell around it whose number does.
 

@@ -23,7 +23,7 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 FAR_CAMERAS: Final = 16
-"""Cameras outside of a part's surroundings at most. With street cameras alone, a city of ten
+"""Most cameras of a part from outside its surroundings. With street cameras alone, a city of ten
 million splats in eight parts showed 18 to 25 dB from far away, where its streets had 40 to 50
 dB."""
 
@@ -38,7 +38,7 @@ _MARGIN: Final = 0.25
 _SEEN_CENTRES: Final = 1024
 
 
-def halve(sample: F64, shares: float, most: float) -> Region:
+def halving_planes(sample: F64, shares: float, most: float) -> Region:
     """Halve space by planes until no part is expected to hold more than a number of splats.
 
     Each plane halves the sample across the longest side of its box, which leaves out 2 % of the
@@ -57,9 +57,9 @@ def halve(sample: F64, shares: float, most: float) -> Region:
     Examples
     --------
     >>> import numpy as np
-    >>> from cogsplat.codec.partition.part_planes import divide, halve
+    >>> from cogsplat.codec.partition.part_planes import divide, halving_planes
     >>> street = np.array([[0.0, 0, 0], [9, 0, 0], [1, 0, 0], [8, 0, 0]])
-    >>> planes = halve(street, shares=1.0, most=2)
+    >>> planes = halving_planes(street, shares=1.0, most=2)
     >>> planes.axis, planes.plane
     (0, 8.0)
     >>> [part.tolist() for part in divide(planes, street)]
@@ -72,9 +72,8 @@ def halve(sample: F64, shares: float, most: float) -> Region:
         return WHOLE_SCENE
     axis, place = plane
     is_high = sample[:, axis] >= place
-    return Region(
-        axis, place, (halve(sample[~is_high], shares, most), halve(sample[is_high], shares, most))
-    )
+    low, high = (halving_planes(sample[side], shares, most) for side in (~is_high, is_high))
+    return Region(axis, place, (low, high))
 
 
 def divide(planes: Region, centres: F64) -> list[I64]:
@@ -109,21 +108,21 @@ def _divide(planes: Region, places: I64, centres: F64, parts: list[I64]) -> None
     _divide(planes.halves[1], places[is_high], centres, parts)
 
 
-def replaced(planes: Region, parts: Mapping[int, Region]) -> Region:
+def refined(planes: Region, finer: Mapping[int, Region]) -> Region:
     """Return a tree of planes with some parts cut further.
 
     Parameters
     ----------
     planes : Region
         Tree of planes.
-    parts : mapping of int to Region
-        Planes within a part, by the part's number.
+    finer : mapping of int to Region
+        Planes that cut a part, by its number.
     """
     numbers = iter(range(count_parts(planes)))
 
     def below(node: Region) -> Region:
         if node.halves is None:
-            return parts.get(next(numbers), node)
+            return finer.get(next(numbers), node)
         low, high = node.halves
         return replace(node, halves=(below(low), below(high)))
 
@@ -139,8 +138,8 @@ def part_cameras(sample: F64, cameras: Sequence[Camera]) -> list[Camera]:
     """Return the cameras that show a part, in their order.
 
     These are the cameras inside the part's box, enlarged by a quarter of its extent at each side,
-    and `FAR_CAMERAS` of those further away that have a quarter of the part in their picture,
-    occluded or not: from the nearest on, each as far as possible from those before it.
+    and at most `FAR_CAMERAS` others with at least a quarter of the part in their picture, occluded
+    or not: the nearest, then always the one farthest from those chosen.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Compensation of scenes that are joined: their layers side by side, splat by splat as before."""
+"""Compensation of scenes that are joined: their layers side by side, as far as they fit."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ I64 = NDArray[np.int64]
 
 
 def layers_of_chunks(compensation: Compensation) -> I64:
-    """Return the first layer that has each chunk, (c,) int64; the number of layers for others."""
+    """Return the first layer of each chunk, (c,) int64: the number of layers for chunks in none."""
     ends = [layer.chunks for layer in compensation.layers]
     return np.searchsorted(ends, np.arange(len(compensation.chunk_splats)), side="right")
 
@@ -31,7 +31,7 @@ def join_compensations(
         Number of each part's chunks in the joined scene. Chunks of earlier layers
         (`layers_of_chunks`) come first.
     most_chunks : int
-        Maximum number of chunks of a layer; longer layers are left out.
+        Maximum number of chunks of a layer; a layer with more, and all after it, are left out.
 
     Returns
     -------

@@ -85,14 +85,15 @@ def join(
     """Join COGS files of neighbouring parts of a scene into one file, without decoding.
 
     Heads, refinements, tails and codebooks keep their bytes; the index is made anew, so that a
-    client at one place reads the pages of what is around it. To replace a part, encode it again and
-    join all files again.
+    client at one place reads the pages of what is around it. Left out are predicted qualities, and
+    layers of compensation that are too long or that not all parts have. To replace a part, encode
+    it again and join all files again.
 
     Parameters
     ----------
     paths : sequence of path
-        Files or folders of the parts, with means in one space. Of the first come first view,
-        direction against gravity and description.
+        Files or folders of the parts, with means in one space. First view, direction against
+        gravity and description are those of the first.
     output : path
         New file.
     force : bool
@@ -106,7 +107,7 @@ def join(
     ------
     DataError
         ``cannot-join``: the files differ in SH degree, frame, colours, attributes or codebooks
-        (encode the others with the codebooks of one of them, `EncodeRequest.codebooks`), or have
+        (encode the others with the codebook of one of them, `EncodeRequest.basis`), or have
         levels or preview splats. ``root-size``, ``too-many-cameras``.
     CogsplatError
         A part cannot be read, or the output cannot be written.
@@ -139,7 +140,7 @@ def join(
 
 
 def joined_source(files: Sequence[CogsFile], name: str) -> Source:
-    """Return a source of the bytes of a file that joins others.
+    """Return the joined file as a source.
 
     Parameters
     ----------
@@ -175,7 +176,7 @@ def joined_source(files: Sequence[CogsFile], name: str) -> Source:
 
 
 class _Joint:
-    """Tables of a joined file, from those of its parts."""
+    """Root, chunks and segments of the joined file."""
 
     def __init__(self, files: Sequence[CogsFile]) -> None:
         self.files = files
@@ -195,7 +196,7 @@ class _Joint:
         numbers = np.empty(len(tree), np.int64)
         numbers[tree] = np.arange(len(tree))
         self.numbers: list[I64] = np.split(numbers, np.cumsum(counts)[:-1])
-        # Place of each chunk, by its number, among those of all parts before pages are formed.
+        # Rank of each chunk in `order`, by its new number.
         self.turns: I64 = np.argsort(order)[tree]
         self.parts: I64 = parts[tree]
         self.chunks: ChunkTable = replace(chunks, cell=cells.astype(np.uint32)).take(tree)
@@ -206,7 +207,7 @@ class _Joint:
 
     @cached_property
     def root(self) -> Root:
-        """Root of the joined file; segments and pages are those of the first part."""
+        """Root of the joined file, still with segments and pages of the first part."""
         first = self.files[0].root
         capture = merged_capture([file.root.info.capture for file in self.files])
         boxes = np.array([file.root.box for file in self.files if file.root.splats]).reshape(-1, 6)
@@ -260,10 +261,10 @@ class _Joint:
 
     @staticmethod
     def _chunks(file: CogsFile) -> ChunkTable:
-        """Return the chunks of a part as the joined file lists them.
+        """Return a part's chunks with comparable contributions and without predictions.
 
-        Parts are scored in views of their own: their sums are made comparable by splats. What was
-        predicted for prefixes of the part is not true of the joined file.
+        Parts are scored in views of their own, so contributions are scaled to a mean of 1 for each
+        splat. What was predicted for prefixes of the part is not true of the joined file.
         """
         table = file.chunks
         whole = float(table.contribution.sum())
@@ -323,7 +324,7 @@ class _Joint:
             index.rows.sort(key=lambda row: (places[row], row))
 
     def _added(self) -> list[Segment]:
-        """Return the segments that the joined file has in place of those of its parts."""
+        """Return the new segments: compensation, cameras, description and pictures."""
         added = [
             Segment(SegmentKind.COMPENSATION, number, pack_layer(layer))
             for number, layer in enumerate(self.compensation.layers)
@@ -338,7 +339,7 @@ class _Joint:
 
 
 def _add_view_tables(joint: _Joint, plan: IndexPlan) -> list[Segment]:
-    """Return the view tables of the indices below which one part is, and add them to the plan.
+    """Add a view table to each index with a single part below; return the tables.
 
     What the viewpoints of a part see of another is not known.
     """
@@ -371,8 +372,8 @@ def _require_alike(files: Sequence[CogsFile]) -> None:
             raise DataError(_CODE, f"{file.name}: has levels or preview splats, expected neither")
         for what, one, other in (
             ("SH degree", root.sh_degree, first.sh_degree),
-            ("frame or colours", _info(root), _info(first)),
-            ("attributes", list(root.attributes), list(first.attributes)),
+            ("scene", _conventions(root), _conventions(first)),
+            ("attributes", _attributes(root), _attributes(first)),
         ):
             if one != other:
                 raise DataError(
@@ -386,9 +387,18 @@ def _require_alike(files: Sequence[CogsFile]) -> None:
             )
 
 
-def _info(root: Root) -> object:
-    """Return what joined files must have in common of their scenes."""
-    return replace(root.info, capture=())
+def _conventions(root: Root) -> str:
+    """Return the conventions of a scene that all parts share, as text."""
+    info = root.info
+    kind = "antialiased" if info.antialiased else f"kernel {info.kernel_px:g} px"
+    origin = ", ".join(f"{value:.17g}" for value in info.origin)
+    return f"with origin {origin}, axes {info.axes}, colours {info.colour_space}, {kind}"
+
+
+def _attributes(root: Root) -> str:
+    """Return names and types of a scene's attributes as text."""
+    found = [f"{kind.name} {kind.dtype}×{kind.components}" for kind in root.attributes]
+    return ", ".join(found) or "none"
 
 
 def _codebooks(file: CogsFile) -> list[tuple[str, int, bytes]]:
@@ -402,9 +412,9 @@ def _codebooks(file: CogsFile) -> list[tuple[str, int, bytes]]:
 
 
 def _ranks(file: CogsFile) -> I64:
-    """Return how many chunks come before each chunk on the way to it, (c,) int64.
+    """Return the number of chunks before each chunk, (c,) int64.
 
-    These are the chunks of the indices above, and those before it in its own index.
+    It counts the chunks of the indices above, and those before the chunk in its own index.
     """
     above: dict[tuple[int, ...], int] = {}
     found: list[I64] = []
@@ -419,7 +429,7 @@ def _ranks(file: CogsFile) -> I64:
 def _last_heads(file: CogsFile) -> I64:
     """Return the chunk whose head is the last before each segment, (s,) int64.
 
-    The search is in the index of the segment; before its first head, that is its first chunk.
+    The search is in the index of the segment: before the first head, the index's first chunk.
     """
     found: list[I64] = []
     for node in file.indices:

@@ -272,8 +272,8 @@ _GROUPS: Final = {
     "--codebooks-of",
     type=PATH,
     metavar="FILE.cogs",
-    help="Use the codebooks of this file in place of new ones, as `merge --parts` needs them; with "
-    "--profile transform.",
+    help="Use the codebooks of this file in place of new ones, as `merge --parts` needs them; only "
+    "for the profile transform.",
 )
 @format_option(["cogs"], "Without it, a name with the extension of another format is refused.")
 @background_option

@@ -1,4 +1,4 @@
-"""``cogsplat merge``: several scenes as one, each labelled as an object."""
+"""``cogsplat merge``: several scenes as one, each labelled as an object, or the parts of one."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from cogsplat.tools.terminal.output import (
     print_json,
     print_line,
 )
-from cogsplat.tools.terminal.partial import partial_option
+from cogsplat.tools.terminal.partial import partial_accepted, partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.scene_writing import SceneWriting, writing_options
 from cogsplat.tools.terminal.standard_streams import INPUT, OutputPath
@@ -80,8 +80,8 @@ def _of_scene(parse: Callable[[str], Value]) -> Callable[[str], tuple[int, Value
     "are_parts",
     is_flag=True,
     help="Join COGS files of the parts of a scene, such as `split` and `batch` make, without "
-    "decoding. They need the same SH degree, axes, origin, attributes and codebooks (encode "
-    "--codebooks-of). First view, up and description are those of the first one.",
+    "decoding. They need the same SH degree, axes, origin, colours, attributes and codebooks "
+    "(encode --codebooks-of). First view, up and description are those of the first one.",
 )
 @click.option(
     "--scale",
@@ -128,24 +128,27 @@ def merge(
 ) -> None:
     """Merge scenes, or join the parts of one.
 
-    The attribute `object` labels the splats of the first scene with 1, of the second with 2, and so
-    on, for chunks, budgets and decoding by object. Axes and origin are those of the first scene.
+    Without --parts, the attribute `object` labels the splats of the first scene with 1, of the
+    second with 2, and so on, for chunks, budgets and decoding by object. Axes and origin are those
+    of the first scene.
     Each chunk of a COGS file holds one object, so that an object can be loaded alone.
     """
-    if len(sources) < 2:
+    if len(sources) < 2 and not are_parts:
         raise click.UsageError(f"{sources[0]} alone, expected two scenes or more, then the output")
     name = output_format(out, writing)
+    if are_parts:
+        if name != COGS_NAME:
+            raise click.UsageError(f"--parts with {out}, expected an output that ends in .cogs")
+        if scales or turns or shifts or not writing.extras or partial_accepted():
+            raise click.UsageError(
+                "--parts with an option that changes or cuts a scene, expected none"
+            )
+        _join(sources, out, force=force, shown=not (quiet or as_json), as_json=as_json)
+        return
     if name == COGS_NAME and not writing.extras:
         raise click.UsageError(
             f"--no-extras with {out}, expected object labels, by which a .cogs is cut into chunks"
         )
-    if are_parts:
-        if name != COGS_NAME or scales or turns or shifts:
-            raise click.UsageError(
-                f"--parts with {out} and options that change a scene, expected COGS output and none"
-            )
-        _join(sources, out, force=force, shown=not (quiet or as_json), as_json=as_json)
-        return
     edits = _edits(len(sources), dict(scales), dict(turns), dict(shifts))
     check_outputs(out, force=force)
     with Stages(shown=not (quiet or as_json)) as stages:

@@ -26,6 +26,7 @@ from cogsplat.tools.terminal.output import (
     print_json,
     print_line,
 )
+from cogsplat.tools.terminal.partial import partial_option
 from cogsplat.tools.terminal.progress_bars import Stages
 from cogsplat.tools.terminal.standard_streams import INPUT, WRITTEN_PATH
 from cogsplat.tools.workflow.inputs import load_cameras
@@ -72,6 +73,7 @@ class _Part:
     help="Splats of a part. Some parts may have up to a quarter more.",
 )
 @cameras_option("Each part gets those that show it. Without it, views of each part are planned.")
+@partial_option
 @limits_option
 @force_option
 @quiet_option
@@ -87,10 +89,10 @@ def split(
 ) -> None:
     """Cut a PLY into parts that are encoded one by one.
 
-    Planes halve space until no part has more than --splats splats. FOLDER gets the rows of each
+    Planes halve space until parts have about --splats splats. FOLDER gets the rows of each
     part, unchanged, as 000.ply, 001.ply and so on, its cameras as 000.cameras.json, and a manifest
     for `cogsplat batch`, parts.toml. Options of encode for all parts can be added to its table
-    [options]. A scene of any size takes about 0.2 GB of memory.
+    [options]: profile transform, no preview. A scene of any size takes about 0.2 GB of memory.
     """
     manifest = folder / _MANIFEST
     if is_folder(folder):

@@ -1,7 +1,7 @@
 """Split of a PLY into parts: its rows, copied unchanged into one PLY for each part of space.
 
 Neither the scene nor the centres of its splats are held in memory. A sample decides on the planes;
-one pass over the rows counts them by part, a second one copies them.
+passes over the rows count them by part and copy them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.errors import StorageError, TruncatedError, UnsupportedError
 from cogsplat.codec.partition.nested_cells import WHOLE_SCENE, Region
-from cogsplat.codec.partition.part_planes import count_parts, divide, halve, replaced
+from cogsplat.codec.partition.part_planes import count_parts, divide, halving_planes, refined
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
 
@@ -36,8 +36,8 @@ _RUN_ROWS: Final = 64
 # Least centres of a part that is cut again, so that a plane can halve it.
 _LEAST_SAMPLE: Final = 16
 
-# Ratio of a part's splats to the wanted number up to which the part is not cut again. A sample of
-# 16,384 runs misses the splats of a part in 64 by some percent.
+# Ratio of a part's splats to the wanted number up to which the part is not cut again. With 64
+# parts, a sample of 16,384 runs misjudges the splats of a part by some percent.
 _TOLERANCE: Final = 1.25
 
 # Bytes of a block of rows.
@@ -108,10 +108,10 @@ def plan_parts(path: StrPath, most: int, *, progress: Progress = silent) -> PlyP
             if not large:
                 break
             found = rows.samples(planes, {n: counts[n] for n in large}, progress)
-            finer = {n: halve(each, step, most) for n, (each, step) in found.items()}
+            finer = {n: halving_planes(each, step, most) for n, (each, step) in found.items()}
             if all(region is WHOLE_SCENE for region in finer.values()):
                 break
-            planes = replaced(planes, finer)
+            planes = refined(planes, finer)
             sample = np.concatenate([sample, *(each for each, _ in found.values())])
         return PlyParts(
             planes,
@@ -222,7 +222,7 @@ class _PlainRows:
             read += len(block)
             progress("sample", stop, self.total)
         sample = np.concatenate(found)
-        return sample, halve(sample, self.total / max(read, 1), most)
+        return sample, halving_planes(sample, self.total / max(read, 1), most)
 
     def count(self, planes: Region, progress: Progress) -> I64:
         """Return the number of rows in each part."""
@@ -257,7 +257,7 @@ class _PlainRows:
         if _state(self.file) != self.state:
             raise StorageError(
                 "file-changed",
-                f"{self.where}: was rewritten while being split, expected a file at rest",
+                f"{self.where}: changed while being split, expected a file at rest",
             )
 
 

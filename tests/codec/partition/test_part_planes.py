@@ -11,9 +11,9 @@ from cogsplat.codec.partition.part_planes import (
     FAR_CAMERAS,
     count_parts,
     divide,
-    halve,
+    halving_planes,
     part_cameras,
-    replaced,
+    refined,
 )
 
 
@@ -26,36 +26,36 @@ def test_each_centre_is_in_one_part_and_no_part_has_too_many(
     count: int, most: int, seed: int
 ) -> None:
     means = centres(count, seed)
-    parts = divide(halve(means, 1.0, most), means)
+    parts = divide(halving_planes(means, 1.0, most), means)
     np.testing.assert_array_equal(np.sort(np.concatenate(parts)), np.arange(count))
     assert all((np.diff(part) > 0).all() for part in parts)
     assert max(map(len, parts)) <= max(most, 1)
-    # Balanced: halves of halves.
-    assert max(map(len, parts)) - min(map(len, parts)) <= 1
+    # A part is halved only where it is too large.
+    assert max(map(len, parts)) <= 2 * min(map(len, parts)) + 1
 
 
 def test_planes_cut_across_the_longest_side_without_outliers() -> None:
     means = centres(1000, 1)
     means[:10, 2] = 1e6
-    tree = halve(means, 1.0, 500)
+    tree = halving_planes(means, 1.0, 500)
     assert (tree.axis, count_parts(tree)) == (0, 2)
     assert tree.plane == np.sort(means[:, 0])[500]
 
 
 def test_a_sample_stands_for_the_scene() -> None:
-    assert count_parts(halve(centres(64, 2), 1000.0, 8000)) == 8
-    assert halve(centres(64, 2), 1000.0, 64_000) is WHOLE_SCENE
+    assert count_parts(halving_planes(centres(64, 2), 1000.0, 8000)) == 8
+    assert halving_planes(centres(64, 2), 1000.0, 64_000) is WHOLE_SCENE
 
 
 def test_coincident_centres_share_a_part() -> None:
-    assert halve(np.ones((50, 3)), 1.0, 5) is WHOLE_SCENE
+    assert halving_planes(np.ones((50, 3)), 1.0, 5) is WHOLE_SCENE
     means = np.repeat(centres(4, 3), 25, axis=0)
-    assert sorted(map(len, divide(halve(means, 1.0, 5), means))) == [25, 25, 25, 25]
+    assert sorted(map(len, divide(halving_planes(means, 1.0, 5), means))) == [25, 25, 25, 25]
 
 
 def test_nan_belongs_to_the_first_part_and_infinity_to_an_outer_one() -> None:
     means = centres(100, 4)
-    tree = halve(means, 1.0, 25)
+    tree = halving_planes(means, 1.0, 25)
     means[7] = means[99]
     means[[3, 50, 98]] = [
         [np.inf, np.nan, 0.0],
@@ -71,7 +71,7 @@ def test_nan_belongs_to_the_first_part_and_infinity_to_an_outer_one() -> None:
 
 def test_parts_are_cut_further_one_by_one() -> None:
     tree = Region(0, 0.0, (WHOLE_SCENE, Region(1, 5.0, (WHOLE_SCENE, WHOLE_SCENE))))
-    finer = replaced(tree, {1: Region(2, 7.0, (WHOLE_SCENE, WHOLE_SCENE)), 2: WHOLE_SCENE})
+    finer = refined(tree, {1: Region(2, 7.0, (WHOLE_SCENE, WHOLE_SCENE)), 2: WHOLE_SCENE})
     assert count_parts(finer) == 4
     points = np.array([[-1.0, 9, 9], [1, 4, 6], [1, 4, 7], [1, 5, 0]])
     assert [part.tolist() for part in divide(finer, points)] == [[0], [1], [2], [3]]
