@@ -78,7 +78,7 @@ def plan_layers(
 
 
 def most_layer_chunks(chunks: Sequence[EncodedChunk]) -> int | None:
-    """Return the limit on a layer's chunks: those of the root where pages follow the cells.
+    """Return the largest number of chunks in a layer: where pages follow cells, the root's.
 
     In longer prefixes some cells are whole and others coarse, which no client fetches. From the
     last layer on, shifts fade with the missing descendants of each chunk (SPEC 8.5). None where

@@ -80,8 +80,7 @@ class EncodeRequest:
     ValueError
         An unknown preset; the order ``gain`` with scores and no cameras; a target for the profile
         `near-lossless`; a basis of another attribute than colour, or for another profile than
-        `transform`; an executor or a preview
-        together with a memory limit.
+        `transform`; an executor or a preview together with a memory limit.
     DataError
         ``bad-view-text``: `up`, `view` or `trained_at` cannot be parsed.
 

@@ -66,7 +66,7 @@ _MAX_SCORED_VIEWS, _LEAST_SCORED_VIEWS = 64, 96
 
 # Preset of the compensation fit, whatever the others: tuning leaves few splats, so that the fit
 # takes a second of minutes. In eight tuned files, the fit of `best` shows up to 2.3 dB more in the
-# first 16 to 64 KiB than that of `fast`, and nowhere there over 0.1 dB less.
+# first 16 to 64 KiB than the fit of `fast`, and at most 0.1 dB less.
 _FIT_PRESET: Final = "best"
 
 

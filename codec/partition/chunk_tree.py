@@ -99,7 +99,7 @@ def _groups(chunks: I64, cells: I64, parts: I64, most: int) -> list[I64]:
     """Return the chunks in at most `most` groups, each inside one cell, depth first by cell."""
 
     def excess(group: I64) -> int:
-        """Return the chunks of a group that should be halved, 0 for others."""
+        """Return the size of a group that is to be halved, else 0."""
         is_mixed = len(group) and (parts[group] != parts[group[0]]).any()
         return len(group) if is_mixed or len(group) > _PAGE_CHUNKS else 0
 

@@ -389,7 +389,7 @@ def dividing_plane(means: F64, smallest: int, largest: int) -> tuple[int, float]
 
 
 def inner_box(means: F64) -> tuple[F64, F64]:
-    """Return both corners of the box of (n, 3) means without 2 % of them at each end of an axis."""
+    """Return both corners of the box around (n, 3) means, less 2 % at each end of an axis."""
     low, high = np.quantile(means, [_OUTLIERS, 1.0 - _OUTLIERS], axis=0)
     return low, high
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
 from .nested_cells import WHOLE
 
-MAX_CELL = (1 << 32) - 1
-"""Largest number of a cell in the chunk table."""
+# Bits of a cell's number in the chunk table (SPEC 5.4).
+_CELL_BITS: Final = 32
 
 
 def part_cells(boxes: NDArray[np.float64]) -> list[int]:
@@ -62,4 +64,4 @@ def cell_within(outer: int, inner: int) -> int:
     """
     depth = inner.bit_length() - 1
     cell = outer << depth | inner - (1 << depth)
-    return cell >> max(cell.bit_length() - MAX_CELL.bit_length(), 0)
+    return cell >> max(cell.bit_length() - _CELL_BITS, 0)

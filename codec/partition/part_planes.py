@@ -77,14 +77,14 @@ def halving_planes(sample: F64, shares: float, most: float) -> Region:
 
 
 def divide(planes: Region, centres: F64) -> list[I64]:
-    """Return the positions of the centres in each part, ascending.
+    """Return the rows of the centres in each part, ascending.
 
     A centre with a NaN belongs to the first part, whatever its other coordinates.
 
     Parameters
     ----------
     planes : Region
-        Tree of planes, as of `halve`.
+        Tree of planes, as of `halving_planes`.
     centres : (n, 3) float64
         Centres, scene units.
     """
@@ -99,7 +99,7 @@ def divide(planes: Region, centres: F64) -> list[I64]:
 
 
 def _divide(planes: Region, places: I64, centres: F64, parts: list[I64]) -> None:
-    """Append the positions of each part below a node, of centres at `places`."""
+    """Append the rows of each part below a node, of the centres in rows `places`."""
     if planes.halves is None:
         parts.append(places)
         return

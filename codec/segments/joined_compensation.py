@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.segments.prefix_compensation import MAX_CODE_BITS, Compensation, Layer
+from .prefix_compensation import MAX_CODE_BITS, Compensation, Layer
 
 I64 = NDArray[np.int64]
 

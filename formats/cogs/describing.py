@@ -16,8 +16,8 @@ from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.codec.views.view_text import unit_up
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, check_output, is_folder
 from cogsplat.formats.storage.limits import Limits
-from cogsplat.formats.storage.pieced_source import Piece, PiecedSource
-from cogsplat.formats.storage.source import BytesSource, Source
+from cogsplat.formats.storage.pieced_source import Piece, whole_piece
+from cogsplat.formats.storage.source import Source
 
 from . import canonical_msgpack, layout
 from .canonical_msgpack import Value
@@ -32,7 +32,7 @@ from .open_file import open_source
 from .packing import folder_files
 from .reader import CogsFile, open_cogs
 from .root import parse_root, root_map
-from .writer import lay_out_index, plan_of_file, segment_table
+from .writer import laid_out_source, lay_out_index, plan_of_file, segment_table
 
 _DESCRIPTION_KEYS: Final = frozenset(field.name for field in fields(Description))
 
@@ -196,21 +196,17 @@ def described_source(
         up=file.root.up if up is None else unit_up(up),
         first_view=file.first_view(view=view, up=up),
     )
-    pieces: list[Piece] = []
     added = segment_table(new)
     plan = plan_of_file(file.indices, kept, added.kind)
     table = SegmentTable.concatenate([file.segments.take(kept), added])
-    for part in lay_out_index(root, table, plan):
-        pieces.append(Piece(BytesSource(part.index), 0, len(part.index)))
-        for row in part.rows:
-            if row < len(kept):
-                old = int(kept[row])
-                length = int(file.segments.length[old])
-                pieces.append(Piece(file.source, int(file.offsets[old]), length))
-            else:
-                payload = new[row - len(kept)].payload
-                pieces.append(Piece(BytesSource(payload), 0, len(payload)))
-    return PiecedSource(file.name, pieces)
+
+    def piece_of(row: int) -> Piece:
+        if row >= len(kept):
+            return whole_piece(new[row - len(kept)].payload)
+        old = int(kept[row])
+        return Piece(file.source, int(file.offsets[old]), int(file.segments.length[old]))
+
+    return laid_out_source(file.name, lay_out_index(root, table, plan), piece_of)
 
 
 def _unknown_keys(file: CogsFile) -> dict[str, Value]:

@@ -23,8 +23,8 @@ from cogsplat.codec.segments.joined_compensation import join_compensations, laye
 from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, check_output
 from cogsplat.formats.storage.limits import Limits
-from cogsplat.formats.storage.pieced_source import Piece, PiecedSource
-from cogsplat.formats.storage.source import BytesSource, Source
+from cogsplat.formats.storage.pieced_source import Piece, whole_piece
+from cogsplat.formats.storage.source import Source
 
 from . import layout
 from .camera_segment import pack_cameras
@@ -39,7 +39,15 @@ from .reader import CogsFile, open_cogs
 from .root import Root
 from .segment_rows import CHUNK_KINDS, codebook_kinds
 from .view_table_segment import pack_view_table
-from .writer import IndexPlan, Segment, lay_out_index, plan_index, segment_table, table_of_index
+from .writer import (
+    IndexPlan,
+    Segment,
+    laid_out_source,
+    lay_out_index,
+    plan_index,
+    segment_table,
+    table_of_index,
+)
 
 I64 = NDArray[np.int64]
 
@@ -160,19 +168,15 @@ def joined_source(files: Sequence[CogsFile], name: str) -> Source:
     added = [*joint.added, *_add_view_tables(joint, plan)]
     table = SegmentTable.concatenate([joint.table, segment_table(added[len(joint.added) :])])
     kept = len(joint.rows)
-    pieces: list[Piece] = []
-    for part in lay_out_index(joint.root, table, plan):
-        pieces.append(Piece(BytesSource(part.index), 0, len(part.index)))
-        for row in part.rows:
-            if row < kept:
-                file = files[joint.rows[row, 0]]
-                own = int(joint.rows[row, 1])
-                length = int(file.segments.length[own])
-                pieces.append(Piece(file.source, int(file.offsets[own]), length))
-            else:
-                payload = added[row - kept].payload
-                pieces.append(Piece(BytesSource(payload), 0, len(payload)))
-    return PiecedSource(name, pieces)
+
+    def piece_of(row: int) -> Piece:
+        if row >= kept:
+            return whole_piece(added[row - kept].payload)
+        part, own = joint.rows[row].tolist()
+        file = files[part]
+        return Piece(file.source, int(file.offsets[own]), int(file.segments.length[own]))
+
+    return laid_out_source(name, lay_out_index(joint.root, table, plan), piece_of)
 
 
 class _Joint:
@@ -233,13 +237,13 @@ class _Joint:
             return None
         views = {self._viewpoint(whole, row): row for row in range(len(whole.positions))}
         codes = np.zeros((len(whole.positions), file.num_chunks), np.uint8)
-        for node in file.indices:
-            table = file.view_table(node.path)
+        for index in file.indices:
+            table = file.view_table(index.path)
             if table is None:
                 continue
             rows = [views[self._viewpoint(table, row)] for row in range(len(table.positions))]
-            count = len(node.tables.chunks)
-            codes[rows, node.first_chunk : node.first_chunk + count] = table.codes[:, :count]
+            count = len(index.tables.chunks)
+            codes[rows, index.first_chunk : index.first_chunk + count] = table.codes[:, :count]
         return ViewTable(whole.positions, whole.directions, codes)
 
     @staticmethod
@@ -418,10 +422,10 @@ def _ranks(file: CogsFile) -> I64:
     """
     above: dict[tuple[int, ...], int] = {}
     found: list[I64] = []
-    for node in file.indices:
-        before = above.get(node.path[:-1], 0) if node.path else 0
-        count = len(node.tables.chunks)
-        above[node.path] = before + count
+    for index in file.indices:
+        before = above.get(index.path[:-1], 0) if index.path else 0
+        count = len(index.tables.chunks)
+        above[index.path] = before + count
         found.append(before + np.arange(count))
     return np.concatenate(found)
 
@@ -432,10 +436,10 @@ def _last_heads(file: CogsFile) -> I64:
     The search is in the index of the segment: before the first head, the index's first chunk.
     """
     found: list[I64] = []
-    for node in file.indices:
-        heads = np.cumsum(node.tables.segments.kind == SegmentKind.HEAD)
-        last = max(node.first_chunk + len(node.tables.chunks) - 1, 0)
-        found.append(np.minimum(node.first_chunk + np.maximum(heads - 1, 0), last))
+    for index in file.indices:
+        heads = np.cumsum(index.tables.segments.kind == SegmentKind.HEAD)
+        last = max(index.first_chunk + len(index.tables.chunks) - 1, 0)
+        found.append(np.minimum(index.first_chunk + np.maximum(heads - 1, 0), last))
     return np.concatenate(found).astype(np.int64)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import zlib
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
@@ -18,6 +18,7 @@ from cogsplat.codec.errors import DataError, FormatError, UnsupportedError
 from cogsplat.codec.partition.chunk_tree import ChunkTree, chunk_tree, common_cell
 from cogsplat.codec.segments.view_shares import ViewTable, encode_shares
 from cogsplat.formats.storage.atomic import atomic_write
+from cogsplat.formats.storage.pieced_source import Piece, PiecedSource, whole_piece
 
 from . import canonical_msgpack, layout
 from . import root as cogs_root
@@ -145,6 +146,26 @@ class IndexPart:
 
     index: bytes
     rows: Sequence[int]
+
+
+def laid_out_source(
+    name: str, parts: Sequence[IndexPart], piece_of: Callable[[int], Piece]
+) -> PiecedSource:
+    """Return the file that parts make, as a source.
+
+    Parameters
+    ----------
+    name : str
+        Name of the file in messages.
+    parts : sequence of IndexPart
+        Parts in file order (`lay_out_index`).
+    piece_of : callable
+        Returns the bytes of a segment by its row in the table that was laid out.
+    """
+    pieces: list[Piece] = []
+    for part in parts:
+        pieces += [whole_piece(part.index), *map(piece_of, part.rows)]
+    return PiecedSource(name, pieces)
 
 
 @dataclass(eq=False)

@@ -6,7 +6,7 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from .source import Source, require_within
+from .source import BytesSource, Source, require_within
 
 
 @dataclass(frozen=True)
@@ -16,6 +16,11 @@ class Piece:
     source: Source
     offset: int
     length: int
+
+
+def whole_piece(data: bytes) -> Piece:
+    """Return bytes in memory as a piece."""
+    return Piece(BytesSource(data), 0, len(data))
 
 
 class PiecedSource:
