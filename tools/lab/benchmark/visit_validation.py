@@ -351,7 +351,7 @@ def main(
     drawn = None if source is None else cogsplat.read(source)
     with cogsplat.open(scene) as file:
         simulation = Simulation(file, known, compensate=True, source=drawn)
-    rows, shown = compare(simulation, walked, link, visit, budget)
+        rows, shown = compare(simulation, walked, link, visit, budget)
     if pictures is not None:
         kept = np.unique(
             np.linspace(0, len(times) - 1, min(len(times), 6)).round().astype(int)

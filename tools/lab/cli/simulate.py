@@ -295,16 +295,18 @@ def simulate(
                 peer=other,
                 progress=stages,
             )
-        bits = _bits_for(simulation, walked, bandwidth, as_large_as)
-        link = Link(bits, latency / 1000.0)
-        film = _StripPictures(moments if strip_path is not None else 0)
-        measured = simulation.run_trace(
-            walked, link, chosen, moments, stages, film.add, budget_splats=budget or 0
-        )
-        waited = (
-            bytes_to_hold_goal(simulation, walked, chosen, moments, goal, stages) if wait else {}
-        )
-        at_rest = simulation.at_rest(tests, chosen, stages)
+            bits = _bits_for(simulation, walked, bandwidth, as_large_as)
+            link = Link(bits, latency / 1000.0)
+            film = _StripPictures(moments if strip_path is not None else 0)
+            measured = simulation.run_trace(
+                walked, link, chosen, moments, stages, film.add, budget_splats=budget or 0
+            )
+            waited = (
+                bytes_to_hold_goal(simulation, walked, chosen, moments, goal, stages)
+                if wait
+                else {}
+            )
+            at_rest = simulation.at_rest(tests, chosen, stages)
     if csv_path is not None:
         _write_csv(measured, csv_path, force=force)
     against = "the whole" if source is None else display_name(source)

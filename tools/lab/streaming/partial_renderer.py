@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from cogsplat.codec.segments.chunk_sets import (
     has_all_parents,
 )
 from cogsplat.codec.segments.prefix_compensation import Compensation
-from cogsplat.codec.splats import Splats
+from cogsplat.codec.splats import Splats, concatenate
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.tools.lab.scheduling.chunk_ratios import visible_splat_counts
@@ -32,7 +33,8 @@ class PartialRenderer:
     Parameters
     ----------
     file : CogsFile
-        File whose complete chunks are decoded, with and without refinements.
+        Open file. Its chunks are decoded when a picture needs them, so that a few chunks of a
+        large file take little memory.
     threads : int
         Threads for rendering and scoring; 0 for one per core.
     compensate : bool
@@ -41,11 +43,9 @@ class PartialRenderer:
     """
 
     def __init__(self, file: CogsFile, threads: int = 0, *, compensate: bool = False) -> None:
+        self._file = file
         self._threads = threads
-        chunks = range(file.complete_chunks())
-        self._fine = file.decode(chunks, extras=False)
-        self._coarse = file.decode(chunks, extras=False, refine=False)
-        counts = file.chunks.splats[: len(chunks)].astype(np.int64)
+        counts = file.chunks.splats[: file.complete_chunks()].astype(np.int64)
         ends = np.cumsum(counts)
         self._runs = [
             slice(int(end - count), int(end)) for end, count in zip(ends, counts, strict=True)
@@ -59,10 +59,10 @@ class PartialRenderer:
         """Number of complete chunks."""
         return len(self._runs)
 
-    @property
+    @cached_property
     def splats(self) -> Splats:
         """Complete scene with refinements, in chunk order."""
-        return self._fine
+        return self._file.decode(range(self.chunks), extras=False)
 
     def rows(self, chunk: int) -> slice:
         """Return the rows of a chunk in `splats`."""
@@ -75,7 +75,7 @@ class PartialRenderer:
         from cogsplat.codec.scoring.score_config import ScoreConfig
 
         config = ScoreConfig(jitter=False, threads=self._threads)
-        return score(self._fine if splats is None else splats, [camera], config).contribution
+        return score(self.splats if splats is None else splats, [camera], config).contribution
 
     def chunk_contributions(self, camera: Camera) -> F64:
         """Return the contribution of each chunk to a view, (c,) float64."""
@@ -87,7 +87,7 @@ class PartialRenderer:
         """Render splats, by default the full scene, to an (H, W, 3) picture of values 0 to 1."""
         from cogsplat.codec.render.rasteriser import RenderConfig, render
 
-        scene = self._fine if splats is None else splats
+        scene = self.splats if splats is None else splats
         return np.clip(render(scene, camera, RenderConfig(threads=self._threads)), 0.0, 1.0)
 
     def splats_of_units(
@@ -113,20 +113,19 @@ class PartialRenderer:
             if units.kind[unit] in CHUNK_KINDS:
                 kinds.setdefault(int(units.chunk[unit]), set()).add(int(units.kind[unit]))
         chunks = sorted(chunk for chunk, have in kinds.items() if SegmentKind.HEAD in have)
-        is_fine = np.zeros(len(self._fine), np.bool_)
-        has_tail = np.zeros(len(self._fine), np.bool_)
-        for chunk, have in kinds.items():
-            is_fine[self._runs[chunk]] = SegmentKind.REFINEMENT in have
-            has_tail[self._runs[chunk]] = SegmentKind.TAIL in have
-        runs = [self._runs[chunk] for chunk in chunks]
-        rows = np.concatenate(
-            [np.zeros(0, np.int64), *(np.arange(run.start, run.stop) for run in runs)]
-        )
-        out = self._fine.take(rows)
-        is_coarse = ~is_fine[rows]
-        for name in ("means", "scales", "quats", "opacities", "sh0"):
-            getattr(out, name)[is_coarse] = getattr(self._coarse, name)[rows[is_coarse]]
-        out.shN[~has_tail[rows]] = 0.0
+        is_fine = np.array([SegmentKind.REFINEMENT in kinds[chunk] for chunk in chunks], np.bool_)
+        has_tail = np.array([SegmentKind.TAIL in kinds[chunk] for chunk in chunks], np.bool_)
+        numbers = np.array(chunks, np.int64)
+        decoded = [
+            self._file.decode(
+                numbers[is_refined == is_fine].tolist(), extras=False, refine=is_refined
+            )
+            for is_refined in (True, False)
+        ]
+        decoded_as = np.concatenate((numbers[is_fine], numbers[~is_fine]))
+        counts = self._file.chunks.splats[decoded_as]
+        out = concatenate(decoded).take(np.argsort(np.repeat(decoded_as, counts), kind="stable"))
+        out.shN[np.repeat(~has_tail, self._file.chunks.splats[numbers])] = 0.0
         return self._compensate(out, chunks, units.pages_in(there), ratios)
 
     def _compensate(

@@ -47,30 +47,30 @@ def test_browser_and_simulation_end_with_the_same_splats(
     with cogsplat.open(house) as file:
         simulation = Simulation(file, rooms_cameras(4, views=2), threads=1)
         total = int(file.chunks.splats.sum())
-    walked = recorded_trace(rooms_walk(4)[:4], 0.5)
-    link = Link(4e6, 0.02)
-    # Late enough for the download on a busy machine. The chunks within a budget depend on the
-    # order of arrival, so only their number is checked.
-    for budget in (0, total // 2):
-        visit = run_browser(house, walked, link, [8.0], budget, 2e6)
-        rows, pictures = compare(simulation, walked, link, visit, budget)
-        browser = visit.browser
-        assert 0.0 <= browser.start_seconds < browser.decoder_seconds < 8.0
-        assert browser.decoder_seconds < visit.first_rows < 8.0
-        assert visit.page_bytes > 100_000
-        # Workers of a complete visit have ended.
-        assert (visit.worker_bytes > 100_000) == bool(budget)
-        (row,) = rows
-        assert row.simulated_fetched > 0
-        assert row.fetched_bytes > 0
-        assert row.requests >= 1
-        # Timers of browsers may be a millisecond early.
-        assert row.seconds > 7.9
-        assert set(pictures) == {"", "browser", "simulated"}
-        if budget:
-            assert 0 < row.splats <= budget
-            assert 0 < row.simulated_splats <= budget
-        else:
-            assert row.splats == row.simulated_splats == total
-            assert row.psnr_db == row.simulated_db == 100.0
-            np.testing.assert_array_equal(pictures["browser"][0], pictures[""][0])
+        walked = recorded_trace(rooms_walk(4)[:4], 0.5)
+        link = Link(4e6, 0.02)
+        # Late enough for the download on a busy machine. The chunks within a budget depend on the
+        # order of arrival, so only their number is checked.
+        for budget in (0, total // 2):
+            visit = run_browser(house, walked, link, [8.0], budget, 2e6)
+            rows, pictures = compare(simulation, walked, link, visit, budget)
+            browser = visit.browser
+            assert 0.0 <= browser.start_seconds < browser.decoder_seconds < 8.0
+            assert browser.decoder_seconds < visit.first_rows < 8.0
+            assert visit.page_bytes > 100_000
+            # Workers of a complete visit have ended.
+            assert (visit.worker_bytes > 100_000) == bool(budget)
+            (row,) = rows
+            assert row.simulated_fetched > 0
+            assert row.fetched_bytes > 0
+            assert row.requests >= 1
+            # Timers of browsers may be a millisecond early.
+            assert row.seconds > 7.9
+            assert set(pictures) == {"", "browser", "simulated"}
+            if budget:
+                assert 0 < row.splats <= budget
+                assert 0 < row.simulated_splats <= budget
+            else:
+                assert row.splats == row.simulated_splats == total
+                assert row.psnr_db == row.simulated_db == 100.0
+                np.testing.assert_array_equal(pictures["browser"][0], pictures[""][0])

@@ -99,21 +99,21 @@ def test_pages_arrive_before_what_they_list_and_a_small_budget_needs_none(
 ) -> None:
     with cogsplat.open(paged_house) as file:
         simulation = Simulation(file, [], threads=1)
-    client, units = simulation.client("visit"), simulation.units
-    assert units.page_of is not None
-    pages = np.flatnonzero(units.kind == PAGE)
-    assert len(pages) == 2
-    budget = int(0.15 * int(file.root.splats))
-    for splats, known in ((0, 2), (budget, 0)):
-        came = simulation.arrivals("visit", client, REST, FAST, budget_splats=splats)
-        assert np.isin(pages, came.units).sum() == known
-        place = {unit: at for at, unit in enumerate(came.units)}
-        listed = [unit for unit in came.units if units.page_of[unit] >= 0]
-        assert bool(listed) == bool(known)
-        assert all(place[int(units.page_of[unit])] < place[unit] for unit in listed)
-        assert 4 < came.requests_by(1e9) < len(came.units)
-        drawn = client.splats_of(came.present_at(1e9), REST.camera_at(0.0))
-        assert len(drawn) == file.root.splats if not splats else 0 < len(drawn) <= budget
+        client, units = simulation.client("visit"), simulation.units
+        assert units.page_of is not None
+        pages = np.flatnonzero(units.kind == PAGE)
+        assert len(pages) == 2
+        budget = int(0.15 * int(file.root.splats))
+        for splats, known in ((0, 2), (budget, 0)):
+            came = simulation.arrivals("visit", client, REST, FAST, budget_splats=splats)
+            assert np.isin(pages, came.units).sum() == known
+            place = {unit: at for at, unit in enumerate(came.units)}
+            listed = [unit for unit in came.units if units.page_of[unit] >= 0]
+            assert bool(listed) == bool(known)
+            assert all(place[int(units.page_of[unit])] < place[unit] for unit in listed)
+            assert 4 < came.requests_by(1e9) < len(came.units)
+            drawn = client.splats_of(came.present_at(1e9), REST.camera_at(0.0))
+            assert len(drawn) == file.root.splats if not splats else 0 < len(drawn) <= budget
 
 
 def test_a_page_is_read_once_and_its_bytes_count(paged_house: Path) -> None:
