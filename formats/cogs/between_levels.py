@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
 
-from .drawn_chunks import drawn_chunks
 from .reader import CogsFile
 
 F32 = NDArray[np.float32]
@@ -63,7 +62,7 @@ def decode_between(
             level=below, sh_degree=sh_degree, refine=refine, extras=extras, threads=threads,
             progress=progress,
         )  # fmt: skip
-    drawn = [set(drawn_chunks(file.chunks, levels[k].chunks)) for k in (below, above)]
+    drawn = [set(file.drawn_chunks(levels[k].chunks)) for k in (below, above)]
     chunks = sorted(drawn[0] | drawn[1])
     upper = file.decode(
         chunks, level=above, sh_degree=sh_degree, refine=refine, extras=extras, threads=threads,

@@ -44,7 +44,6 @@ from . import (
 )
 from .decoded_rows import SCRATCH_ROW_BYTES, allocate, row_bytes, scratch_bytes
 from .description import Description, Picture
-from .drawn_chunks import drawn_chunks
 from .fetch_order import opacity_rows, ranges_to_decode
 from .known_chunks import known_chunks
 from .lazy_index import LazyIndex
@@ -301,12 +300,10 @@ class ChunkDecoder(StoredFile):
         """
         compensation, numbers = self.compensation(), np.array(wanted, np.int64)
         count = (wanted[-1] + 1 if wanted else 0) if prefix is None else prefix
-        if prefix is None and list(wanted) in (
-            list(range(count)),
-            drawn_chunks(self.chunks, count),
-        ):
+        if prefix is None and list(wanted) in (list(range(count)), self.drawn_chunks(count)):
             prefix = count
         if prefix is None or (self.chunks.cell.all() and len(self.chunks)):
+            # Rows of these chunks are their numbers: unread pages stand behind all of them.
             known = known_chunks(self._index)
             held = list(range(prefix)) if prefix is not None else list(wanted)
             ascend = all(one < other for one, other in pairwise(held))
@@ -511,7 +508,7 @@ class ChunkDecoder(StoredFile):
 
     def _chunk_list(self, chunks: Iterable[int] | None, count: int) -> list[int]:
         """Check chunk numbers; by default, return the chunks that a prefix of `count` draws."""
-        wanted = drawn_chunks(self.chunks, count) if chunks is None else list(chunks)
+        wanted = self.drawn_chunks(count) if chunks is None else list(chunks)
         for chunk in wanted:
             self._require_chunk(chunk)
         return wanted

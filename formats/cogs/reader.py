@@ -11,7 +11,6 @@ from cogsplat.formats.storage.source import PrefixSource, RemoteSource, Source
 
 from .chunk_decoder import ChunkDecoder
 from .chunk_stream import ChunkStream
-from .drawn_chunks import drawn_chunks
 from .lazy_index import LazyIndex
 from .missing_segments import require_all_segments
 from .scene_index import SceneIndex, read_root, read_scene_index
@@ -66,7 +65,7 @@ class CogsFile(ChunkDecoder):
         degree = MAX_SH_DEGREE if sh_degree is None else sh_degree
         if not 0 <= degree <= MAX_SH_DEGREE:
             raise ValueError(f"SH degree {sh_degree}, expected 0 to {MAX_SH_DEGREE}")
-        chunks = drawn_chunks(self.chunks, self.complete_chunks())
+        chunks = self.drawn_chunks(self.complete_chunks())
         if priority is not None:
             values = {chunk: priority(chunk) for chunk in chunks}
             chunks = sorted((c for c in chunks if values[c] >= 0), key=lambda c: -values[c])

@@ -21,6 +21,7 @@ from cogsplat.formats.network.segment_cache import SegmentCache
 from cogsplat.formats.network.traffic import Traffic
 from cogsplat.formats.storage.source import RemoteSource, Source, has_range
 
+from .drawn_chunks import drawn_chunks
 from .fetch_order import needed_codebooks
 from .folder_places import object_name
 from .index_tables import ChunkTable, SegmentTable
@@ -294,6 +295,18 @@ class StoredFile:
             A range outside the file's chunks, a label of no chunk, or a negative number of splats.
         """
         return select_chunks(self.chunks, self.complete_chunks(), chunks, objects, splats)
+
+    def drawn_chunks(self, count: int) -> list[int]:
+        """Return the numbers of the chunks that a prefix of `count` chunks draws (SPEC 5.10).
+
+        Raises
+        ------
+        TruncatedError
+            ``file-truncated``: a partial source lacks the page of a chunk of the prefix.
+        """
+        if count:
+            self._require_chunk(count - 1)
+        return drawn_chunks(self.chunks, count)
 
     def read_segment(self, row: int) -> memoryview:
         """Return a segment's bytes after a check of their CRC.
