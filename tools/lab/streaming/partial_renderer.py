@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -135,13 +136,17 @@ class PartialRenderer:
         if self._compensation is None or not chunks:
             return splats
         numbers = np.array(chunks, np.int64)
+        # Rows of the chunks and unread pages that the client knows, numbered in file order.
+        known = self._rows.known(pages)
+        unread = known[known >= self._rows.chunks]
+        listed = min(self._rows.first_chunk[unread], default=self._rows.chunks)
+        layers = [layer for layer in self._compensation.layers if layer.chunks <= listed]
+        compensation = replace(self._compensation, layers=layers)
         if not self._has_cells:
             if chunks != list(range(len(chunks))):
                 return splats
             prefix = np.full(len(chunks), len(chunks), np.int64)
-            return self._compensation.apply_per_chunk(splats, numbers, prefix)
-        # Rows of the chunks and unread pages that the client knows, numbered in file order.
-        known = self._rows.known(pages)
+            return compensation.apply_per_chunk(splats, numbers, prefix)
         place = np.full(len(self._rows) + 1, -1, np.int64)
         place[known] = np.arange(len(known))
         parents, held = place[self._rows.parent[known]], place[numbers].tolist()
@@ -151,7 +156,7 @@ class PartialRenderer:
         if ratios is not None:
             counts = visible_splat_counts(counts, ratios[known])
         first_chunks = np.append(self._rows.first_chunk[known], self._rows.chunks)
-        last = int(np.searchsorted(first_chunks, self._compensation.last_chunks))
+        last = int(np.searchsorted(first_chunks, compensation.last_chunks))
         prefixes = first_chunks[equivalent_prefixes(held, parents, counts)]
         parts = descendant_parts(held, parents, counts, last)
-        return self._compensation.apply_per_chunk(splats, numbers, prefixes, parts)
+        return compensation.apply_per_chunk(splats, numbers, prefixes, parts)

@@ -12,8 +12,9 @@ from cogsplat.codec.partition.nested_cells import parents
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
+from cogsplat.tools.lab.conformance import compensation_vectors
 from cogsplat.tools.lab.scheduling.chunk_ratios import MIN_RATIO
-from cogsplat.tools.lab.streaming.client import units_of
+from cogsplat.tools.lab.streaming.client import PAGE, units_of
 from cogsplat.tools.lab.streaming.partial_renderer import PartialRenderer
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, synth_rooms
 
@@ -83,6 +84,23 @@ def test_missing_chunks_are_compensated(house: Path, tmp_path: Path) -> None:
         heads = np.flatnonzero(units.kind == SegmentKind.HEAD).tolist()[:1]
         coarse = file.decode([0], sh_degree=0, refine=False)
         np.testing.assert_array_equal(renderer.splats_of_units(units, heads).scales, coarse.scales)
+
+
+@pytest.mark.parametrize("name", ["compensation-pages", "compensation-cells-pages"])
+def test_layers_of_chunks_in_unread_pages_do_not_count(name: str) -> None:
+    data = next(v.data for v in compensation_vectors.valid() if v.name == name)
+    with cogsplat.open(data) as file:
+        units = units_of(file)
+        renderer = PartialRenderer(file, threads=1, compensate=True)
+        for page in file.indices[0].pages():
+            with cogsplat.open(data[: page.start], partial=True) as part:
+                chunks = part.num_chunks
+                expected = part.decode(range(chunks), compensate=True)
+            is_there = (units.kind == PAGE) & (units.end <= page.start)
+            is_there |= (units.kind != PAGE) & (units.chunk < chunks)
+            found = renderer.splats_of_units(units, np.flatnonzero(is_there).tolist())
+            np.testing.assert_array_equal(found.scales, expected.scales)
+            np.testing.assert_array_equal(found.opacities, expected.opacities)
 
 
 def test_chunk_contributions_cover_each_pixel_about_once(
