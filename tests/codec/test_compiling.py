@@ -143,7 +143,6 @@ except TypingError:
 
 
 def test_compiling_leaves_standard_output_alone(tmp_path):
-    pytest.importorskip("numba", reason="needs numba")
     (tmp_path / "colorama.py").write_text(COLORAMA)
     paths = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(

@@ -4,6 +4,7 @@ import sys
 import threading
 
 import pytest
+from threadpoolctl import threadpool_info
 
 from cogsplat.codec.threads import one_blas_thread, ordered_map, thread_count
 
@@ -146,8 +147,7 @@ def test_a_forked_process_starts_threads_of_its_own():
 
 
 def blas_threads():
-    info = pytest.importorskip("threadpoolctl", reason="needs threadpoolctl").threadpool_info()
-    return [library["num_threads"] for library in info if library["user_api"] == "blas"]
+    return [each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"]
 
 
 def test_blas_works_on_one_thread_in_a_block_and_in_threads_that_it_starts():

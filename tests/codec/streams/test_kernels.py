@@ -17,6 +17,8 @@ from cogsplat.codec.streams import (
     chunk_arrays,
     decoding_tiers,
     grid,
+    kernels_chunk,
+    kernels_planes,
     records,
     refinement_bits,
     scalar,
@@ -32,10 +34,6 @@ from cogsplat.codec.streams.records import Attribute
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import BytesSource
 from cogsplat.tools.lab.synthetic.terrace import synth
-
-pytest.importorskip("numba", reason="needs numba")
-
-from cogsplat.codec.streams import kernels_chunk, kernels_planes
 
 VECTORS = Path(__file__).resolve().parents[2] / "vectors"
 MANIFEST = json.loads((VECTORS / "manifest.json").read_text(encoding="utf-8"))

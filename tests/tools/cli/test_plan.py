@@ -5,14 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from running import Run, SmallScene
 
 import cogsplat
 from cogsplat.codec.splats import empty
 from cogsplat.codec.views.planner import ViewPlanConfig, plan_views
 from cogsplat.tools.pictures.contact_sheet import THUMBNAIL, contact_sheet
-
-Image = pytest.importorskip("PIL.Image", reason="needs Pillow")
 
 
 def test_planned_views_are_cameras_that_other_commands_take(

@@ -22,12 +22,9 @@ from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.errors import Cancelled, DataError, MissingExtraError, StorageError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
-from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
-
-pytest.importorskip("distributed", reason="needs distributed")
-
 from cogsplat.tools.cluster import dask_executor
 from cogsplat.tools.cluster.dask_executor import DaskExecutor, connected
+from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 pytestmark = [
     pytest.mark.slow,

@@ -7,6 +7,8 @@ import sys
 import time
 from contextlib import suppress
 
+import h2.connection
+import h2.events
 import httpx
 import numpy as np
 import pytest
@@ -54,7 +56,6 @@ def test_a_bad_link_gives_the_same_scene(scene):
 
 
 def test_http2_with_a_certificate(scene, tmp_path, monkeypatch):
-    pytest.importorskip("cryptography", reason="needs cryptography")
     certificate = made_certificate(tmp_path)
     context = ssl.create_default_context(cafile=certificate.certificate)
     clients = []
@@ -315,10 +316,6 @@ def test_an_error_is_printed_once(scene, capfd, monkeypatch):
 
 
 def test_streams_that_are_reset_end(large, tmp_path):
-    pytest.importorskip("cryptography")
-    import h2.connection
-    import h2.events
-
     certificate = made_certificate(tmp_path)
     context = ssl.create_default_context(cafile=certificate.certificate)
     context.set_alpn_protocols(["h2"])

@@ -5,8 +5,6 @@ import pytest
 
 from cogsplat.tools.pictures.filmstrip import filmstrip
 
-Image = pytest.importorskip("PIL.Image", reason="needs Pillow")
-
 
 def panels(count: int, height: int = 60, width: int = 80) -> list[np.ndarray]:
     rng = np.random.default_rng(5)

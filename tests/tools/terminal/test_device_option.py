@@ -9,8 +9,6 @@ from cogsplat.codec.errors import MissingExtraError
 from cogsplat.codec.render import cuda_views
 from cogsplat.tools.terminal import options
 
-pytest.importorskip("numba", reason="needs numba")
-
 COMMANDS = {"encode": "a.cogs", "lab score": "a.npy", "render": "a.png", "tune": "a.cogs"}
 
 
