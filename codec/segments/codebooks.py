@@ -151,15 +151,16 @@ class EncodedCodebook:
     rows: int
     payloads: tuple[bytes, ...]
 
-    def decode(self, sh_degree: int) -> Codebook:
+    def decode(self, sh_degree: int, where: str = "codebook") -> Codebook:
         """Decode the rows of the codebook.
 
         Parameters
         ----------
         sh_degree : int
             SH degree of the scene, 0 to 3.
+        where : str
+            Name of the codebook in messages.
         """
-        where = f"{self.attribute} codebook"
         payloads = [memoryview(payload) for payload in self.payloads]
         if self.attribute == "shape":
             return decode_shape_codebook(payloads[0], self.rows, where)

@@ -13,7 +13,6 @@ import numpy as np
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import LimitError
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.codec.segments import codebooks
 from cogsplat.codec.segments.attributes import unpack_attributes
 from cogsplat.codec.segments.chunk_sets import (
     descendant_parts,
@@ -446,13 +445,15 @@ class ChunkDecoder(StoredFile):
         """
         return self._load_codebook(book, self.root.sh_degree)
 
-    def stored_codebook(self, book: int) -> EncodedCodebook:
+    def stored_codebook(self, book: int, sh_degree: int | None = None) -> EncodedCodebook:
         """Return a codebook as it is stored, for files that shall have the same.
 
         Parameters
         ----------
         book : int
             Number of the codebook.
+        sh_degree : int, optional
+            Highest SH degree of its bands; by default the file's.
 
         Raises
         ------
@@ -462,7 +463,7 @@ class ChunkDecoder(StoredFile):
             ``segment-crc``.
         """
         entry = self.root.codebooks[book]
-        rows = self._codebook_rows(book, self.root.sh_degree)
+        rows = self._codebook_rows(book, self.root.sh_degree if sh_degree is None else sh_degree)
         if rows is None:
             raise self._missing_error(f"a segment of codebook {book}")
         payloads = tuple(bytes(self.read_segment(row)) for row in rows)
@@ -546,15 +547,9 @@ class ChunkDecoder(StoredFile):
         """Read and decode a codebook up to an SH degree."""
         entry = self.root.codebooks[book]
         where = f"{self.name}: codebook {book}"
-        rows = self._codebook_rows(book, degree)
-        if rows is None:
-            raise self._missing_error(f"a segment of codebook {book}")
         row = 28 if entry.attribute == "shape" else 12 * (sh_coefficients(degree) - 1)
         self._check_size(entry.rows * (row + SCRATCH_ROW_BYTES), where)
-        if entry.attribute == "shape":
-            return codebooks.decode_shape_codebook(self.read_segment(rows[0]), entry.rows, where)
-        payloads = {band: self.read_segment(row) for band, row in enumerate(rows, start=1)}
-        return codebooks.decode_colour_codebook(payloads, entry.rows, degree, where)
+        return self.stored_codebook(book, degree).decode(degree, where)
 
     def _decode_chunk(self, chunk: int, out: Splats, *, refine: bool, level: int | None) -> None:
         """Decode one chunk into preallocated splats."""

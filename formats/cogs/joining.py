@@ -42,6 +42,7 @@ from .view_table_segment import pack_view_table
 from .writer import (
     IndexPlan,
     Segment,
+    box_around,
     laid_out_source,
     lay_out_index,
     plan_index,
@@ -224,8 +225,8 @@ class _Joint:
             first,
             splats=splats,
             info=replace(first.info, capture=capture),
-            box=_around(boxes) if len(boxes) else first.box,
-            core_box=_around(np.array(known)) if known and len(known) == len(cores) else None,
+            box=box_around(boxes) if len(boxes) else first.box,
+            core_box=box_around(np.array(known)) if known and len(known) == len(cores) else None,
             chunks=self.chunks,
         )
 
@@ -441,8 +442,3 @@ def _last_heads(file: CogsFile) -> I64:
         last = max(index.first_chunk + len(index.tables.chunks) - 1, 0)
         found.append(np.minimum(index.first_chunk + np.maximum(heads - 1, 0), last))
     return np.concatenate(found).astype(np.int64)
-
-
-def _around(boxes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the box around boxes, (6,) float64."""
-    return np.concatenate([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,8 @@ from .page_tree import Index
 from .root import Root
 from .segment_rows import CHUNK_KINDS
 from .view_table_segment import pack_view_table, unpack_view_table
+
+Float = TypeVar("Float", bound=np.floating)
 
 # Target size of pages in sequence, bytes, for one quick request each; and target number of pages,
 # for rows that fit into the root.
@@ -341,16 +343,16 @@ def _pages(root: Root, table: SegmentTable, plan: IndexPlan, parts: list[IndexPa
         chunks=np.array([extent.chunks for extent in extents], np.uint32),
         span=np.array([extent.span for extent in extents], np.uint64),
         splats=np.array([extent.splats for extent in extents], np.uint32),
-        box=np.stack([_box_around(each.box) for each in chunks]),
+        box=np.stack([box_around(each.box) for each in chunks]),
         contribution=np.array([each.contribution.sum() for each in chunks], np.float64),
         cell=np.array([common_cell(each.cell) for each in chunks], np.uint32),
     )
 
 
-def _box_around(boxes: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the bounding box of boxes, (6,) float32; zeros for none."""
+def box_around(boxes: NDArray[Float]) -> NDArray[Float]:
+    """Return the bounding box of boxes, (6,); zeros for none."""
     if not len(boxes):
-        return np.zeros(6, np.float32)
+        return np.zeros(6, boxes.dtype)
     return np.concatenate([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
 
 
