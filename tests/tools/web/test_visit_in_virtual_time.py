@@ -131,7 +131,7 @@ class Reference:
         assert set(found) - read == set(listed)
         for number, unit in zip(listed, expected, strict=True):
             dependencies = [self._unit[start] for start in found[number]["dependencies"]]
-            assert self.row(found[number]["row"]) == unit.chunk
+            assert self.row(found[number]["row"]) == unit.row
             assert found[number]["isHead"] == unit.is_head
             assert found[number]["place"] == unit.place
             assert found[number]["size"] == unit.size_bytes

@@ -217,7 +217,7 @@ def units_of_chunks(units: Units, chunks: list[tuple[int, bool, bool]]) -> list[
     for chunk, refined, tail in chunks:
         kinds = {SegmentKind.HEAD: True, SegmentKind.REFINEMENT: refined, SegmentKind.TAIL: tail}
         present = [kind for kind, is_present in kinds.items() if is_present]
-        found += np.flatnonzero((units.chunk == chunk) & np.isin(units.kind, present)).tolist()
+        found += np.flatnonzero((units.row == chunk) & np.isin(units.kind, present)).tolist()
     if units.page_of is None:
         return found
     pages = {-1, *units.page_of[found].tolist()}

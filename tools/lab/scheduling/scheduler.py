@@ -27,14 +27,15 @@ EVICTED_SECONDS: Final = 1.0
 
 @dataclass(frozen=True)
 class Unit:
-    """A segment that a client may fetch; units are numbered in the order of the file.
+    """A segment or page that a client may fetch; units are numbered in the order of the file.
 
     Parameters
     ----------
-    chunk : int
-        Index of the chunk; -1 for a segment of no chunk, such as a codebook.
+    row : int
+        Row of the chunk or page (`scene_rows.SceneRows`); -1 for a segment of no chunk, such as a
+        codebook.
     is_head : bool
-        Whether the segment is the head of its chunk.
+        Whether it is the head of the chunk, or the page.
     place : float
         Place of the segment, bytes: in the root its end in the file (docs/streaming.md, 7).
     size_bytes : int
@@ -43,7 +44,7 @@ class Unit:
         Units required to decode or draw the segment; for a head, the head of the parent chunk.
     """
 
-    chunk: int
+    row: int
     is_head: bool
     place: float
     size_bytes: int
@@ -226,13 +227,13 @@ class Scheduler:
     def __init__(self, units: Sequence[Unit], splats: Sequence[int]) -> None:
         self._units = units
         self._splats = splats
-        self._chunk = np.array([unit.chunk for unit in units], np.int64)
+        self._chunk = np.array([unit.row for unit in units], np.int64)
         self._place = np.array([unit.place for unit in units], np.float64)
-        self._heads = {unit.chunk: at for at, unit in enumerate(units) if unit.is_head}
+        self._heads = {unit.row: at for at, unit in enumerate(units) if unit.is_head}
         self._units_of_chunk: dict[int, list[int]] = {chunk: [] for chunk in self._heads}
         for at, unit in enumerate(units):
-            if unit.chunk >= 0:
-                self._units_of_chunk[unit.chunk].append(at)
+            if unit.row >= 0:
+                self._units_of_chunk[unit.row].append(at)
 
     def decide(self, ratios: F64, state: ClientState) -> Decision:
         """Decide which units to abort, evict and fetch.
@@ -320,7 +321,7 @@ class _Round:
 
     def _parent(self, chunk: int) -> int | None:
         """Return the chunk on whose head the head of a chunk depends."""
-        chunks = [self._units[at].chunk for at in self._units[self._heads[chunk]].dependencies]
+        chunks = [self._units[at].row for at in self._units[self._heads[chunk]].dependencies]
         return max((parent for parent in chunks if parent >= 0), default=None)
 
     def is_window_full(self) -> bool:
@@ -353,7 +354,7 @@ class _Round:
         self._in_flight.remove(unit)
         self.aborted.append(unit)
         if self._units[unit].is_head:
-            self._held_splats -= self._splats[self._units[unit].chunk]
+            self._held_splats -= self._splats[self._units[unit].row]
 
     def _in_flight_values(self) -> dict[int, float]:
         """Return per unit in flight the largest urgency of itself and its missing dependents."""
@@ -375,8 +376,8 @@ class _Round:
             return
         first = self._units[chain[0]]
         if first.is_head:
-            self.make_room(self._splats[first.chunk])
-            self._held_splats += self._splats[first.chunk]
+            self.make_room(self._splats[first.row])
+            self._held_splats += self._splats[first.row]
         self._in_flight.add(chain[0])
         self.chosen.append(chain[0])
 
@@ -414,7 +415,7 @@ class _Round:
 
     def _is_wanted(self, unit: int) -> bool:
         """Whether a unit is missing, and of a chunk to hold or of none."""
-        chunk = self._units[unit].chunk
+        chunk = self._units[unit].row
         return self._is_missing(unit) and (chunk < 0 or chunk in self._target)
 
     def _is_required(self, unit: int) -> bool:

@@ -45,9 +45,9 @@ class Units:
     ----------
     kind : (u,) int64
         `SegmentKind` of each unit, or `PAGE`.
-    chunk : (u,) int64
-        Chunk of a head, refinement or tail; row of a page (`scene_rows.SceneRows`); -1 for
-        codebooks and view tables.
+    row : (u,) int64
+        Row of the chunk or page (`scene_rows.SceneRows`), of a chunk its number; -1 for codebooks
+        and view tables.
     end : (u,) int64
         Offset of the first byte after each unit.
     size_bytes : (u,) int64
@@ -63,7 +63,7 @@ class Units:
     """
 
     kind: I64
-    chunk: I64
+    row: I64
     end: I64
     size_bytes: I64
     dependencies: list[tuple[int, ...]]
@@ -79,7 +79,7 @@ class Units:
 
     def pages_in(self, present: Collection[int]) -> list[int]:
         """Return the rows of the pages among units."""
-        return [int(self.chunk[unit]) for unit in present if self.kind[unit] == PAGE]
+        return [int(self.row[unit]) for unit in present if self.kind[unit] == PAGE]
 
     def tells_more(self, unit: int) -> bool:
         """Whether urgencies or the units listed change when a unit has arrived."""

@@ -309,7 +309,7 @@ class Simulation:
             return Client(made.units, made.priorities, rows, splats_of_pieces, splats)
         rows_of_units = [
             self._renderer.rows(chunk) if kind in CHUNK_KINDS else slice(0, 0)
-            for kind, chunk in zip(units.kind.tolist(), units.chunk.tolist(), strict=True)
+            for kind, chunk in zip(units.kind.tolist(), units.row.tolist(), strict=True)
         ]
 
         def splats_of_segments(present: Sequence[int], camera: Camera) -> Splats:

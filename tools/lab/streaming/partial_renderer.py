@@ -112,7 +112,7 @@ class PartialRenderer:
         kinds: dict[int, set[int]] = {}
         for unit in there:
             if units.kind[unit] in CHUNK_KINDS:
-                kinds.setdefault(int(units.chunk[unit]), set()).add(int(units.kind[unit]))
+                kinds.setdefault(int(units.row[unit]), set()).add(int(units.kind[unit]))
         chunks = sorted(chunk for chunk, have in kinds.items() if SegmentKind.HEAD in have)
         is_fine = np.array([SegmentKind.REFINEMENT in kinds[chunk] for chunk in chunks], np.bool_)
         has_tail = np.array([SegmentKind.TAIL in kinds[chunk] for chunk in chunks], np.bool_)

@@ -60,7 +60,7 @@ def by_urgency(units: Units, ratios: ClientRatios) -> Priorities:
     """Return the policy that fetches by the urgency of docs/streaming.md, 7."""
 
     def priorities(camera: Camera, present: Collection[int]) -> F64:
-        return urgencies(ratios(Pose.from_camera(camera), present), units.chunk, units.place)
+        return urgencies(ratios(Pose.from_camera(camera), present), units.row, units.place)
 
     return priorities
 
@@ -102,7 +102,7 @@ def by_true_contribution(
     def priorities(camera: Camera, _: Collection[int]) -> F64:
         if not last or last[0][0] is not camera:
             last[:] = [(camera, _true_ratios(contributions(camera), rows))]
-        return urgencies(last[0][1], units.chunk, units.place)
+        return urgencies(last[0][1], units.row, units.place)
 
     return priorities
 
@@ -120,7 +120,7 @@ def _true_ratios(visibility: F64, rows: SceneRows) -> F64:
 
 def _unit_priorities(units: Units, chunk_priorities: F64) -> F64:
     """Rank units by the priority of their chunk; codebooks come as dependencies."""
-    priorities = np.where(units.chunk >= 0, chunk_priorities[np.maximum(units.chunk, 0)], -np.inf)
+    priorities = np.where(units.row >= 0, chunk_priorities[np.maximum(units.row, 0)], -np.inf)
     # Ties, such as the segments of one chunk, keep the order of the file.
     rank = np.argsort(np.lexsort((np.arange(len(units)), -priorities)), kind="stable")
     result: F64 = 1.0 / (1.0 + rank.astype(np.float64))

@@ -136,7 +136,7 @@ def _units(rows: Sequence[I64], size_bytes: int, index_bytes: int) -> Units:
     sizes = np.array([end - start for start, end in pairwise(ends.tolist())], np.int64)
     return Units(
         kind=np.full(len(rows), int(SegmentKind.HEAD), np.int64),
-        chunk=np.arange(len(rows), dtype=np.int64),
+        row=np.arange(len(rows), dtype=np.int64),
         end=index_bytes + ends[1:],
         size_bytes=sizes,
         dependencies=[()] * len(rows),

@@ -178,7 +178,7 @@ def streamed_sog_client(
     ends = np.cumsum([0, *map(len, parts)]).tolist()
     units = Units(
         kind=np.full(len(paths), int(SegmentKind.HEAD), np.int64),
-        chunk=np.arange(len(paths), dtype=np.int64),
+        row=np.arange(len(paths), dtype=np.int64),
         end=tree.size_bytes + np.cumsum(sizes),
         size_bytes=sizes,
         dependencies=[()] * len(paths),

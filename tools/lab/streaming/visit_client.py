@@ -157,7 +157,7 @@ def scheduled_units(units: Units, present: Collection[int]) -> tuple[list[int], 
     number = {unit: k for k, unit in enumerate(listed)}
     rows = [
         Unit(
-            int(units.chunk[unit]),
+            int(units.row[unit]),
             bool(units.kind[unit] in (SegmentKind.HEAD, PAGE)),
             float(units.place[unit]),
             int(units.size_bytes[unit]),
@@ -326,7 +326,7 @@ class _Run:
         """Drop the units of chunks, also from requests."""
         state = self._state
         state.evicted.update({chunk: (now, worth) for chunk, worth in worths.items()})
-        for unit in np.flatnonzero(np.isin(self._units.chunk, list(worths))).tolist():
+        for unit in np.flatnonzero(np.isin(self._units.row, list(worths))).tolist():
             state.received.pop(unit, None)
             state.awaited.discard(unit)
             for request in state.requests:
@@ -433,7 +433,7 @@ class _Run:
         if self._units.tells_more(unit):
             self._scheduler, self._ratios = None, None
         is_decoded = self._units.kind[unit] in CHUNK_KINDS
-        rows = self._splats[int(self._units.chunk[unit])] if is_decoded else 0
+        rows = self._splats[int(self._units.row[unit])] if is_decoded else 0
         self._decoder_free_at = (
             max(self._decoder_free_at, now) + rows / self._browser.splats_per_second
         )

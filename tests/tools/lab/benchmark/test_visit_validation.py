@@ -30,7 +30,7 @@ def test_units_follow_from_the_recorded_chunks(house: Path) -> None:
     with cogsplat.open(house) as file:
         units = units_of(file)
     found = units_of_chunks(units, [(0, False, False), (2, True, True)])
-    kinds = [(int(units.chunk[unit]), int(units.kind[unit])) for unit in found]
+    kinds = [(int(units.row[unit]), int(units.kind[unit])) for unit in found]
     assert (0, SegmentKind.HEAD) in kinds
     assert (0, SegmentKind.REFINEMENT) not in kinds
     assert {kind for chunk, kind in kinds if chunk == 2} >= {SegmentKind.HEAD, SegmentKind.TAIL}

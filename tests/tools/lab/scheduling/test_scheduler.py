@@ -163,7 +163,7 @@ def test_fetching_at_a_fixed_pose_ends_under_any_budget(number, rate):
         # Requested units arrive at once. An evicted unit may be fetched again.
         for _ in range(4 * len(units)):
             decision = scheduler.decide(ratios, client(there, budget=budget, rate=rate))
-            there -= {at for at, unit in enumerate(units) if unit.chunk in decision.evict}
+            there -= {at for at, unit in enumerate(units) if unit.row in decision.evict}
             there |= set(decision.fetch)
             if not decision.fetch:
                 break
@@ -186,7 +186,7 @@ def test_fetching_at_a_fixed_pose_ends_though_requests_wait(number):
         there, coming = set(), set()
         for _ in range(8 * len(units)):
             decision = scheduler.decide(ratios, client(there, coming, budget=budget, rate=4000.0))
-            gone = {at for at, unit in enumerate(units) if unit.chunk in decision.evict}
+            gone = {at for at, unit in enumerate(units) if unit.row in decision.evict}
             there -= gone
             coming -= gone | set(decision.abort)
             found = first_bytes & set(decision.fetch)

@@ -20,7 +20,7 @@ TRACE = recorded_trace(rooms_walk(4), 0.5)
 def test_units_are_in_the_order_of_the_file(house_file: CogsFile) -> None:
     units = units_of(house_file)
     assert (np.diff(units.end) > 0).all()
-    heads = units.chunk[units.kind == SegmentKind.HEAD]
+    heads = units.row[units.kind == SegmentKind.HEAD]
     np.testing.assert_array_equal(heads, np.arange(house_file.num_chunks))
     assert units.end[-1] == house_file.file_length
     # This file has neither cameras nor compensation.
@@ -45,11 +45,11 @@ def test_units_arrive_after_their_dependencies(house_file: CogsFile, seed: int) 
     for unit, dependencies in enumerate(units.dependencies):
         assert all(place[other] < place[unit] for other in dependencies)
     # A chunk's head needs the heads of its parents, up to the first chunk.
-    last = int(np.flatnonzero(units.chunk == house_file.num_chunks - 1)[0])
+    last = int(np.flatnonzero(units.row == house_file.num_chunks - 1)[0])
     best = best_chain([last], urgency, units.size_bytes, units.dependencies, lambda _: True)
     assert best is not None
     assert best[0][-1] == last
-    assert 0 in units.chunk[list(best[0])]
+    assert 0 in units.row[list(best[0])]
 
 
 def test_units_are_chosen_by_the_pose_one_latency_earlier(house_file: CogsFile) -> None:
@@ -72,4 +72,4 @@ def test_truncated_files_have_the_units_of_complete_chunks(house: Path) -> None:
     with cogsplat.open(house, size_bytes=size) as part:
         units = units_of(part)
         assert units.end.max() <= size
-        assert units.chunk.max() == part.complete_chunks() - 1
+        assert units.row.max() == part.complete_chunks() - 1

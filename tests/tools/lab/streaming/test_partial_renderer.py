@@ -61,7 +61,7 @@ def test_missing_chunks_are_compensated(house: Path, tmp_path: Path) -> None:
         while above[held[0]] >= 0:
             held.insert(0, int(above[held[0]]))
         assert held != list(range(len(held)))
-        there = [u for u in range(len(units)) if units.chunk[u] in held]
+        there = [u for u in range(len(units)) if units.row[u] in held]
         expected = file.decode(held, compensate=True)
         found = renderer.splats_of_units(units, there)
         np.testing.assert_array_equal(found.scales, expected.scales)
@@ -74,7 +74,7 @@ def test_missing_chunks_are_compensated(house: Path, tmp_path: Path) -> None:
         change, whole = np.abs(hidden.scales - stored.scales), np.abs(found.scales - stored.scales)
         assert change.mean() < 0.5 * whole.mean()
         # Chunks without their parents are not compensated.
-        alone = [u for u in there if units.chunk[u] == held[-1]]
+        alone = [u for u in there if units.row[u] == held[-1]]
         np.testing.assert_array_equal(
             renderer.splats_of_units(units, alone).scales, file.decode(held[-1:]).scales
         )
@@ -97,7 +97,7 @@ def test_layers_of_chunks_in_unread_pages_do_not_count(name: str) -> None:
                 chunks = part.num_chunks
                 expected = part.decode(range(chunks), compensate=True)
             is_there = (units.kind == PAGE) & (units.end <= page.start)
-            is_there |= (units.kind != PAGE) & (units.chunk < chunks)
+            is_there |= (units.kind != PAGE) & (units.row < chunks)
             found = renderer.splats_of_units(units, np.flatnonzero(is_there).tolist())
             np.testing.assert_array_equal(found.scales, expected.scales)
             np.testing.assert_array_equal(found.opacities, expected.opacities)

@@ -52,7 +52,7 @@ BOXES = np.array(
 )
 UNITS = Units(
     kind=np.full(3, int(SegmentKind.HEAD)),
-    chunk=np.arange(3),
+    row=np.arange(3),
     end=np.array([100, 200, 300]),
     size_bytes=np.full(3, 100),
     dependencies=[(), (), ()],
@@ -133,7 +133,7 @@ def test_equal_ratios_give_the_order_of_the_file(shown: list[float]) -> None:
 
 def test_a_page_has_the_ratio_of_the_chunks_below_it_together() -> None:
     # As the units of these rows stand at bytes 1, 1 and 1, urgencies are ratios, squared below 1.
-    units = replace(UNITS, chunk=np.array([0, 2, 3]), end=np.ones(3, np.int64))
+    units = replace(UNITS, row=np.array([0, 2, 3]), end=np.ones(3, np.int64))
     priorities = by_true_contribution(units, lambda _: np.array([1.0, 1.0, 5.0]), ROWS)
     np.testing.assert_allclose(priorities(FORWARD, []), [9 / 49, 15 / 7, 9 / 7])
 
@@ -147,7 +147,7 @@ def test_a_client_knows_the_rows_of_the_pages_that_it_has_read() -> None:
 def test_segments_of_one_chunk_keep_their_order() -> None:
     units = Units(
         kind=np.array([1, 4, 7, 2, 1]),
-        chunk=np.array([0, -1, 0, 0, 1]),
+        row=np.array([0, -1, 0, 0, 1]),
         end=np.array([10, 20, 30, 40, 50]),
         size_bytes=np.full(5, 10),
         dependencies=[()] * 5,

@@ -74,7 +74,7 @@ def test_a_budget_is_kept_at_every_moment(house_file: CogsFile, share: float) ->
     for seconds in np.linspace(0.0, float(arrivals.seconds[-1]) + 1.0, 60):
         there = np.array(arrivals.present_at(float(seconds)), np.int64)
         assert len(np.unique(there)) == len(there)
-        held = units.chunk[there[units.kind[there] == SegmentKind.HEAD]]
+        held = units.row[there[units.kind[there] == SegmentKind.HEAD]]
         most = max(most, int(splats[held].sum()))
     assert 0.5 * budget < most <= budget
 
@@ -91,7 +91,7 @@ def test_units_of_the_first_request_are_read_from_its_buffer(
     assert len(np.unique(arrivals.seconds[later])) < later.sum() / 2
     # Units that exceed the budget were not read from the buffer before.
     heads = units.kind[came] == SegmentKind.HEAD
-    assert splats[np.unique(units.chunk[came[heads & ~later]])].sum() < splats.sum()
+    assert splats[np.unique(units.row[came[heads & ~later]])].sum() < splats.sum()
 
 
 def test_pages_arrive_before_what_they_list_and_a_small_budget_needs_none(
