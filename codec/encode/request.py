@@ -65,7 +65,7 @@ class EncodeRequest:
     target : Target, optional
         PSNR or file size to search for; it replaces `EncodeConfig.quality_db`.
     basis : EncodedCodebook, optional
-        Colour codebook of another file (`CogsFile.stored_codebook`) to use in place of a new one,
+        Basis of colours of another file (`CogsFile.stored_codebook`) in place of a new one,
         only for the profile ``transform``: files with the same codebooks can be joined.
     memory_bytes : int, optional
         Resident-memory limit of the process. Larger arrays are kept in mapped files next to the

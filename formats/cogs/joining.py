@@ -388,7 +388,7 @@ def _require_alike(files: Sequence[CogsFile]) -> None:
             raise DataError(
                 _CODE,
                 f"{file.name}: has other codebooks than {files[0].name}, expected the same: encode "
-                f"it with --codebooks-of {files[0].name}",
+                f"it with --basis-of {files[0].name}",
             )
 
 

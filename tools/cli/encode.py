@@ -131,7 +131,7 @@ _GROUPS: Final = {
         "--chunk-splats",
         "--no-view-table",
         "--no-morton",
-        "--codebooks-of",
+        "--basis-of",
     ),
     "Memory": ("--memory",),
     "Edits of the scene": (
@@ -269,11 +269,11 @@ _GROUPS: Final = {
     "not with --profile vq. It does not change the result.",
 )
 @click.option(
-    "--codebooks-of",
+    "--basis-of",
     type=PATH,
     metavar="FILE.cogs",
-    help="Use the codebooks of this file in place of new ones, as `merge --parts` needs them; only "
-    "for the profile transform.",
+    help="Use the basis of this file's view-dependent colours in place of a new one, as `merge "
+    "--parts` needs it; only for the profile transform.",
 )
 @format_option(["cogs"], "Without it, a name with the extension of another format is refused.")
 @background_option

@@ -63,7 +63,7 @@ class EncodeOptions:
     report: Path | None
     images: Path | None
     memory: int | None
-    codebooks_of: Path | None
+    basis_of: Path | None
     describe: Path | None
     format_name: str | None
     background: Colour
@@ -140,15 +140,15 @@ class EncodeOptions:
             )
 
     def _basis(self) -> EncodedCodebook | None:
-        """Return the basis of ``--codebooks-of``; None where that file has no codebooks."""
-        if self.codebooks_of is None:
+        """Return the basis of ``--basis-of``; None where that file has no codebooks."""
+        if self.basis_of is None:
             return None
-        with open_scene(self.codebooks_of, limits=current_limits()) as file:
+        with open_scene(self.basis_of, limits=current_limits()) as file:
             books = file.root.codebooks
             if len(books) > 1 or any(book.attribute != "colour" for book in books):
                 raise DataError(
                     "basis-mismatch",
-                    f"{self.codebooks_of}: {len(books)} codebooks, expected one of colour, as a "
+                    f"{self.basis_of}: {len(books)} codebooks, expected one of colour, as a "
                     "file of the profile transform has",
                 )
             return file.stored_codebook(0) if books else None

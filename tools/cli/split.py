@@ -120,7 +120,7 @@ def split(
                     write_cameras_json(part.cameras, folder / part.cameras_name, force=force)
             # Last: a folder with a manifest is complete.
             with atomic_write(manifest, force) as file:
-                file.write(_manifest(parts, has_codebooks=planned.has_sh).encode())
+                file.write(_manifest(parts, has_basis=planned.has_sh).encode())
     place = shlex.quote(display_name(folder))
     following = [
         f"cogsplat batch {place}/{_MANIFEST}",
@@ -156,18 +156,18 @@ def split(
         )
 
 
-def _manifest(parts: Sequence[_Part], *, has_codebooks: bool) -> str:
+def _manifest(parts: Sequence[_Part], *, has_basis: bool) -> str:
     """Return the manifest for `cogsplat batch`.
 
-    All parts use the codebooks of the first one, so that their files can be joined.
+    All parts use the basis of the first one, so that their files can be joined.
     """
     lines = ["# Options of `cogsplat encode` for all parts.", "[options]", "cells = true", ""]
     for number, part in enumerate(parts):
         lines += ["[[scene]]", f'input = "{part.name}.ply"', f'output = "{part.name}.cogs"']
         if part.cameras:
             lines.append(f'options.cameras = "{part.cameras_name}"')
-        if has_codebooks and number:
-            lines.append(f'options.codebooks-of = "{parts[0].name}.cogs"')
+        if has_basis and number:
+            lines.append(f'options.basis-of = "{parts[0].name}.cogs"')
         lines.append("")
     return "\n".join(lines)
 

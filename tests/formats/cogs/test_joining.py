@@ -246,7 +246,7 @@ def refused(paths, out):
 def test_files_that_do_not_belong_together_are_refused(parts, tmp_path):
     scene = synth(1500, sh_degree=2)
     alone = encoded(part(scene, 0), tmp_path / "alone.cogs")
-    assert "--codebooks-of 0.cogs" in refused([parts[0], alone], tmp_path / "x.cogs").replace(
+    assert "--basis-of 0.cogs" in refused([parts[0], alone], tmp_path / "x.cogs").replace(
         f"{parts[0].parent}/", ""
     )
     flat = encoded(synth(300, sh_degree=0), tmp_path / "flat.cogs")

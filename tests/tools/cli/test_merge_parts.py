@@ -54,7 +54,7 @@ def test_parts_with_codebooks_of_their_own_are_refused(run: Run, tmp_path: Path)
     told = run("merge", *parts, out, "--parts")
     assert told.code == 3
     assert "other codebooks" in told.err
-    assert "--codebooks-of" in told.err
+    assert "--basis-of" in told.err
     assert not out.exists()
     told = run("merge", parts[0], parts[1], parts[0], "--parts", "--force")
     assert told.code == 2
@@ -62,6 +62,6 @@ def test_parts_with_codebooks_of_their_own_are_refused(run: Run, tmp_path: Path)
     for options in (("--scale", "1:2"), ("--format", "ply")):
         assert run("merge", *parts, out, "--parts", *options).code == 2
     vq = tmp_path / "vq.cogs"
-    told = run("encode", scene, vq, "--codebooks-of", parts[0], "--profile", "vq")
+    told = run("encode", scene, vq, "--basis-of", parts[0], "--profile", "vq")
     assert told.code == 2
     assert "transform" in told.err

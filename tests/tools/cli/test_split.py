@@ -58,7 +58,7 @@ def test_the_manifest_encodes_the_parts(run: Run, small: SmallScene, tmp_path: P
             {
                 "input": "001.ply",
                 "output": "001.cogs",
-                "options": {"cameras": "001.cameras.json", "codebooks-of": "000.cogs"},
+                "options": {"cameras": "001.cameras.json", "basis-of": "000.cogs"},
             },
         ],
     }
