@@ -4,9 +4,8 @@
  * @packageDocumentation
  */
 import type { StreamedScene } from "../loader/streamed_scene.js";
-import { FRAGMENT_SHADER, SPLATS_PER_INSTANCE, VERTEX_SHADER } from "../viewer/shaders.js";
+import { FRAGMENT_SHADER, SPLATS_PER_INSTANCE, TEXTURE_WIDTH, VERTEX_SHADER } from "../viewer/shaders.js";
 import { axesRotation } from "./axes.js";
-import { TEXTURE_WIDTH } from "./packed_rows.js";
 import { type AdapterStream, followingAbort, originPosition } from "./row_stream.js";
 import { SAMPLERS, type ShadedOptions, ShadedScene, type ShaderTexture, type Uniforms } from "./shaded_scene.js";
 

@@ -3,7 +3,7 @@ import type { ChunkUpdate } from "../loader/stream_options.js";
 import { SH_WORDS, shiftPacked } from "../scene/packed_splats.js";
 
 /** Splats of a line of the textures of packed splats. */
-export const TEXTURE_WIDTH = 2048;
+const TEXTURE_WIDTH = 2048;
 
 /** Packed splats of a whole scene, in whole lines of textures; rows of zeros are not drawn. */
 export class PackedRows {
