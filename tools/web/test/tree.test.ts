@@ -84,6 +84,18 @@ for (const name of NAMES) {
   }
 }
 
+test("a level of a missing page is refused", () => {
+  const bytes = vectorBytes("valid", "levels-pages");
+  const { index, scene } = new SceneFile(bytes, kernels());
+  for (const page of index.pages) {
+    const part = new SceneFile(bytes.slice(0, page.offset), kernels(), { partial: true });
+    scene.levels.forEach(({ chunks }, level) => {
+      if (chunks <= page.firstChunk) part.decode(0, true, level);
+      else assert.throws(() => part.decode(0, true, level), { code: "file-truncated" });
+    });
+  }
+});
+
 for (const padding of [0, 70_000]) {
   for (const [shape, of] of Object.entries(SHAPES)) {
     test(`${shape} of ${padding} more bytes is streamed and visited to the same rows`, async () => {

@@ -160,6 +160,9 @@ export class SceneFile {
    */
   decode(degree = this.scene.shDegree, refine = true, level?: number): Splats {
     const count = level === undefined ? this.prefixChunks : this.scene.levels[level]!.chunks;
+    if (count > this.index.chunkCount) {
+      throw new CogsplatError("file-truncated", `the page of chunk ${count - 1} is not in the bytes present`);
+    }
     const drawn = Array.from({ length: count }, (_, chunk) => chunk).filter((chunk) =>
       this.index.isDrawn(chunk, count),
     );
