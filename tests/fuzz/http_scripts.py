@@ -22,7 +22,7 @@ from seeds import VECTORS
 
 import cogsplat
 from cogsplat.codec.splats import Splats
-from cogsplat.tools.lab.conformance.folder_vectors import folder_of_file
+from cogsplat.tools.lab.conformance.reference_folders import folder_of_file
 
 # Of a body without end, bytes at a time; the reader has to leave.
 _BLOCK_BYTES = 1 << 16

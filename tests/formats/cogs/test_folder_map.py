@@ -14,7 +14,7 @@ from cogsplat.formats.cogs.folder_map import (
     is_manifest,
 )
 from cogsplat.formats.storage.magic import MANIFEST_MAGIC
-from cogsplat.tools.lab.conformance.folder_vectors import MANIFEST, folder_of_file
+from cogsplat.tools.lab.conformance.reference_folders import MANIFEST, folder_of_file
 
 VALID = Path(__file__).resolve().parents[2] / "vectors" / "valid"
 FOLDERS = VALID.parent / "folders"

@@ -16,7 +16,7 @@ from cogsplat.formats.cogs.findings import findings
 from cogsplat.formats.cogs.folder_source import FolderSource, manifest_path, names_folder
 from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import BytesSource, PrefixSource, has_range
-from cogsplat.tools.lab.conformance.folder_vectors import folder_of_file
+from cogsplat.tools.lab.conformance.reference_folders import folder_of_file
 
 VECTORS = Path(__file__).resolve().parents[2] / "vectors"
 

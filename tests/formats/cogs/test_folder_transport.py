@@ -12,7 +12,7 @@ from cogsplat.formats.cogs.folder_map import FolderMap, ObjectRange
 from cogsplat.formats.cogs.folder_transport import FolderTransport, address_of
 from cogsplat.formats.network.backoff import TransientError
 from cogsplat.formats.network.range_responses import RangeResponse, ResponseHead
-from cogsplat.tools.lab.conformance.folder_vectors import MANIFEST, folder_of_file
+from cogsplat.tools.lab.conformance.reference_folders import MANIFEST, folder_of_file
 
 PAGED = Path(__file__).resolve().parents[2] / "vectors" / "valid" / "pages.cogs"
 OBJECT = ObjectRange("segments/a.bin", 100, 200, 1000)

@@ -18,7 +18,11 @@ from cogsplat.formats.cogs import layout
 from cogsplat.formats.cogs.folder_writer import check_manifest_name, pack_cogs, unpack_cogs
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.writer import Segment, write_cogs
-from cogsplat.tools.lab.conformance.folder_vectors import MANIFEST, file_of_folder, folder_of_file
+from cogsplat.tools.lab.conformance.reference_folders import (
+    MANIFEST,
+    file_of_folder,
+    folder_of_file,
+)
 
 VALID = sorted((Path(__file__).resolve().parents[2] / "vectors" / "valid").glob("*.cogs"))
 

@@ -22,7 +22,7 @@ from cogsplat.formats.cogs.folder_map import FolderMap
 from cogsplat.formats.cogs.network_folder import NetworkFolder
 from cogsplat.formats.cogs.open_file import open_source
 from cogsplat.formats.network.network_options import NetworkOptions
-from cogsplat.tools.lab.conformance.folder_vectors import MANIFEST, folder_of_file
+from cogsplat.tools.lab.conformance.reference_folders import MANIFEST, folder_of_file
 
 VALID = Path(__file__).resolve().parents[2] / "vectors" / "valid"
 PAGED = VALID / "pages.cogs"

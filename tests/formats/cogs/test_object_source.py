@@ -9,7 +9,7 @@ from cogsplat.formats.cogs.folder_places import object_name
 from cogsplat.formats.cogs.folder_source import FolderSource
 from cogsplat.formats.cogs.network_folder import NetworkFolder
 from cogsplat.formats.cogs.object_source import ObjectSource
-from cogsplat.tools.lab.conformance.folder_vectors import MANIFEST, folder_of_file
+from cogsplat.tools.lab.conformance.reference_folders import MANIFEST, folder_of_file
 
 VALID = Path(__file__).resolve().parents[2] / "vectors" / "valid"
 

@@ -12,7 +12,7 @@ from cogsplat.codec.errors import MissingExtraError, StorageError
 from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.formats.network.object_transport import ObjectTransport
 from cogsplat.formats.network.open_url import open_url
-from cogsplat.tools.lab.conformance.folder_vectors import folder_of_file
+from cogsplat.tools.lab.conformance.reference_folders import folder_of_file
 
 URL = "s3://bucket/scenes/a.cogs"
 

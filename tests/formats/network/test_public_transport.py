@@ -16,7 +16,7 @@ from cogsplat.formats.cogs.open_file import open_source
 from cogsplat.formats.network import public_transport
 from cogsplat.formats.network.network_options import NetworkOptions
 from cogsplat.formats.network.public_transport import is_public
-from cogsplat.tools.lab.conformance.folder_vectors import folder_of_file
+from cogsplat.tools.lab.conformance.reference_folders import folder_of_file
 
 PUBLIC = NetworkOptions(allow_private=False, pause_seconds=0.01, retries=1)
 

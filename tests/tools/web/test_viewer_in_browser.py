@@ -25,7 +25,7 @@ from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.tools.delivery.slow_server import Link, running
 from cogsplat.tools.delivery.viewer_pages import linked_page, write_standalone_page
-from cogsplat.tools.lab.conformance.folder_vectors import folder_of_file
+from cogsplat.tools.lab.conformance.reference_folders import folder_of_file
 from cogsplat.tools.lab.synthetic.terrace import synth_cameras
 
 if TYPE_CHECKING:

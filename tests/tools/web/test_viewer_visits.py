@@ -21,7 +21,7 @@ from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.splats import Splats
 from cogsplat.tools.delivery.slow_server import Link, Reply, running
 from cogsplat.tools.delivery.viewer_pages import linked_page
-from cogsplat.tools.lab.conformance.folder_vectors import folder_of_file
+from cogsplat.tools.lab.conformance.reference_folders import folder_of_file
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, rooms_walk, synth_rooms
 
 if TYPE_CHECKING:

@@ -23,8 +23,8 @@ from cogsplat.formats.cogs.reader import open_cogs
 from cogsplat.formats.storage.source import FileSource
 
 from . import reference_decoder, reference_drawing
-from .folder_vectors import file_of_folder
 from .protocol import Answer
+from .reference_folders import file_of_folder
 
 ARRAYS: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
 KINDS: Final = ("numpy", "compiled", "reference")

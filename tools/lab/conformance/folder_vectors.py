@@ -1,37 +1,35 @@
-"""Conformance vectors of folders, and the conversion between files and folders (SPEC 3.4).
-
-The conversion is written from SPEC alone and uses no folder code of `formats`, so that tests can
-compare the two.
-"""
+"""Conformance vectors of folders (SPEC 3.4)."""
 
 from __future__ import annotations
 
-import hashlib
 import struct
 import zlib
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import msgpack
 
 from cogsplat.formats.cogs.layout import MAGIC
 
 from .file_builder import PREAMBLE_BYTES, poke, seal
-
-MANIFEST: Final = "manifest.cogsm"
-MANIFEST_MAGIC: Final = b"\x89COGM\r\n\x1a"
-
-# Segment kinds of codebooks, kinds whose owner is a chunk, and the description (SPEC 5.2).
-_CODEBOOKS: Final = (3, 4, 5, 6)
-_OF_CHUNKS: Final = (1, 2, 7, 8, 129)
-_DESCRIPTION: Final = 132
-
-# Longest segment that the manifest holds, bytes.
-_MOST_INSIDE: Final = 16384
-
-Objects = dict[str, bytes]
-"""Contents of a folder's files by path relative to the folder."""
+from .reference_folders import (
+    INSIDE,
+    MANIFEST,
+    MANIFEST_MAGIC,
+    Objects,
+    Placement,
+    folder_of_file,
+    object_key,
+    object_name,
+    object_path,
+    one_object_folder,
+    placement_table,
+    read_pages,
+    read_places,
+    read_root,
+    read_segments,
+    replace_magic,
+)
 
 
 @dataclass(frozen=True)
@@ -138,7 +136,7 @@ def _invalid_manifests(file: bytes) -> list[InvalidFolder]:
     """Return folders with an invalid preamble or root, or bytes behind the manifest."""
     small = folder_of_file(file)
     manifest = small[MANIFEST]
-    root_end, _ = _read_root(manifest)
+    root_end, _ = read_root(manifest)
     own_crc = MAGIC + manifest[len(MAGIC) :]
     return [
         _manifest_folder(
@@ -195,7 +193,7 @@ def _invalid_places(file: bytes) -> list[InvalidFolder]:
     small = folder_of_file(file)
     manifest = small[MANIFEST]
     (content,) = (data for name, data in small.items() if name != MANIFEST)
-    root_end, _ = _read_root(manifest)
+    root_end, _ = read_root(manifest)
     inside = folder_of_file(file, inside=range(256))[MANIFEST]
     return [
         _manifest_folder(
@@ -215,14 +213,14 @@ def _invalid_places(file: bytes) -> list[InvalidFolder]:
         _manifest_folder(
             small,
             "folder-places-offset",
-            manifest[:root_end] + _placement_table([(_object_key(content), len(content), 1)]),
+            manifest[:root_end] + placement_table([(object_key(content), len(content), 1)]),
             "places-range",
             "a segment that ends a byte behind its object",
         ),
         _manifest_folder(
             small,
             "folder-places-size",
-            manifest[:root_end] + _placement_table([(_object_key(content), len(content) - 1, 0)]),
+            manifest[:root_end] + placement_table([(object_key(content), len(content) - 1, 0)]),
             "places-range",
             "an object that is stated a byte shorter than its segment",
         ),
@@ -236,22 +234,21 @@ def _invalid_places(file: bytes) -> list[InvalidFolder]:
         _manifest_folder(
             small,
             "folder-inside-offset",
-            manifest[:root_end] + _placement_table([(bytes(16), 0, 1)]),
+            manifest[:root_end] + placement_table([(bytes(16), 0, 1)]),
             "places-range",
             "a segment in the manifest that has an offset",
         ),
         _manifest_folder(
             small,
             "folder-inside-object",
-            manifest[:root_end] + _placement_table([(_object_key(content), 0, 0)]),
+            manifest[:root_end] + placement_table([(object_key(content), 0, 0)]),
             "places-range",
             "a segment in the manifest that has an object",
         ),
         _manifest_folder(
             small,
             "folder-inside-long",
-            _replace_magic(_first_length(file, 65_536), MANIFEST_MAGIC)
-            + _placement_table([_INSIDE]),
+            replace_magic(_first_length(file, 65_536), MANIFEST_MAGIC) + placement_table([INSIDE]),
             "places-range",
             "segments in the manifest that end behind its 64 KiB",
         ),
@@ -270,16 +267,16 @@ def _invalid_pages(file: bytes) -> list[InvalidFolder]:
     """Return folders with an invalid page, or invalid places of a page."""
     large = folder_of_file(file)
     paged = large[MANIFEST]
-    pages_end, root = _read_root(paged)
-    pages = _read_pages(root)
-    rows = _read_places(paged[pages_end:], len(_read_segments(root, 0)) + len(pages))
-    page = _path(rows[-1][0])
+    pages_end, root = read_root(paged)
+    pages = read_pages(root)
+    rows = read_places(paged[pages_end:], len(read_segments(root, 0)) + len(pages))
+    page = object_path(rows[-1][0])
     places_start = pages[-1]
     cut = large[page][:-1]
     return [
         InvalidFolder(
             "folder-page-inside",
-            large | {MANIFEST: paged[:pages_end] + _placement_table([*rows[:-1], _INSIDE])},
+            large | {MANIFEST: paged[:pages_end] + placement_table([*rows[:-1], INSIDE])},
             "places-range",
             "3.4",
             "a page in the manifest",
@@ -289,8 +286,8 @@ def _invalid_pages(file: bytes) -> list[InvalidFolder]:
             large
             | {
                 MANIFEST: paged[:pages_end]
-                + _placement_table([*rows[:-1], (_object_key(cut), len(cut), 0)]),
-                _object_name(cut): cut,
+                + placement_table([*rows[:-1], (object_key(cut), len(cut), 0)]),
+                object_name(cut): cut,
             },
             "places-range",
             "3.4",
@@ -301,7 +298,7 @@ def _invalid_pages(file: bytes) -> list[InvalidFolder]:
             large
             | {
                 MANIFEST: paged[:pages_end]
-                + _placement_table(
+                + placement_table(
                     [*rows[:-1], (*rows[-1][:2], len(large[page]) - places_start + 1)]
                 )
             },
@@ -349,7 +346,7 @@ def _invalid_objects(file: bytes) -> list[InvalidFolder]:
     (segment,) = (name for name in small if name != MANIFEST)
     content = small[segment]
     flipped = content[:-1] + bytes([content[-1] ^ 1])
-    root_end, _ = _read_root(manifest)
+    root_end, _ = read_root(manifest)
     other = f"segments/{bytes(16).hex()}.bin"
 
     def body(
@@ -385,7 +382,7 @@ def _invalid_objects(file: bytes) -> list[InvalidFolder]:
         body(
             "folder-object-hash",
             {
-                MANIFEST: manifest[:root_end] + _placement_table([(bytes(16), len(content), 0)]),
+                MANIFEST: manifest[:root_end] + placement_table([(bytes(16), len(content), 0)]),
                 other: content,
             },
             "object-hash",
@@ -396,302 +393,29 @@ def _invalid_objects(file: bytes) -> list[InvalidFolder]:
 
 
 def _page_folder(
-    folder: Objects, root: bytes, rows: Sequence[_Placement], places_start: int
+    folder: Objects, root: bytes, rows: Sequence[Placement], places_start: int
 ) -> InvalidFolder:
     """Return a folder whose last page has a segment in the manifest, which only the root may."""
-    page = folder[_path(rows[-1][0])]
+    page = folder[object_path(rows[-1][0])]
     count = (len(page) - places_start - 4) // 24
-    places = [_INSIDE, *_read_places(page[places_start:], count)[1:]]
-    changed = page[:places_start] + _placement_table(places)
-    table = _placement_table([*rows[:-1], (_object_key(changed), len(changed), 0)])
+    places = [INSIDE, *read_places(page[places_start:], count)[1:]]
+    changed = page[:places_start] + placement_table(places)
+    table = placement_table([*rows[:-1], (object_key(changed), len(changed), 0)])
     return InvalidFolder(
         "folder-page-segment-inside",
-        folder | {MANIFEST: root + table, _object_name(changed): changed},
+        folder | {MANIFEST: root + table, object_name(changed): changed},
         "places-range",
         "3.4",
         "a segment of a page in the manifest",
     )
 
 
-def folder_of_file(
-    data: bytes, manifest: str = MANIFEST, *, inside: Container[int] = (_DESCRIPTION,)
-) -> Objects:
-    """Convert a file into a folder, with the segments grouped as SPEC 3.4 recommends.
-
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    manifest : str
-        Name of the manifest.
-    inside : container of int
-        Kinds of the root's segments that the manifest holds, where they are short.
-    """
-    indexes = _read_indexes(data)
-    groups: dict[tuple[object, ...], list[_Segment]] = {}
-    where = {
-        x.position: _INSIDE
-        for x in indexes[0].segments
-        if x.kind in inside and x.length <= _MOST_INSIDE
-    }
-    for segment in (segment for index in indexes for segment in index.segments):
-        key: tuple[object, ...] = ("alone", segment.position)
-        if segment.kind in _CODEBOOKS:
-            key = ("codebooks",)
-        elif segment.kind in _OF_CHUNKS:
-            key = ("chunk", segment.owner)
-        if segment.position not in where:
-            groups.setdefault(key, []).append(segment)
-    objects: Objects = {}
-    for group in groups.values():
-        content = b"".join(data[x.position : x.position + x.length] for x in group)
-        offset = 0
-        for segment in group:
-            where[segment.position] = _object_key(content), len(content), offset
-            offset += segment.length
-        objects[_object_name(content)] = content
-    rows: dict[int, _Placement] = {}
-    # Pages below an index come before it: its table has their places.
-    for index in reversed(indexes[1:]):
-        page = index.stored + _table_of(index, where, rows)
-        objects[_object_name(page)] = page
-        rows[index.position] = _object_key(page), len(page), 0
-    return {manifest: _build_manifest(data, indexes[0], where, rows), **objects}
-
-
-def one_object_folder(data: bytes, around: bytes) -> Objects:
-    """Convert a file into a folder that keeps all segments in one object, all pages in another.
-
-    Both are in reverse order; the bytes `around` precede, separate and follow them.
-    """
-    indexes = _read_indexes(data)
-    stored = [data[x.position : x.position + x.length] for index in indexes for x in index.segments]
-    positions = [x.position for index in indexes for x in index.segments]
-    content, found = _backwards(stored, around)
-    where = dict(zip(positions, found, strict=True))
-    # The file has no pages of pages, which one object cannot hold: tables name it by its hash.
-    pages = [index.stored + _table_of(index, where, {}) for index in indexes[1:]]
-    book, placed = _backwards(pages, around)
-    rows = dict(zip((index.position for index in indexes[1:]), placed, strict=True))
-    return {
-        MANIFEST: _build_manifest(data, indexes[0], where, rows),
-        _object_name(content): content,
-        _object_name(book): book,
-    }
-
-
-def _backwards(parts: Sequence[bytes], around: bytes) -> tuple[bytes, list[_Placement]]:
-    """Return an object of parts in reverse order, and the placement of each part."""
-    content, offsets = around, []
-    for part in reversed(parts):
-        offsets.append(len(content))
-        content += part + around
-    return content, [(_object_key(content), len(content), offset) for offset in reversed(offsets)]
-
-
-def file_of_folder(objects: Mapping[str, bytes], manifest: str = MANIFEST) -> bytes:
-    """Convert a folder into the equivalent file."""
-    data = objects[manifest]
-    root_end, root = _read_root(data)
-    pages = _read_pages(root)
-    segments = _read_segments(root, 0)
-    places_end = root_end + _placement_bytes(len(segments) + len(pages))
-    rows = _read_places(data[root_end:places_end], len(segments) + len(pages))
-    parts, inside = [data[:root_end]], places_end
-    for segment, row in zip(segments, rows, strict=False):
-        if row == _INSIDE:
-            parts.append(data[inside : inside + segment.length])
-            inside += segment.length
-        else:
-            parts.append(objects[_path(row[0])][row[2] :][: segment.length])
-    parts += _parts_of_pages(objects, pages, rows[len(segments) :])
-    return _replace_magic(b"".join(parts), MAGIC)
-
-
-def _parts_of_pages(
-    objects: Mapping[str, bytes], pages: Sequence[int], rows: Sequence[_Placement]
-) -> Iterator[bytes]:
-    """Yield the bytes of pages, given their lengths and placements, each with all below it."""
-    for length, (key, _, offset) in zip(pages, rows, strict=True):
-        stored = objects[_path(key)][offset:]
-        yield stored[:length]
-        index = msgpack.unpackb(stored[:length])
-        segments, below = _read_segments(index, 0), _read_pages(index)
-        places = _read_places(stored[length:], len(segments) + len(below))
-        for segment, (name, _, at) in zip(segments, places, strict=False):
-            yield objects[_path(name)][at : at + segment.length]
-        yield from _parts_of_pages(objects, below, places[len(segments) :])
-
-
-@dataclass(frozen=True)
-class _Segment:
-    """Row of a segment table; `position` is the offset of the segment in the file, bytes."""
-
-    kind: int
-    owner: int
-    length: int
-    position: int
-
-
-@dataclass(frozen=True)
-class _Index:
-    """Bytes of a page, or of preamble and root, its offset, and what it lists.
-
-    Segments, and offsets of pages in the file, bytes.
-    """
-
-    stored: bytes
-    position: int
-    segments: list[_Segment]
-    pages: list[int]
-
-
-# Location of a segment or page: key of its object, size of the object, and offset in it, bytes.
-_Placement = tuple[bytes, int, int]
-
-# Placement of a segment in the manifest itself.
-_INSIDE: Final[_Placement] = (bytes(16), 0, 0)
-
-
-def _read_indexes(data: bytes) -> list[_Index]:
-    """Return root and pages of a file with the segments that each lists."""
-    root_end, root = _read_root(data)
-    return _add_indexes(data, root, 0, root_end)
-
-
-def _add_indexes(data: bytes, index: Mapping[str, object], start: int, end: int) -> list[_Index]:
-    """Return an index, given where it begins and ends, and all indices below it in file order."""
-    segments = _read_segments(index, end)
-    position = end + sum(segment.length for segment in segments)
-    starts: list[int] = []
-    below: list[_Index] = []
-    for length in _read_pages(index):
-        starts.append(position)
-        page = msgpack.unpackb(data[position : position + length])
-        found = _add_indexes(data, page, position, position + length)
-        below += found
-        last = found[-1]
-        position = last.position + len(last.stored) + sum(x.length for x in last.segments)
-    return [_Index(data[start:end], start, segments, starts), *below]
-
-
-def _read_pages(index: Mapping[str, object]) -> list[int]:
-    """Return the lengths of the pages that an index lists, bytes."""
-    pages = index.get("pages")
-    lengths = pages["length"] if isinstance(pages, dict) else b""
-    return [length for (length,) in struct.iter_unpack("<I", lengths)]
-
-
-def _table_of(
-    index: _Index, where: Mapping[int, _Placement], pages: Mapping[int, _Placement]
-) -> bytes:
-    """Return the packed placement table of an index.
-
-    Parameters
-    ----------
-    index : _Index
-    where, pages : mapping of int to _Placement
-        Placement of each segment, and of each page, by its offset in the file.
-    """
-    return _placement_table(
-        [
-            *(where[segment.position] for segment in index.segments),
-            *(pages[at] for at in index.pages),
-        ]
-    )
-
-
-def _build_manifest(
-    data: bytes, root: _Index, where: Mapping[int, _Placement], pages: Mapping[int, _Placement]
-) -> bytes:
-    """Return a folder's manifest: preamble, root, placement table, and the segments inside.
-
-    Parameters
-    ----------
-    data : bytes
-        The file.
-    root : _Index
-        Root of the file.
-    where : mapping of int to _Placement
-        Placement of each segment by its offset in the file.
-    pages : mapping of int to _Placement
-        Placement of each page by its offset in the file.
-    """
-    rows = [where[segment.position] for segment in root.segments]
-    inside = (x.position for x, row in zip(root.segments, rows, strict=True) if row == _INSIDE)
-    lengths = {segment.position: segment.length for segment in root.segments}
-    stored = root.stored + _table_of(root, where, pages)
-    stored += b"".join(data[at : at + lengths[at]] for at in inside)
-    return _replace_magic(stored, MANIFEST_MAGIC)
-
-
-def _placement_table(rows: Sequence[_Placement]) -> bytes:
-    """Return the packed placement table of segments, with its CRC (SPEC 3.4)."""
-    columns = b"".join(key for key, _, _ in rows)
-    columns += struct.pack(f"<{len(rows)}I", *(size for _, size, _ in rows))
-    columns += struct.pack(f"<{len(rows)}I", *(offset for _, _, offset in rows))
-    return columns + struct.pack("<I", zlib.crc32(columns))
-
-
-def _placement_bytes(rows: int) -> int:
-    """Return the size of a placement table, bytes."""
-    return 24 * rows + 4
-
-
-def _read_places(data: bytes, count: int) -> list[_Placement]:
-    """Return the rows of a placement table."""
-    keys = [data[16 * row :][:16] for row in range(count)]
-    sizes = struct.unpack_from(f"<{count}I", data, 16 * count)
-    offsets = struct.unpack_from(f"<{count}I", data, 20 * count)
-    return list(zip(keys, sizes, offsets, strict=True))
-
-
 def _first_length(data: bytes, length: int) -> bytes:
     """Return preamble and root of a file with another length of the first segment."""
-    end, _ = _read_root(data)
+    end, _ = read_root(data)
     root = msgpack.unpackb(data[PREAMBLE_BYTES:end])
     columns = root["segments"]
     columns["length"] = struct.pack("<I", length) + columns["length"][4:]
     stored: bytes = msgpack.packb(root)
     head = poke(data[:PREAMBLE_BYTES], 12, "I", len(stored))
     return seal(poke(head, 24, "I", zlib.crc32(stored))) + stored
-
-
-def _read_root(data: bytes) -> tuple[int, dict[str, dict[str, bytes]]]:
-    """Return the end of a file's root, bytes, and the root unpacked from msgpack."""
-    (length,) = struct.unpack_from("<I", data, 12)
-    return PREAMBLE_BYTES + length, msgpack.unpackb(data[PREAMBLE_BYTES : PREAMBLE_BYTES + length])
-
-
-def _read_segments(index: Mapping[str, object], position: int) -> list[_Segment]:
-    """Return the segments of an index whose first payload is at `position`."""
-    table = index["segments"]
-    assert isinstance(table, dict)
-    found = []
-    columns = (table["kind"], struct.iter_unpack("<I", table["owner"]))
-    for kind, (owner,), (length,) in zip(
-        *columns, struct.iter_unpack("<I", table["length"]), strict=True
-    ):
-        found.append(_Segment(kind, owner, length, position))
-        position += length
-    return found
-
-
-def _object_key(content: bytes) -> bytes:
-    """Return the key of an object, the first 16 bytes of its SHA-256."""
-    return hashlib.sha256(content).digest()[:16]
-
-
-def _object_name(content: bytes) -> str:
-    """Return the path of an object in the folder."""
-    return _path(_object_key(content))
-
-
-def _path(key: bytes) -> str:
-    """Return the path of an object in the folder, given its key."""
-    return f"segments/{key.hex()}.bin"
-
-
-def _replace_magic(data: bytes, magic: bytes) -> bytes:
-    """Return the data with another magic number and a new checksum."""
-    return seal(magic + data[len(magic) : PREAMBLE_BYTES]) + data[PREAMBLE_BYTES:]

@@ -14,6 +14,7 @@ import msgpack
 
 from . import reference_compensation as compensation
 from . import reference_streams as streams
+from .reference_file import File, IndexPath, Segment
 from .reference_streams import (
     BANDS,
     BASIS,
@@ -32,7 +33,7 @@ from .reference_streams import (
 )
 
 # SPEC 5.2, by number.
-_HEAD, _TAIL, _SHAPE_BOOK, _REFINEMENT, _OPACITIES = 1, 2, 3, 7, 8
+_HEAD, _TAIL, _REFINEMENT, _OPACITIES = 1, 2, 7, 8
 _CAMERAS, _ATTRIBUTES, _COMPENSATION, _VIEW_TABLE = 128, 129, 130, 131
 _DESCRIPTION, _PICTURE = 132, 133
 _BAND_VALUES: Final = (9, 15, 21)
@@ -41,26 +42,11 @@ _NAMES: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
 Rows = dict[str, list[Row]]
 """Decoded splats: rows of values of each array, by array name."""
 Camera = dict[str, str | int | float | list[float]]
-IndexPath = tuple[int, ...]
 Viewpoint = tuple[list[float], list[int], list[float]]
 """Position, direction, and share of each chunk."""
 Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 Picture = tuple[tuple[str, int, int], bytes]
 """Media type, width and height in the header of a picture; and its bytes."""
-
-
-@dataclass(frozen=True)
-class Segment:
-    """A row of the segment table, with the start and end of the segment in the file.
-
-    Bit k of `needs` is set if the segment needs codebook k.
-    """
-
-    kind: int
-    owner: int
-    start: int
-    end: int
-    needs: int
 
 
 @dataclass(frozen=True)
@@ -146,90 +132,6 @@ class Scene:
     drawn: list[Rows]
 
 
-class _File:
-    """Root, segments and payloads of a valid file."""
-
-    def __init__(self, data: bytes) -> None:
-        self.data = data
-        root_length, self.length = struct.unpack_from("<IQ", data, 12)
-        self.root_end = 64 + root_length
-        self.root = msgpack.unpackb(data[64 : self.root_end])
-        self.segments: list[Segment] = []
-        self.chunk_splats: list[int] = []
-        self.until: list[int] = []
-        self.cells: list[int] = []
-        # Index that lists each chunk, and each segment.
-        self.chunk_paths: list[IndexPath] = []
-        self.paths: list[IndexPath] = []
-        # End offset of the index that lists each segment.
-        self.known_at: list[int] = []
-        # Number of columns of a view table of each index: its chunks and pages.
-        self.columns: dict[IndexPath, int] = {}
-        self._add(self.root, self.root_end, ())
-
-    def _add(self, index: dict[str, dict[str, bytes]], start: int, path: IndexPath) -> int:
-        """Append what an index lists and all below it; return the offset behind."""
-        position = self._add_tables(index, start, path)
-        lengths = index.get("pages", {}).get("length", b"")
-        for row, (length,) in enumerate(struct.iter_unpack("<I", lengths)):
-            end = position + length
-            position = self._add(msgpack.unpackb(self.data[position:end]), end, (*path, row))
-        self.columns[path] = len(index["chunks"]["splats"]) // 4 + len(lengths) // 4
-        return position
-
-    def parents(self) -> list[int | None]:
-        """Return each chunk's parent (SPEC 5.4)."""
-        found: list[int | None] = []
-        for chunk, (cell, path) in enumerate(zip(self.cells, self.chunk_paths, strict=True)):
-            around = [cell >> k for k in range(32)]
-            before = (
-                c
-                for c, above in reversed(list(enumerate(self.chunk_paths[:chunk])))
-                if self.cells[c] in around and path[: len(above)] == above
-            )
-            found.append(next(before, None) if cell else None)
-        return found
-
-    def _add_tables(self, index: dict[str, dict[str, bytes]], start: int, path: IndexPath) -> int:
-        """Append the segments and chunks of an index; return the offset after its payloads."""
-        table = index["segments"]
-        columns = [
-            table["kind"],
-            *(
-                struct.unpack(f"<{len(table[name]) // 4}I", table[name])
-                for name in ("owner", "length", "needs")
-            ),
-        ]
-        position = start
-        for kind, owner, length, needs in zip(*columns, strict=True):
-            self.segments.append(Segment(kind, owner, position, position + length, needs))
-            self.known_at.append(start)
-            self.paths.append(path)
-            position += length
-        splats = index["chunks"]["splats"]
-        self.chunk_paths += [path] * (len(splats) // 4)
-        self.chunk_splats += struct.unpack(f"<{len(splats) // 4}I", splats)
-        for name, values in (("until", self.until), ("cell", self.cells)):
-            column = index["chunks"].get(name, bytes(len(splats)))
-            values += struct.unpack(f"<{len(column) // 4}I", column)
-        return position
-
-    def drawn(self, chunks: int) -> list[int]:
-        """Return the chunks that a prefix of `chunks` chunks draws (SPEC 5.10)."""
-        return [c for c in range(chunks) if self.until[c] == 0 or self.until[c] > chunks]
-
-    def payload(self, segment: Segment) -> Payload:
-        return streams.parse(self.data[segment.start : segment.end])
-
-    def segments_of(self, kind: int, owner: int) -> list[Segment]:
-        return [s for s in self.segments if (s.kind, s.owner) == (kind, owner)]
-
-    def book_segments(self, book: int) -> list[Segment]:
-        if self.root["codebooks"][book]["attribute"] == "shape":
-            return self.segments_of(_SHAPE_BOOK, book)
-        return [s for k in range(self.root["sh_degree"]) for s in self.segments_of(4 + k, book)]
-
-
 def _bands(payload: Payload, degree: int, rows: int, flag: int = 0) -> list[Row]:
     """Return the SH rows above DC, zeros where a band has no stream (SPEC 7.3)."""
     out: list[Row] = [[] for _ in range(rows)]
@@ -248,7 +150,7 @@ def _shapes(payload: Payload, flag: int) -> list[Row]:
     return [row + quat for row, quat in zip(scales, quats, strict=True)]
 
 
-def _codebook(file: _File, book: int) -> list[Row]:
+def _codebook(file: File, book: int) -> list[Row]:
     """Return a codebook's rows: scales then quats, or SH coefficients (SPEC 7.1)."""
     entry = file.root["codebooks"][book]
     if entry["attribute"] == "shape":
@@ -316,13 +218,13 @@ def _tail(payload: Payload, books: dict[int, list[Row]], degree: int, rows: int)
     return [book[i] for i in streams.indices(colour, len(books[number]))]
 
 
-def _attribute_types(file: _File) -> list[tuple[str, str, int]]:
+def _attribute_types(file: File) -> list[tuple[str, str, int]]:
     """Return name, type and component count of each extra attribute that the root lists."""
     entries = file.root.get("attributes", [])
     return [(entry["name"], entry["type"], entry.get("components", 0)) for entry in entries]
 
 
-def _attributes(file: _File) -> dict[int, list[bytes]]:
+def _attributes(file: File) -> dict[int, list[bytes]]:
     """Return the bytes of each chunk's extra attributes, row by row (SPEC 5.7)."""
     sizes = [max(1, count) * int(kind[1]) for _, kind, count in _attribute_types(file)]
     out: dict[int, list[bytes]] = {}
@@ -345,7 +247,7 @@ def _attributes(file: _File) -> dict[int, list[bytes]]:
     return dict(sorted(out.items()))
 
 
-def _cameras(file: _File) -> list[Camera]:
+def _cameras(file: File) -> list[Camera]:
     """Return the cameras of a file (SPEC 5.8)."""
     found = file.segments_of(_CAMERAS, 0)
     if not found:
@@ -364,7 +266,7 @@ def _cameras(file: _File) -> list[Camera]:
     return out
 
 
-def _view_tables(file: _File) -> list[tuple[IndexPath, list[Viewpoint]]]:
+def _view_tables(file: File) -> list[tuple[IndexPath, list[Viewpoint]]]:
     """Return the view table of each index that lists one, with the path of the index."""
     return [
         (path, _view_table(file, segment, file.columns[path]))
@@ -373,7 +275,7 @@ def _view_tables(file: _File) -> list[tuple[IndexPath, list[Viewpoint]]]:
     ]
 
 
-def _view_table(file: _File, segment: Segment, chunks: int) -> list[Viewpoint]:
+def _view_table(file: File, segment: Segment, chunks: int) -> list[Viewpoint]:
     """Return the viewpoints of a view table, whose columns are `chunks` (SPEC 5.12)."""
     table = msgpack.unpackb(file.data[segment.start : segment.end])
     views = len(table["position"]) // 12
@@ -393,7 +295,7 @@ def _view_table(file: _File, segment: Segment, chunks: int) -> list[Viewpoint]:
     return out
 
 
-def _description(file: _File) -> Json:
+def _description(file: File) -> Json:
     """Return the map of a file's description (SPEC 5.13)."""
     found = file.segments_of(_DESCRIPTION, 0)
     if not found:
@@ -402,7 +304,7 @@ def _description(file: _File) -> Json:
     return value
 
 
-def _pictures(file: _File) -> dict[str, Picture]:
+def _pictures(file: File) -> dict[str, Picture]:
     """Return the pictures of a file (SPEC 5.14)."""
     out: dict[str, Picture] = {}
     for owner, name in enumerate(("poster", "sky")):
@@ -434,7 +336,7 @@ def _webp(data: bytes) -> tuple[str, int, int]:
     return "image/webp", bits % (1 << 14) + 1, (bits >> 14) % (1 << 14) + 1
 
 
-def _compensated(file: _File, rows: Rows) -> dict[int, Row]:
+def _compensated(file: File, rows: Rows) -> dict[int, Row]:
     """Return the compensated scales and opacities of each prefix of chunks (SPEC 8.5)."""
     segments = [s for s in file.segments if s.kind == _COMPENSATION]
     payloads = [file.data[s.start : s.end] for s in sorted(segments, key=lambda s: s.owner)]
@@ -464,7 +366,7 @@ def _compensated(file: _File, rows: Rows) -> dict[int, Row]:
     return out
 
 
-def _compensated_sets(file: _File, rows: Rows) -> list[tuple[list[int], Row]]:
+def _compensated_sets(file: File, rows: Rows) -> list[tuple[list[int], Row]]:
     """Return the compensated scales and opacities of each set that is not a prefix (SPEC 8.5)."""
     segments = [s for s in file.segments if s.kind == _COMPENSATION]
     payloads = [file.data[s.start : s.end] for s in sorted(segments, key=lambda s: s.owner)]
@@ -476,7 +378,7 @@ def _compensated_sets(file: _File, rows: Rows) -> list[tuple[list[int], Row]]:
     ]
 
 
-def _compensated_set(file: _File, rows: Rows, payloads: list[bytes], chosen: list[int]) -> Row:
+def _compensated_set(file: File, rows: Rows, payloads: list[bytes], chosen: list[int]) -> Row:
     """Return the compensated scales and opacities of a set of chunks (SPEC 8.5)."""
     starts = [sum(file.chunk_splats[:chunk]) for chunk in range(len(file.chunk_splats))]
     parents = file.parents()
@@ -494,7 +396,7 @@ def _compensated_set(file: _File, rows: Rows, payloads: list[bytes], chosen: lis
     return scales + opacities
 
 
-def _prefixes(file: _File) -> list[Prefix]:
+def _prefixes(file: File) -> list[Prefix]:
     """Return the prefixes of a file, one per change of decodable content (SPEC 8.2)."""
 
     def there(segment: Segment, size: int) -> bool:
@@ -526,7 +428,7 @@ def _prefixes(file: _File) -> list[Prefix]:
 class _Chunks:
     """Decoder of single chunks of a file."""
 
-    def __init__(self, file: _File) -> None:
+    def __init__(self, file: File) -> None:
         self._file = file
         self._degree = file.root["sh_degree"]
         self._books = {book: _codebook(file, book) for book in range(len(file.root["codebooks"]))}
@@ -582,7 +484,7 @@ class _Chunks:
 
 def decode(data: bytes, *, refine: bool = True) -> Scene:
     """Decode a valid file, with or without its refinements."""
-    file = _File(data)
+    file = File(data)
     made = _Chunks(file)
     every = len(file.segments)
     chunks = range(len(file.chunk_splats))

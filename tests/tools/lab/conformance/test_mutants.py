@@ -17,6 +17,7 @@ from cogsplat.formats.cogs import (
 from cogsplat.tools.lab.conformance import (
     reference_compensation,
     reference_decoder,
+    reference_file,
     reference_streams,
 )
 
@@ -65,7 +66,7 @@ REFERENCE = [
     ),
     Mutant(
         "pages are taken to stand one behind the other",
-        reference_decoder._File._add,
+        reference_file.File._add,
         "position = self._add(msgpack.unpackb(self.data[position:end]), end, (*path, row))",
         "self._add(msgpack.unpackb(self.data[position:end]), end, (*path, row)); position = end",
         ("5.6",),
