@@ -214,6 +214,7 @@ class FileServer:
             # The connection or the server ends.
             pass
         except Exception as error:
+            # A bug of the application or of hypercorn ends one connection, not the server.
             self._report(error)
         finally:
             if transport is not None:
