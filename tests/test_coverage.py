@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from coverage_scenes import CoverageScene, coverage_scene
 
 import cogsplat
 from cogsplat.codec.metrics import psnr
 from cogsplat.codec.render.rasteriser import render
-from cogsplat.tools.lab.synthetic.coverage_scenes import CoverageScene, coverage_scene
 
 # One of each kind of `COVERAGE_SCENES` (thin, hollow, flat, with a thin long part, seen from
 # inside, seen from inside of each of two rooms), and its number of splats.

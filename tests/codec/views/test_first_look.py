@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coverage_scenes import coverage_scene
 from scipy.spatial.transform import Rotation
 
 from cogsplat.codec.cameras import Camera
@@ -10,7 +11,6 @@ from cogsplat.codec.views.first_look_search import find_first_look
 from cogsplat.codec.views.framed_views import framed
 from cogsplat.codec.views.up_direction import up_from_cameras
 from cogsplat.codec.views.view_text import level_rotation, parse_view
-from cogsplat.tools.lab.synthetic.coverage_scenes import coverage_scene
 from cogsplat.tools.lab.synthetic.lighting import Occluders
 from cogsplat.tools.lab.synthetic.object_models import teapot, tree
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, synth_rooms

@@ -16,11 +16,19 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.splats import Splats
-
-from .lighting import TO_SCENE, Occluders
-from .materials import Surfels, blend, concatenate, cover, split_count
-from .patches import Patch, noise, quad, revolve, smooth_curve, smoothstep, tube, unit
-from .terrace import camera_at, splats_from_surfels
+from cogsplat.tools.lab.synthetic.lighting import TO_SCENE, Occluders
+from cogsplat.tools.lab.synthetic.materials import Surfels, blend, concatenate, cover, split_count
+from cogsplat.tools.lab.synthetic.patches import (
+    Patch,
+    noise,
+    quad,
+    revolve,
+    smooth_curve,
+    smoothstep,
+    tube,
+    unit,
+)
+from cogsplat.tools.lab.synthetic.terrace import camera_at, splats_from_surfels
 
 F64 = NDArray[np.float64]
 Point = tuple[float, float, float]

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-
-from cogsplat.codec.render.rasteriser import render
-from cogsplat.tools.lab.synthetic.coverage_scenes import (
+from coverage_scenes import (
     COVERAGE_SCENES,
     TEST_VIEWS,
     coverage_scene,
 )
+
+from cogsplat.codec.render.rasteriser import render
 
 BUILDINGS = ("room", "two-rooms")
 
