@@ -248,7 +248,7 @@ def _cut_chunks(
         # Chunks were sorted before pruning, which shifts splats between chunks: sort again. Orders
         # for a first pose keep their order. Cells are cut from layers of the default chunk size.
         largest = chunk_plan.DEFAULT_CHUNK_SPLATS if config.cells else config.chunk_splats
-        rows = chunk_plan.sort_runs(rows, scores.contribution, largest)
+        rows = chunk_plan.sort_runs(rows, scores.contribution, largest, config.ordering.run_chunks)
     cells: NDArray[np.uint32] | None = None
     if config.cells:
         nested = _cut_cells(prepared, rows)

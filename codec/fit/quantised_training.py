@@ -17,6 +17,7 @@ from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.rate_control import LOG2_BYTES_PER_DB, PSNR_PER_DB, search_psnr
 from cogsplat.codec.errors import DataError, FormatError
+from cogsplat.codec.order.orders import OrderConfig
 from cogsplat.codec.order.prefix_inflation import effective_splats
 from cogsplat.codec.progress import Progress
 from cogsplat.codec.rate.allocation import lagrangian
@@ -64,10 +65,14 @@ _CODEBOOK_NAME: Final = re.compile(r"codebook\.([0-9]{1,2})\.(\w{1,20})\.([0-9]{
 # cameras; an object, a room and a terrace of 12 cameras lose and gain nothing.
 _MAX_SCORED_VIEWS, _LEAST_SCORED_VIEWS = 64, 96
 
-# Preset of the compensation fit, whatever the others: tuning leaves few splats, so that the fit
-# takes a second of minutes. In eight tuned files, the fit of `best` shows up to 2.3 dB more in the
-# first 16 to 64 KiB than the fit of `fast`, and at most 0.1 dB less.
-_FIT_PRESET: Final = "best"
+# Preset of the compensation fit and of the order by marginal gain, whatever the others: tuning
+# leaves few splats, so that both take seconds of minutes. In eight tuned files, the fit of `best`
+# shows up to 2.3 dB more in the first 16 to 64 KiB than the fit of `fast`, and at most 0.1 dB less.
+_FIRST_BYTES_PRESET: Final = "best"
+# Chunks per sorted run of that order. A captured room tuned to 40 dB shows 21.9 dB in its first
+# 64 KiB by the order of `fast`, 23.6 dB in 2.5 % more bytes by that of `best` in runs of three
+# chunks, and 24.9 dB in 1.7 % more in runs of two.
+_RUN_CHUNKS: Final = 2
 
 
 class QuantisedTraining:
@@ -105,10 +110,13 @@ class QuantisedTraining:
         self._prefix_weight = config.prefix_weight
         self._size_of = size_of
         self._progress = progress
-        best = PRESETS[_FIT_PRESET]
-        preset = replace(
-            PRESETS[config.preset], fit_iterations=best.fit_iterations, fit_views=best.fit_views
-        )
+        best, preset = PRESETS[_FIRST_BYTES_PRESET], PRESETS[config.preset]
+        preset = replace(preset, fit_iterations=best.fit_iterations, fit_views=best.fit_views)
+        ordering = OrderConfig()
+        if base is not source:
+            # The source itself is ordered as without tuning.
+            preset = replace(preset, gain=best.gain)
+            ordering = OrderConfig(run_chunks=_RUN_CHUNKS)
         threads, profile = config.train.threads, config.profile
         cameras, covering = request.views.cameras, request.views.covering
         views = sample_evenly(cameras, _MAX_SCORED_VIEWS)
@@ -132,7 +140,7 @@ class QuantisedTraining:
         self._prepared = prepare(
             base,
             scores,
-            EncodeConfig(profile=profile, threads=threads),
+            EncodeConfig(profile=profile, ordering=ordering, threads=threads),
             views=views,
             references=references,
             effort=preset.gain,

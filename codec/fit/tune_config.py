@@ -54,7 +54,7 @@ class TuneConfig:
         Time limit. Steps of rounds are shortened to meet it, steps after them also extended; the
         result then depends on the speed of the machine.
     preset : str
-        Key of `presets.PRESETS`: effort of scoring, ordering and compensation.
+        Key of `presets.PRESETS`: effort of scoring. Order and compensation have that of ``best``.
     profile : str
         ``transform`` or ``vq``. With ``vq``, codebooks train with the splats: each encode starts
         k-means from the last codebooks and assigns each splat to the nearest row (after Niedermayr

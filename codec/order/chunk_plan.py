@@ -81,16 +81,20 @@ def plan_chunks(splats: int, largest: int = DEFAULT_CHUNK_SPLATS) -> list[slice]
     return chunks
 
 
-# Chunks per sorted run, after the first chunk. A captured room ordered by marginal gain takes 16 %
-# more bytes than ordered by contribution, and 4 % more once sorted in runs of three chunks. In runs
-# of four, a prefix of 20 % of the splats has 0.6 dB less.
-_SORT_RUN_CHUNKS: Final = 3
+# A captured room ordered by marginal gain takes 16 % more bytes than ordered by contribution, and
+# 4 % more once sorted in runs of three chunks. In runs of four, a prefix of 20 % of the splats has
+# 0.6 dB less.
+RUN_CHUNKS: Final = 3
+"""Default number of chunks per sorted run, after the first chunk."""
 
 
 def sort_runs(
-    rows: NDArray[np.int64], priority: NDArray[np.float64], largest: int = DEFAULT_CHUNK_SPLATS
+    rows: NDArray[np.int64],
+    priority: NDArray[np.float64],
+    largest: int = DEFAULT_CHUNK_SPLATS,
+    run_chunks: int = RUN_CHUNKS,
 ) -> NDArray[np.int64]:
-    """Sort an order by priority inside runs of three chunks, so that chunks hold similar splats.
+    """Sort an order by priority inside runs of a few chunks, so that chunks hold similar splats.
 
     All splats of a chunk share its quantiser steps. If a few splats weigh more than the rest, the
     steps are finer than most of the chunk needs.
@@ -103,6 +107,8 @@ def sort_runs(
         Priority of each row of the scene, such as its contribution.
     largest : int
         Rows of a chunk at most; see `plan_chunks`.
+    run_chunks : int
+        Chunks of a run, at least 1.
 
     Returns
     -------
@@ -112,8 +118,8 @@ def sort_runs(
     """
     chunks = plan_chunks(len(rows), largest)
     parts = [rows[run] for run in chunks[:1]]
-    for first in range(1, len(chunks), _SORT_RUN_CHUNKS):
-        last = min(first + _SORT_RUN_CHUNKS, len(chunks)) - 1
+    for first in range(1, len(chunks), run_chunks):
+        last = min(first + run_chunks, len(chunks)) - 1
         run = rows[chunks[first].start : chunks[last].stop]
         parts.append(run[np.argsort(-priority[run], kind="stable")])
     return np.concatenate(parts) if parts else rows

@@ -72,6 +72,9 @@ class OrderConfig:
         Seed of ``random``.
     inflated : bool
         Whether ``gain`` inflates prefixes as compensation will draw them when it measures gains.
+    run_chunks : int
+        Chunks of each run of ``gain`` that is sorted by contribution, at least 1; fewer show more
+        in prefixes, and take more bytes.
     by_object : bool
         Whether each chunk holds a single object (`objects`); needs the attribute ``object``.
     object_budgets : tuple of (int, float)
@@ -88,6 +91,7 @@ class OrderConfig:
     frustum_margin: float = _FRUSTUM_MARGIN
     seed: int = 0
     inflated: bool = True
+    run_chunks: int = chunk_plan.RUN_CHUNKS
     by_object: bool = False
     object_budgets: tuple[tuple[int | None, float], ...] = ()
 
@@ -105,6 +109,8 @@ class OrderConfig:
             raise ValueError(f"frustum_margin {self.frustum_margin}, expected 0 or more")
         if self.seed < 0:
             raise ValueError(f"seed {self.seed}, expected 0 or more")
+        if self.run_chunks < 1:
+            raise ValueError(f"runs of {self.run_chunks} chunks, expected 1 or more")
         for label, share in self.object_budgets:
             if not 0 <= share <= 1:
                 raise ValueError(f"budget {share} of object {label}, expected 0 to 1")
@@ -193,7 +199,7 @@ def _by_gain(scene: OrderInputs, config: OrderConfig) -> NDArray[np.int64]:
         executor=scene.executor,
         progress=scene.progress,
     )
-    return chunk_plan.sort_runs(rows, scene.scores.contribution)
+    return chunk_plan.sort_runs(rows, scene.scores.contribution, run_chunks=config.run_chunks)
 
 
 def _baseline(priority: Callable[[Splats], NDArray[np.float64]]) -> Order:

@@ -147,8 +147,7 @@ _GROUPS: Final = {
     type=click.Choice(["fast", "balanced", "best"]),
     default="fast",
     show_default=True,
-    help="Effort of scoring and ordering, as in encode. balanced and best raise the PSNR of the "
-    "first bytes.",
+    help="Effort of scoring, as in encode. Order and compensation have that of best.",
 )
 @preview_option
 @training_seed_option

@@ -209,6 +209,7 @@ def test_a_rule_needs_a_view():
         {"frustum_share": -0.1},
         {"frustum_margin": float("nan")},
         {"seed": -1},
+        {"run_chunks": 0},
         {"by_object": True, "object_budgets": ((1, 2.0),)},
         {"object_budgets": ((1, 0.5),)},
     ],
