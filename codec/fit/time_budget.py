@@ -41,6 +41,11 @@ class TimeBudget:
         self._measured_work = 0.0
 
     @property
+    def has_deadline(self) -> bool:
+        """Whether there is a deadline."""
+        return self._deadline is not None
+
+    @property
     def needs_measurement(self) -> bool:
         """Whether there is a deadline, and no work was timed yet."""
         return self._deadline is not None and not self._measured_work
@@ -140,6 +145,24 @@ class TimeBudget:
         affordable -= min(extra, affordable // 5)
         most = min(affordable, round(_MAX_FACTOR * planned))
         return max(1, done, most, round(_MIN_FACTOR * planned))
+
+    def count_within(self, share: float, seconds: float, most: int) -> int:
+        """Return the number of repetitions that take a share of the time limit.
+
+        At least 1, and at most `most`, which is the number without a deadline.
+
+        Parameters
+        ----------
+        share : float
+            Share of the time from the begin to the deadline.
+        seconds : float
+            Duration of one repetition.
+        most : int
+            Maximum number of repetitions.
+        """
+        if self._deadline is None:
+            return most
+        return max(1, int(min(most, share * (self._deadline - self._begin) / max(seconds, 1e-9))))
 
     def has_time(self, reserved_seconds: float) -> bool:
         """Return whether more than `reserved_seconds` remain, or there is no deadline."""

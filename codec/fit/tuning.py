@@ -20,6 +20,7 @@ from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.threads import one_blas_thread, ordered_map, thread_count
+from cogsplat.codec.views.view_sets import sample_evenly
 
 from .checkpoint_arrays import CheckpointArrays, checkpoint_array, checkpoint_splats
 from .deletion_errors import deletion_errors
@@ -53,11 +54,15 @@ _EXPECTED_RECOVERIES: Final = 2
 # Number of earlier rounds that can be restored.
 _MAX_EARLIER_ROUNDS: Final = 2
 # Time reserved for the end of the encode, in durations of the setup of quantised training, and for
-# the last corrections, in cycles of encoding and training.
-_RESERVED_SETUPS: Final = 2.0
+# the last corrections, in cycles of encoding and training. The end takes a third to a half of a
+# setup of a captured room.
+_RESERVED_SETUPS: Final = 1.0
 _CORRECTION_CYCLES: Final = 8
-# Views in which the first deletion errors are measured; later ones accumulate in training.
+# Views in which the first deletion errors are measured; later ones accumulate in training. With a
+# time limit, every 16th is timed, and the others take this share of the limit at most.
 _DELETION_VIEWS: Final = 128
+_TIMED_DELETIONS: Final = 16
+_DELETION_TIME_SHARE: Final = 0.04
 # First cycles, which are not timed: they compile kernels.
 _UNTIMED_CYCLES: Final = 1
 # Steps that are not timed, because they compile kernels, and steps that are timed before the first
@@ -283,12 +288,7 @@ class _TuningRun:
             self._earlier_rounds = [*self._earlier_rounds[1 - _MAX_EARLIER_ROUNDS :], state]
         errors = self.trainer.deletion_errors()
         if errors is None:
-            errors = deletion_errors(
-                self.trainer.splats,
-                self._views.sample(_DELETION_VIEWS, self._config.train.seed),
-                threads=self._config.train.threads,
-                progress=self._progress,
-            )
+            errors = self._measure_deletion_errors()
         splats = self.trainer.splats
         merge_targets, merged = merge_candidates(splats, errors, len(splats) - count)
         # Keep merge targets, delete the splats merged into them.
@@ -298,6 +298,24 @@ class _TuningRun:
         self.trainer.keep(np.sort(kept), merge_pairs(splats, merge_targets, merged))
         self._train(self._config.round_steps, _ROUND_RATES, recovery=False)
         self._report_round()
+
+    def _measure_deletion_errors(self) -> NDArray[np.float64]:
+        """Return the deletion errors in training views, in fewer of them with a time limit."""
+        measure = partial(
+            deletion_errors,
+            self.trainer.splats,
+            threads=self._config.train.threads,
+            progress=self._progress,
+        )
+        views = self._views.sample(_DELETION_VIEWS, self._config.train.seed)
+        if not self.time_budget.has_deadline:
+            return measure(views)
+        timed, begin = views[::_TIMED_DELETIONS], self.time_budget.now()
+        errors = measure(timed)
+        seconds = (self.time_budget.now() - begin) / len(timed)
+        rest = [view for number, view in enumerate(views) if number % _TIMED_DELETIONS]
+        count = self.time_budget.count_within(_DELETION_TIME_SHARE, seconds, len(rest))
+        return errors + measure(sample_evenly(rest, count))
 
     def _recover(self) -> None:
         """Train for the recovery steps, with falling learning rates."""

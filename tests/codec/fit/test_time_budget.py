@@ -66,6 +66,17 @@ def test_the_factor_has_bounds():
     assert budget.affordable_count(3, 1.0, 0.0) == 1
 
 
+def test_repetitions_keep_within_a_share_of_the_limit():
+    clock = Clock()
+    budget = TimeBudget(100.0, clock)
+    clock.spend(90.0)
+    # A share of the whole limit, not of the time that is left.
+    assert budget.count_within(0.2, 2.0, 50) == 10
+    assert budget.count_within(0.2, 0.1, 50) == budget.count_within(0.2, 0.0, 50) == 50
+    assert budget.count_within(0.2, 1000.0, 50) == 1
+    assert TimeBudget(None, clock).count_within(0.2, 1000.0, 50) == 50
+
+
 def test_repetitions_leave_the_reserved_time():
     clock = Clock()
     budget = TimeBudget(100.0, clock)

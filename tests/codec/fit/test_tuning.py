@@ -8,8 +8,11 @@ import pytest
 from cogsplat.codec.capture import capture_of_cameras
 from cogsplat.codec.encode.config import EncodeConfig, Target
 from cogsplat.codec.encode.pipeline import encode
+from cogsplat.codec.encode.prepared import prepare
+from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.errors import CogsplatWarning, DataError
+from cogsplat.codec.fit import quantised_training
 from cogsplat.codec.fit.differentiable_rendering import Gradients
 from cogsplat.codec.fit.quantised_training import QuantisedTraining
 from cogsplat.codec.fit.train_config import TrainConfig
@@ -98,6 +101,23 @@ def test_a_psnr_out_of_reach_has_no_untrained_encode(scene):
     request = TuneRequest(TuningViews(cameras), Target(psnr_db=90.0), config)
     training = QuantisedTraining(splats, splats, request, size_of, silent)
     assert training.encode_untrained(splats) is None
+
+
+def test_a_trained_scene_is_ordered_for_its_first_bytes_and_the_source_as_without_tuning(
+    scene, monkeypatch
+):
+    splats, cameras = scene
+    found = []
+
+    def record(source, scores, config, **named):
+        found.append((named["effort"], config.ordering.run_chunks))
+        return prepare(source, scores, config, **named)
+
+    monkeypatch.setattr(quantised_training, "prepare", record)
+    request = TuneRequest(TuningViews(cameras), Target(psnr_db=33.0), SHORT)
+    for base in (splats, replace(splats)):
+        QuantisedTraining(splats, base, request, size_of, silent)
+    assert found == [(PRESETS["fast"].gain, 3), (PRESETS["best"].gain, 2)]
 
 
 @pytest.mark.slow
@@ -209,6 +229,9 @@ def test_a_short_time_limit_reduces_steps(scene):
     # The first steps are timed, and the first round has all of them behind it.
     assert totals[0] == 1
     assert totals[-1] == 0.05 * SHORT.recovery_steps
+    # Of the 128 views for deletion errors, eight are timed, and there is time for one more.
+    views = [total for stage, step, total in done if stage == "deletions" and step == 0]
+    assert views[:2] == [8, 1]
     assert done[-1][0] == "predict"
 
 
