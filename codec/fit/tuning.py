@@ -300,7 +300,7 @@ class _TuningRun:
         self._report_round()
 
     def _measure_deletion_errors(self) -> NDArray[np.float64]:
-        """Return the deletion errors in training views, in fewer of them with a time limit."""
+        """Return the deletion errors in training views; a time limit may allow fewer views."""
         measure = partial(
             deletion_errors,
             self.trainer.splats,
