@@ -88,7 +88,10 @@ def ratios_of(scene: Scene, rule: str) -> chunk_ratios.PoseRatios:
 
 def decide(scene: Scene, state: State) -> Decision:
     """Return the scheduler's decision in a state."""
-    units = [Unit(c, bool(head), end, size, tuple(a)) for c, head, end, size, a in scene["units"]]
+    units = [
+        Unit(c, bool(head), end, end - size, size, tuple(a))
+        for c, head, end, size, a in scene["units"]
+    ]
     client = ClientState(
         frozenset(state["there"]),
         frozenset(state["under_way"]),
@@ -192,23 +195,23 @@ def _state(rng: np.random.Generator, number: int, scene: Scene, rule: str) -> St
     rotations = matrices(quats)
     tangents = rng.uniform(0.3, 1.4, 2)
     moved = position - 0.2 * rng.normal(size=3)
-    # Every present unit has its dependencies.
+    # Most present units have their dependencies; some came in a run ahead of them.
     there: set[int] = set()
     for unit, (_, _, _, _, dependencies) in enumerate(units):
-        if rng.random() < 0.55 and there.issuperset(dependencies):
+        if rng.random() < 0.55 and (there.issuperset(dependencies) or rng.random() < 0.2):
             there.add(unit)
     missing = [unit for unit in range(len(units)) if unit not in there]
     under_way = [unit for unit in missing if rng.random() < 0.3]
     received = [
         (unit, int(rng.integers(0, units[unit][3]))) for unit in missing if rng.random() < 0.4
     ]
-    heads = {row[0] for unit, row in enumerate(units) if row[1] and unit in {*there, *under_way}}
-    used = sum(scene["splats"][chunk] for chunk in heads)
+    held = {units[unit][0] for unit in {*there, *under_way}} - {-1}
+    used = sum(scene["splats"][chunk] for chunk in held)
     budget = 0 if rng.random() < 0.4 else int(used * rng.uniform(0.9, 1.3)) + 1
     evicted = [
         (row[0], float(rng.uniform(0.0, 2.0)) / row[2])
         for row in units
-        if row[1] and row[0] not in heads and rng.random() < 0.5
+        if row[1] and row[0] not in held and rng.random() < 0.5
     ]
     return {
         "scene": number,
@@ -221,7 +224,7 @@ def _state(rng: np.random.Generator, number: int, scene: Scene, rule: str) -> St
         "received": received,
         "budget_splats": budget,
         "bytes_per_second": float(rng.integers(2000, 40000)),
-        "latency": round(float(rng.uniform(0.0, 0.2)), 3),
+        "latency": round(float(rng.uniform(0.0, 0.6)), 3),
         "evicted": evicted,
         "decision": [],
         "worths": [],

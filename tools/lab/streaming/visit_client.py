@@ -21,6 +21,7 @@ from cogsplat.tools.lab.scheduling.scheduler import (
     Decision,
     Scheduler,
     Unit,
+    run_bytes,
     window_bytes,
 )
 
@@ -160,6 +161,7 @@ def scheduled_units(units: Units, present: Collection[int]) -> tuple[list[int], 
             int(units.row[unit]),
             bool(units.kind[unit] in (SegmentKind.HEAD, PAGE)),
             float(units.place[unit]),
+            int(units.end[unit] - units.size_bytes[unit]),
             int(units.size_bytes[unit]),
             tuple(number[other] for other in units.dependencies[unit]),
         )
@@ -341,7 +343,7 @@ class _Run:
     def _request(self, chosen: Sequence[int], now: float) -> None:
         """Request chosen units, joining adjacent ones, until the window is full."""
         state = self._state
-        max_bytes = max(_MAX_REQUEST_BYTES, self._rate * self._link.latency / _MAX_REQUESTS)
+        max_bytes = max(_MAX_REQUEST_BYTES, run_bytes(self._rate, self._link.latency))
         in_buffer = [unit for unit in chosen if self._units.end[unit] <= _FIRST_BYTES]
         for unit in in_buffer:
             if unit in state.buffered:

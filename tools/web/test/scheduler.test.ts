@@ -77,6 +77,7 @@ test("the scheduler decides as the reference does in every state", () => {
       row,
       isHead: isHead === 1,
       place,
+      start: place - size,
       size,
       dependencies: after,
     }));

@@ -21,7 +21,7 @@ export class LinkEstimate {
    * answers.
    */
   get latency(): number {
-    return Math.min(this.shortest, FIRST_LATENCY);
+    return this.shortest === Infinity ? FIRST_LATENCY : this.shortest;
   }
 
   /** Record the latency of an answer, seconds. */

@@ -1,5 +1,5 @@
 import type { ByteRange } from "../container/scene_index.js";
-import { windowBytes } from "../schedule/scheduler.js";
+import { runBytes, windowBytes } from "../schedule/scheduler.js";
 import { GrowingBytes } from "./byte_source.js";
 import { LinkEstimate } from "./link_estimate.js";
 import { nextRequest, type RangeRequest } from "./range_plan.js";
@@ -9,7 +9,7 @@ import type { RetryingReader } from "./retrying_reader.js";
 export const MAX_REQUESTS = 6;
 /** Bytes of stopped segments kept at most: without a limit those of a city would fill the memory. */
 const MOST_PARTIAL_BYTES = 4 << 20;
-/** Maximum size of a request, bytes, except on fast connections; short, because a request is stopped as a whole. */
+/** Maximum size of a request, bytes, except where a run is longer; short, because a request is stopped as a whole. */
 const REQUEST_BYTES = 65_536;
 
 /** Handlers of received segments, failed requests and ended requests. */
@@ -75,8 +75,7 @@ export class SegmentRequests {
   fillConnection(wanted: readonly number[], priority: (segment: number) => RequestPriority): void {
     const left = [...wanted];
     const { bytesPerSecond, latency } = this.link;
-    // Fast connections are filled by longer requests.
-    const most = Math.max(REQUEST_BYTES, (bytesPerSecond * latency) / MAX_REQUESTS);
+    const most = Math.max(REQUEST_BYTES, runBytes(bytesPerSecond, latency));
     while (left.length > 0 && this.hasRoom) {
       const range = nextRequest(left, this.missing, most, 0)!;
       this.start(range, priority(range.segments[0]!));

@@ -116,9 +116,10 @@ export class SegmentUnits {
       const before = this.heads.get(isHead ? rows.parents[row]! : row);
       const dependencies = [...books.map((book) => this.unitOf.get(book)), before].filter((unit) => unit !== undefined);
       // The view table decides the order, so it counts as the beginning of its index.
-      const begin = kind[segment] === SegmentKind.viewTable ? 0 : offset[segment]! - index.start;
+      const start = offset[segment]!;
+      const begin = kind[segment] === SegmentKind.viewTable ? 0 : start - index.start;
       const size = length[segment]!;
-      this.push({ segment, row, isHead, place: place + weight * (begin + size), size, dependencies });
+      this.push({ segment, row, isHead, place: place + weight * (begin + size), start, size, dependencies });
     }
     for (let i = 0; i < index.chunkCount; i++) this.splats.push(rows.splats[index.firstRow + i]!);
   }
@@ -134,6 +135,7 @@ export class SegmentUnits {
       row: page.row,
       isHead: true,
       place: place + weight * page.length,
+      start: page.offset,
       size: page.length,
       dependencies: parent === undefined ? [] : [parent],
     });
