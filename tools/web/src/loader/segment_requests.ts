@@ -49,6 +49,11 @@ export class SegmentRequests {
     return new Map([...this.parts].map(([segment, bytes]) => [segment, bytes.length]));
   }
 
+  /** Estimate of the connection: its throughput, and its latency in seconds. */
+  get connection(): { readonly bytesPerSecond: number; readonly latency: number } {
+    return { bytesPerSecond: this.link.bytesPerSecond, latency: this.reader.latency };
+  }
+
   /** Number of requests in flight. */
   get count(): number {
     return this.requests.size;
@@ -61,7 +66,7 @@ export class SegmentRequests {
 
   /** Whether the connection has room for another request; more requests than it needs only delay the first. */
   private get hasRoom(): boolean {
-    const { bytesPerSecond, latency } = this.link;
+    const { bytesPerSecond, latency } = this.connection;
     const toCome = this.inFlight.reduce((sum, segment) => sum + this.missing(segment).length, 0);
     return this.count === 0 || (this.count < MAX_REQUESTS && toCome < windowBytes(bytesPerSecond, latency));
   }
@@ -74,7 +79,7 @@ export class SegmentRequests {
    */
   fillConnection(wanted: readonly number[], priority: (segment: number) => RequestPriority): void {
     const left = [...wanted];
-    const { bytesPerSecond, latency } = this.link;
+    const { bytesPerSecond, latency } = this.connection;
     const most = Math.max(REQUEST_BYTES, runBytes(bytesPerSecond, latency));
     while (left.length > 0 && this.hasRoom) {
       const range = nextRequest(left, this.missing, most, 0)!;
@@ -139,14 +144,9 @@ export class SegmentRequests {
   /** Send a request and deliver the segments of its answer; report its failure and its end to the receiver. */
   private async run(request: Request, range: ByteRange, priority: RequestPriority | undefined): Promise<void> {
     const { signal } = request.abort;
-    const start = performance.now();
-    let isFirst = true;
     const receive = (part: Uint8Array): void => {
       if (signal.aborted) return;
-      const now = performance.now();
-      if (isFirst) this.link.recordLatency((now - start) / 1000);
-      isFirst = false;
-      this.link.recordBytes(part.length, now / 1000);
+      this.link.recordBytes(part.length, performance.now() / 1000);
       this.distribute(part, request);
     };
     try {
