@@ -35,7 +35,7 @@ _STATES: Final = 40
 class Scene(TypedDict):
     """Scene of the test vectors.
 
-    A unit is a tuple of chunk, head flag, end offset, size in bytes and dependencies.
+    A unit is a tuple of chunk, head flag (2 for a page), end offset, size and dependencies.
     """
 
     boxes: list[list[float]]
@@ -89,7 +89,7 @@ def ratios_of(scene: Scene, rule: str) -> chunk_ratios.PoseRatios:
 def decide(scene: Scene, state: State) -> Decision:
     """Return the scheduler's decision in a state."""
     units = [
-        Unit(c, bool(head), end, end - size, size, tuple(a))
+        Unit(c, head > 0, head == 2, end, end - size, size, tuple(a))
         for c, head, end, size, a in scene["units"]
     ]
     client = ClientState(
@@ -166,14 +166,15 @@ def _scene(rng: np.random.Generator) -> Scene:
 def _units(
     rng: np.random.Generator, above: list[int]
 ) -> list[tuple[int, int, int, int, list[int]]]:
-    """Return units of a file: a codebook, then heads, each followed by refinements of chunks."""
+    """Return units of a file: a codebook, then heads, some of pages, followed by refinements."""
     rows: list[tuple[int, int, list[int]]] = [(-1, 0, [])]
     heads: dict[int, int] = {}
     later: list[int] = []
     for chunk, parent in enumerate(above):
         heads[chunk] = len(rows)
-        rows.append((chunk, 1, [] if parent < 0 else [heads[parent]]))
-        later += [chunk] * int(rng.integers(0, 3))
+        is_page = chunk not in above and rng.random() < 0.3
+        rows.append((chunk, 1 + is_page, [] if parent < 0 else [heads[parent]]))
+        later += [] if is_page else [chunk] * int(rng.integers(0, 3))
         while later and rng.random() < 0.5:
             owner = later.pop(int(rng.integers(len(later))))
             rows.append((owner, 0, [heads[owner], *([0] if rng.random() < 0.4 else [])]))

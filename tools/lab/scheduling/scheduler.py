@@ -40,7 +40,9 @@ class Unit:
         Row of the chunk or page (`scene_rows.SceneRows`); -1 for a segment of no chunk, such as a
         codebook.
     is_head : bool
-        Whether it is the head of the chunk, or the page.
+        Whether the segment is the head of its chunk.
+    is_page : bool
+        Whether it is a page of the index, which is fetched for its own urgency alone.
     place : float
         Place of the segment, bytes: in the root its end in the file (docs/streaming.md, 7).
     start : int
@@ -53,6 +55,7 @@ class Unit:
 
     row: int
     is_head: bool
+    is_page: bool
     place: float
     start: int
     size_bytes: int
@@ -244,7 +247,7 @@ class Scheduler:
     --------
     >>> import numpy as np
     >>> from cogsplat.tools.lab.scheduling.scheduler import ClientState, Scheduler, Unit
-    >>> units = [Unit(k, True, 100 * k + 100, 100 * k, 100, (0,) * (k > 0)) for k in range(3)]
+    >>> units = [Unit(k, True, False, 100 * k + 100, 100 * k, 100, (0,)[:k]) for k in range(3)]
     >>> empty = ClientState(frozenset(), frozenset(), {}, 0, 400.0, 0.25, {})
     >>> Scheduler(units, [10, 10, 10]).decide(np.array([1.0, 0.1, 1.0]), empty).fetch
     [0, 2]
@@ -313,7 +316,6 @@ class _Round:
         self._in_flight = set(state.in_flight)
         self._received = dict(state.received)
         self._window = window_bytes(state.bytes_per_second, state.latency)
-        self._run_bytes = run_bytes(state.bytes_per_second, state.latency)
         self._sizes = [unit.size_bytes for unit in units]
         self._dependencies = [unit.dependencies for unit in units]
         self._skipped: set[int] = set()
@@ -324,6 +326,9 @@ class _Round:
         for unit in self._present | self._in_flight:
             self._count(unit, 1)
         self._target, self._evictable = self._choose_target()
+        # Where six single units fill the connection, runs would only take in less urgent ones.
+        run = run_bytes(state.bytes_per_second, state.latency)
+        self._run_bytes = 0.0 if self._average_wanted_bytes() > run else run
         self.aborted: list[int] = []
         self.evicted: dict[int, float] = {}
         self.chosen: list[int] = []
@@ -429,10 +434,15 @@ class _Round:
         unit = self._following[chain[0]]
         while unit is not None and self._is_wanted(unit) and unit not in self.aborted:
             size += self._remaining_bytes(unit)
-            if size > self._run_bytes:
+            if size > self._run_bytes or self._units[unit].is_page:
                 return
             self._request(unit)
             unit = self._following[unit]
+
+    def _average_wanted_bytes(self) -> float:
+        """Return the average size of the units that are wanted."""
+        sizes = [size for unit, size in enumerate(self._sizes) if self._is_wanted(unit)]
+        return sum(sizes) / max(len(sizes), 1)
 
     def _request(self, unit: int) -> None:
         """Choose a unit, after evictions for a chunk without room."""

@@ -160,6 +160,7 @@ def scheduled_units(units: Units, present: Collection[int]) -> tuple[list[int], 
         Unit(
             int(units.row[unit]),
             bool(units.kind[unit] in (SegmentKind.HEAD, PAGE)),
+            bool(units.kind[unit] == PAGE),
             float(units.place[unit]),
             int(units.end[unit] - units.size_bytes[unit]),
             int(units.size_bytes[unit]),

@@ -119,7 +119,8 @@ export class SegmentUnits {
       const start = offset[segment]!;
       const begin = kind[segment] === SegmentKind.viewTable ? 0 : start - index.start;
       const size = length[segment]!;
-      this.push({ segment, row, isHead, place: place + weight * (begin + size), start, size, dependencies });
+      const end = place + weight * (begin + size);
+      this.push({ segment, row, isHead, isPage: false, place: end, start, size, dependencies });
     }
     for (let i = 0; i < index.chunkCount; i++) this.splats.push(rows.splats[index.firstRow + i]!);
   }
@@ -134,6 +135,7 @@ export class SegmentUnits {
       segment,
       row: page.row,
       isHead: true,
+      isPage: true,
       place: place + weight * page.length,
       start: page.offset,
       size: page.length,

@@ -20,6 +20,8 @@ export interface Unit {
   readonly row: number;
   /** Whether it is the head of the chunk, or the page. */
   readonly isHead: boolean;
+  /** Whether it is a page of the index, which is fetched for its own urgency alone. */
+  readonly isPage: boolean;
   /** Place of the unit: in the root the end of the segment in the file, bytes (docs/streaming.md, 7). */
   readonly place: number;
   /** Offset of its first byte in the file. */
@@ -137,7 +139,7 @@ class Round {
   private readonly received: Map<number, number>;
   private readonly skipped = new Set<number>();
   private readonly window: number;
-  /** Bytes of units requested together, at most. */
+  /** Bytes of units requested together, at most; 0 where six single units fill the connection. */
   private readonly run: number;
   /** Bytes missing of the units in flight. */
   private bytesInFlight = 0;
@@ -163,10 +165,11 @@ class Round {
     this.inFlight = new Set(holdings.inFlight);
     this.received = new Map(holdings.received);
     this.window = windowBytes(holdings.bytesPerSecond, holdings.latency);
-    this.run = runBytes(holdings.bytesPerSecond, holdings.latency);
     for (const unit of this.inFlight) this.bytesInFlight += this.missingBytes(unit);
     for (const unit of new Set([...this.arrived, ...this.inFlight])) this.count(unit, 1);
     if (holdings.budgetSplats > 0) this.target = this.chooseTarget(holdings.budgetSplats);
+    const run = runBytes(holdings.bytesPerSecond, holdings.latency);
+    this.run = this.wantedAverage() > run ? 0 : run;
   }
 
   /** Return the chunks to hold within the budget; list the held chunks to evict (docs/streaming.md, 9). */
@@ -271,9 +274,21 @@ class Round {
     this.request(first);
     for (let unit = this.after(first); unit !== undefined; unit = this.after(unit)) {
       bytes += this.missingBytes(unit);
-      if (bytes > this.run || !this.isWanted(unit) || this.stopped.includes(unit)) return;
+      if (bytes > this.run || this.units[unit]!.isPage || !this.isWanted(unit) || this.stopped.includes(unit)) return;
       this.request(unit);
     }
+  }
+
+  /** Return the average size of the units that are wanted, bytes. */
+  private wantedAverage(): number {
+    let bytes = 0;
+    let count = 0;
+    this.units.forEach(({ size }, unit) => {
+      if (!this.isWanted(unit)) return;
+      bytes += size;
+      count++;
+    });
+    return bytes / Math.max(count, 1);
   }
 
   /** Return the unit that begins where another one ends in the file. */
