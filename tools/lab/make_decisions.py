@@ -181,7 +181,7 @@ def _units(
     end = int(rng.integers(500, 3000))
     units = []
     for chunk, head, dependencies in rows:
-        size = int(rng.integers(100, 5000))
+        size = int(np.exp(rng.uniform(np.log(50), np.log(5000))))
         end += size
         units.append((chunk, head, end, size, dependencies))
     return units
