@@ -35,7 +35,7 @@ _STATES: Final = 40
 class Scene(TypedDict):
     """Scene of the test vectors.
 
-    A unit is a tuple of chunk, head flag (2 for a page), end offset, size and dependencies.
+    A unit is a tuple of chunk, head flag, end offset, size in bytes and dependencies.
     """
 
     boxes: list[list[float]]
@@ -88,10 +88,7 @@ def ratios_of(scene: Scene, rule: str) -> chunk_ratios.PoseRatios:
 
 def decide(scene: Scene, state: State) -> Decision:
     """Return the scheduler's decision in a state."""
-    units = [
-        Unit(c, head > 0, head == 2, end, end - size, size, tuple(a))
-        for c, head, end, size, a in scene["units"]
-    ]
+    units = [Unit(c, bool(head), end, size, tuple(a)) for c, head, end, size, a in scene["units"]]
     client = ClientState(
         frozenset(state["there"]),
         frozenset(state["under_way"]),
@@ -166,22 +163,21 @@ def _scene(rng: np.random.Generator) -> Scene:
 def _units(
     rng: np.random.Generator, above: list[int]
 ) -> list[tuple[int, int, int, int, list[int]]]:
-    """Return units of a file: a codebook, then heads, some of pages, followed by refinements."""
+    """Return units of a file: a codebook, then heads, each followed by refinements of chunks."""
     rows: list[tuple[int, int, list[int]]] = [(-1, 0, [])]
     heads: dict[int, int] = {}
     later: list[int] = []
     for chunk, parent in enumerate(above):
         heads[chunk] = len(rows)
-        is_page = chunk not in above and rng.random() < 0.3
-        rows.append((chunk, 1 + is_page, [] if parent < 0 else [heads[parent]]))
-        later += [] if is_page else [chunk] * int(rng.integers(0, 3))
+        rows.append((chunk, 1, [] if parent < 0 else [heads[parent]]))
+        later += [chunk] * int(rng.integers(0, 3))
         while later and rng.random() < 0.5:
             owner = later.pop(int(rng.integers(len(later))))
             rows.append((owner, 0, [heads[owner], *([0] if rng.random() < 0.4 else [])]))
     end = int(rng.integers(500, 3000))
     units = []
     for chunk, head, dependencies in rows:
-        size = int(np.exp(rng.uniform(np.log(50), np.log(5000))))
+        size = int(rng.integers(100, 5000))
         end += size
         units.append((chunk, head, end, size, dependencies))
     return units
@@ -196,23 +192,23 @@ def _state(rng: np.random.Generator, number: int, scene: Scene, rule: str) -> St
     rotations = matrices(quats)
     tangents = rng.uniform(0.3, 1.4, 2)
     moved = position - 0.2 * rng.normal(size=3)
-    # Most present units have their dependencies; some came in a run ahead of them.
+    # Every present unit has its dependencies.
     there: set[int] = set()
     for unit, (_, _, _, _, dependencies) in enumerate(units):
-        if rng.random() < 0.55 and (there.issuperset(dependencies) or rng.random() < 0.2):
+        if rng.random() < 0.55 and there.issuperset(dependencies):
             there.add(unit)
     missing = [unit for unit in range(len(units)) if unit not in there]
     under_way = [unit for unit in missing if rng.random() < 0.3]
     received = [
         (unit, int(rng.integers(0, units[unit][3]))) for unit in missing if rng.random() < 0.4
     ]
-    held = {units[unit][0] for unit in {*there, *under_way}} - {-1}
-    used = sum(scene["splats"][chunk] for chunk in held)
+    heads = {row[0] for unit, row in enumerate(units) if row[1] and unit in {*there, *under_way}}
+    used = sum(scene["splats"][chunk] for chunk in heads)
     budget = 0 if rng.random() < 0.4 else int(used * rng.uniform(0.9, 1.3)) + 1
     evicted = [
         (row[0], float(rng.uniform(0.0, 2.0)) / row[2])
         for row in units
-        if row[1] and row[0] not in held and rng.random() < 0.5
+        if row[1] and row[0] not in heads and rng.random() < 0.5
     ]
     return {
         "scene": number,
@@ -225,7 +221,7 @@ def _state(rng: np.random.Generator, number: int, scene: Scene, rule: str) -> St
         "received": received,
         "budget_splats": budget,
         "bytes_per_second": float(rng.integers(2000, 40000)),
-        "latency": round(float(rng.uniform(0.0, 0.6)), 3),
+        "latency": round(float(rng.uniform(0.0, 0.2)), 3),
         "evicted": evicted,
         "decision": [],
         "worths": [],

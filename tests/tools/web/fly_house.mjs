@@ -90,23 +90,25 @@ function worthsOf({ heads, units }, ratios) {
 const { decide } = Scheduler.prototype;
 Scheduler.prototype.decide = function (ratios, holdings) {
   const decision = decide.call(this, ratios, holdings);
-  const there = new Set([...holdings.arrived, ...holdings.inFlight]);
+  const held = new Set();
   const record = () => {
-    const held = new Set([...there].map((unit) => this.units[unit].row).filter((row) => row >= 0));
     const splats = [...held].reduce((sum, chunk) => sum + this.splats[chunk], 0);
     found.most = Math.max(found.most, splats);
   };
+  for (const [chunk, head] of this.heads) {
+    if (holdings.arrived.has(head) || holdings.inFlight.has(head)) held.add(chunk);
+  }
   record();
   for (const [chunk, worth] of decision.evict) {
-    for (const unit of there) if (this.units[unit].row === chunk) there.delete(unit);
+    held.delete(chunk);
     evicted.set(chunk, { at: now, worth });
     found.evictions++;
   }
-  for (const unit of decision.stop) there.delete(unit);
+  for (const unit of decision.stop) if (this.units[unit].isHead) held.delete(this.units[unit].row);
   for (const unit of decision.fetch) {
-    there.add(unit);
     const { row: chunk, isHead } = this.units[unit];
     if (!isHead) continue;
+    held.add(chunk);
     const before = evicted.get(chunk);
     if (before === undefined) continue;
     evicted.delete(chunk);
@@ -127,10 +129,11 @@ let [lastScheduler, lastRatios, visit] = [];
 
 /** Record a decision; segments and pages by their places in the file, rows by their chunks or pages. */
 function recordDecision(scheduler, ratios, holdings, decision) {
-  const { index } = visit;
+  const { index, source } = visit;
+  const start = ({ segment }) => (segment < 0 ? index.pages[-1 - segment].offset : source.places.range(segment).offset);
   const { chunks, pages } = index.rows;
   const row = (at) => (at < 0 ? null : [pages[at]?.offset ?? -1, chunks[at]]);
-  const starts = scheduler.units.map(({ start }) => start);
+  const starts = scheduler.units.map(start);
   const entry = {
     arrived: [...holdings.arrived].map((unit) => starts[unit]),
     inFlight: [...holdings.inFlight].map((unit) => starts[unit]),
@@ -144,7 +147,7 @@ function recordDecision(scheduler, ratios, holdings, decision) {
   };
   if (scheduler !== lastScheduler) {
     entry.units = scheduler.units.map((unit) => ({
-      ...{ start: unit.start, place: unit.place, size: unit.size, row: row(unit.row), isHead: unit.isHead },
+      ...{ start: start(unit), place: unit.place, size: unit.size, row: row(unit.row), isHead: unit.isHead },
       dependencies: unit.dependencies.map((other) => starts[other]),
     }));
     entry.splats = scheduler.splats.map((splats, at) => [row(at), splats]);

@@ -16,11 +16,6 @@ I64 = NDArray[np.int64]
 # would let the connection run idle.
 _MARGIN_SECONDS: Final = 0.25
 
-# Size of a run of units chosen as one, as a share of the bandwidth-delay product. Six requests of
-# that size hold three products: two keep the connection busy while responses are answered by new
-# requests, and an estimate of the bandwidth that is too low grows.
-_RUN_SHARE: Final = 0.5
-
 # Hysteresis: an evicted chunk or aborted unit must be worth less than its replacement by this
 # factor. Without it, two chunks of similar value would replace each other in turn.
 _HELD_FACTOR: Final = 2.0
@@ -40,13 +35,9 @@ class Unit:
         Row of the chunk or page (`scene_rows.SceneRows`); -1 for a segment of no chunk, such as a
         codebook.
     is_head : bool
-        Whether the segment is the head of its chunk.
-    is_page : bool
-        Whether it is a page of the index, which is fetched for its own urgency alone.
+        Whether it is the head of the chunk, or the page.
     place : float
         Place of the segment, bytes: in the root its end in the file (docs/streaming.md, 7).
-    start : int
-        Offset of its first byte in the file.
     size_bytes : int
         Length of the segment.
     dependencies : tuple of int
@@ -55,9 +46,7 @@ class Unit:
 
     row: int
     is_head: bool
-    is_page: bool
     place: float
-    start: int
     size_bytes: int
     dependencies: tuple[int, ...]
 
@@ -75,7 +64,7 @@ class ClientState:
     received : mapping of int to int
         Bytes received of incomplete units, in flight or aborted.
     budget_splats : int
-        Limit on the splats of chunks of which a unit is present or in flight; 0 for no limit.
+        Limit on the splats of chunks whose heads are present or in flight; 0 for no limit.
     bytes_per_second : float
         Estimated bandwidth.
     latency : float
@@ -149,24 +138,6 @@ def window_bytes(bytes_per_second: float, latency: float) -> float:
         Bytes.
     """
     return bytes_per_second * (latency + _MARGIN_SECONDS)
-
-
-def run_bytes(bytes_per_second: float, latency: float) -> float:
-    """Return the maximum size of a run of units that is chosen as one (docs/streaming.md, 7).
-
-    Parameters
-    ----------
-    bytes_per_second : float
-        Estimated bandwidth.
-    latency : float
-        Estimated time from a request to its first byte, s.
-
-    Returns
-    -------
-    float
-        Bytes.
-    """
-    return _RUN_SHARE * bytes_per_second * latency
 
 
 def best_chain(
@@ -247,7 +218,7 @@ class Scheduler:
     --------
     >>> import numpy as np
     >>> from cogsplat.tools.lab.scheduling.scheduler import ClientState, Scheduler, Unit
-    >>> units = [Unit(k, True, False, 100 * k + 100, 100 * k, 100, (0,)[:k]) for k in range(3)]
+    >>> units = [Unit(k, True, 100 * k + 100, 100, (0,) * (k > 0)) for k in range(3)]
     >>> empty = ClientState(frozenset(), frozenset(), {}, 0, 400.0, 0.25, {})
     >>> Scheduler(units, [10, 10, 10]).decide(np.array([1.0, 0.1, 1.0]), empty).fetch
     [0, 2]
@@ -259,8 +230,6 @@ class Scheduler:
         self._chunk = np.array([unit.row for unit in units], np.int64)
         self._place = np.array([unit.place for unit in units], np.float64)
         self._heads = {unit.row: at for at, unit in enumerate(units) if unit.is_head}
-        starts = {unit.start: at for at, unit in enumerate(units)}
-        self._following = [starts.get(unit.start + unit.size_bytes) for unit in units]
         self._units_of_chunk: dict[int, list[int]] = {chunk: [] for chunk in self._heads}
         for at, unit in enumerate(units):
             if unit.row >= 0:
@@ -278,13 +247,7 @@ class Scheduler:
         urgency = urgencies(ratios, self._chunk, self._place).tolist()
         order = sorted(range(len(self._units)), key=lambda unit: (-urgency[unit], unit))
         round_ = _Round(
-            self._units,
-            self._splats,
-            self._heads,
-            self._following,
-            self._units_of_chunk,
-            urgency,
-            state,
+            self._units, self._splats, self._heads, self._units_of_chunk, urgency, state
         )
         round_.make_room(0)
         round_.abort_outranked(order)
@@ -292,7 +255,7 @@ class Scheduler:
             best = round_.best_chain(order)
             if best is None:
                 break
-            round_.request_run(best[0])
+            round_.request_first(best[0])
         return Decision(round_.aborted, round_.evicted, round_.chosen)
 
 
@@ -304,13 +267,11 @@ class _Round:
         units: Sequence[Unit],
         splats: Sequence[int],
         heads: dict[int, int],
-        following: Sequence[int | None],
         units_of_chunk: dict[int, list[int]],
         urgency: list[float],
         state: ClientState,
     ) -> None:
         self._units, self._splats, self._heads = units, splats, heads
-        self._following = following
         self._units_of_chunk, self._urgency, self._state = units_of_chunk, urgency, state
         self._present = set(state.present)
         self._in_flight = set(state.in_flight)
@@ -320,15 +281,8 @@ class _Round:
         self._dependencies = [unit.dependencies for unit in units]
         self._skipped: set[int] = set()
         self._worth: dict[int, float] = {}
-        # Number of units of each chunk that are present or in flight.
-        self._held_units = dict.fromkeys(heads, 0)
-        self._held_splats = 0
-        for unit in self._present | self._in_flight:
-            self._count(unit, 1)
         self._target, self._evictable = self._choose_target()
-        # Where six single units fill the connection, runs would only take in less urgent ones.
-        run = run_bytes(state.bytes_per_second, state.latency)
-        self._run_bytes = 0.0 if self._average_wanted_bytes() > run else run
+        self._held_splats = sum(splats[chunk] for chunk in heads if self._is_held(chunk))
         self.aborted: list[int] = []
         self.evicted: dict[int, float] = {}
         self.chosen: list[int] = []
@@ -399,17 +353,8 @@ class _Round:
     def _abort(self, unit: int) -> None:
         self._in_flight.remove(unit)
         self.aborted.append(unit)
-        self._count(unit, -1)
-
-    def _count(self, unit: int, change: int) -> None:
-        """Count a unit of a chunk that is present or in flight from now on (1), or no more (-1)."""
-        chunk = self._units[unit].row
-        if chunk < 0:
-            return
-        self._held_units[chunk] += change
-        # The first unit of the chunk, or the last one.
-        if self._held_units[chunk] == (1 if change > 0 else 0):
-            self._held_splats += change * self._splats[chunk]
+        if self._units[unit].is_head:
+            self._held_splats -= self._splats[self._units[unit].row]
 
     def _in_flight_values(self) -> dict[int, float]:
         """Return per unit in flight the largest urgency of itself and its missing dependents."""
@@ -423,35 +368,18 @@ class _Round:
                         values[dependency] = max(values[dependency], self._urgency[unit])
         return values
 
-    def request_run(self, chain: Sequence[int]) -> None:
-        """Choose the first unit of a chain, and the units after it that fill its request."""
+    def request_first(self, chain: Sequence[int]) -> None:
+        """Choose the first unit of a chain, after evictions for a head without room."""
         # Units aborted in this decision are not requested again by it.
         if any(unit in self.aborted for unit in chain):
             self._skipped.add(chain[-1])
             return
-        self._request(chain[0])
-        size = self._remaining_bytes(chain[0])
-        unit = self._following[chain[0]]
-        while unit is not None and self._is_wanted(unit) and unit not in self.aborted:
-            size += self._remaining_bytes(unit)
-            if size > self._run_bytes or self._units[unit].is_page:
-                return
-            self._request(unit)
-            unit = self._following[unit]
-
-    def _average_wanted_bytes(self) -> float:
-        """Return the average size of the units that are wanted."""
-        sizes = [size for unit, size in enumerate(self._sizes) if self._is_wanted(unit)]
-        return sum(sizes) / max(len(sizes), 1)
-
-    def _request(self, unit: int) -> None:
-        """Choose a unit, after evictions for a chunk without room."""
-        chunk = self._units[unit].row
-        if chunk >= 0 and not self._is_held(chunk):
-            self.make_room(self._splats[chunk])
-        self._count(unit, 1)
-        self._in_flight.add(unit)
-        self.chosen.append(unit)
+        first = self._units[chain[0]]
+        if first.is_head:
+            self.make_room(self._splats[first.row])
+            self._held_splats += self._splats[first.row]
+        self._in_flight.add(chain[0])
+        self.chosen.append(chain[0])
 
     def make_room(self, splats: int) -> None:
         """Evict chunks outside the target until `splats` more splats fit the budget.
@@ -463,24 +391,24 @@ class _Round:
         """
         while self._evictable and self._held_splats + splats > self._state.budget_splats:
             chunk = self._evictable.pop(0)
-            # Its units in flight may have been aborted.
+            # A head in flight may have been aborted.
             if not self._is_held(chunk):
                 continue
             self.evicted[chunk] = self._worth[chunk]
             for unit in self._units_of_chunk[chunk]:
                 if unit in self._in_flight:
                     self._abort(unit)
-                elif unit in self._present:
-                    self._present.remove(unit)
-                    self._count(unit, -1)
+                elif unit in self._present and self._units[unit].is_head:
+                    self._held_splats -= self._splats[chunk]
+                self._present.discard(unit)
                 self._received.pop(unit, None)
 
     def _remaining_bytes(self, unit: int) -> int:
         return self._units[unit].size_bytes - self._received.get(unit, 0)
 
     def _is_held(self, chunk: int) -> bool:
-        """Whether a unit of a chunk is present or in flight."""
-        return self._held_units[chunk] > 0
+        """Whether the head of a chunk is present or in flight."""
+        return not self._is_missing(self._heads[chunk])
 
     def _is_missing(self, unit: int) -> bool:
         return unit not in self._present and unit not in self._in_flight

@@ -21,7 +21,6 @@ from cogsplat.tools.lab.scheduling.scheduler import (
     Decision,
     Scheduler,
     Unit,
-    run_bytes,
     window_bytes,
 )
 
@@ -160,9 +159,7 @@ def scheduled_units(units: Units, present: Collection[int]) -> tuple[list[int], 
         Unit(
             int(units.row[unit]),
             bool(units.kind[unit] in (SegmentKind.HEAD, PAGE)),
-            bool(units.kind[unit] == PAGE),
             float(units.place[unit]),
-            int(units.end[unit] - units.size_bytes[unit]),
             int(units.size_bytes[unit]),
             tuple(number[other] for other in units.dependencies[unit]),
         )
@@ -344,7 +341,7 @@ class _Run:
     def _request(self, chosen: Sequence[int], now: float) -> None:
         """Request chosen units, joining adjacent ones, until the window is full."""
         state = self._state
-        max_bytes = max(_MAX_REQUEST_BYTES, run_bytes(self._rate, self._link.latency))
+        max_bytes = max(_MAX_REQUEST_BYTES, self._rate * self._link.latency / _MAX_REQUESTS)
         in_buffer = [unit for unit in chosen if self._units.end[unit] <= _FIRST_BYTES]
         for unit in in_buffer:
             if unit in state.buffered:

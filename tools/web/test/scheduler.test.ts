@@ -73,12 +73,10 @@ test("the scheduler decides as the reference does in every state", () => {
   assert.ok(states.length >= 1000);
   for (const [number, state] of states.entries()) {
     const scene = scenes[state.scene]!;
-    const units: Unit[] = scene.units.map(([row, head, place, size, after]) => ({
+    const units: Unit[] = scene.units.map(([row, isHead, place, size, after]) => ({
       row,
-      isHead: head > 0,
-      isPage: head === 2,
+      isHead: isHead === 1,
       place,
-      start: place - size,
       size,
       dependencies: after,
     }));

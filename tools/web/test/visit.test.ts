@@ -3,12 +3,9 @@ import { test } from "node:test";
 import type { Index } from "../src/container/scene_index.js";
 import { SceneRows } from "../src/container/scene_rows.js";
 import { loadKernels } from "../src/kernels/load.js";
-import type { ByteSource } from "../src/loader/byte_source.js";
 import { folders } from "../src/loader/folders.js";
 import { LinkEstimate } from "../src/loader/link_estimate.js";
 import { PoseHistory } from "../src/loader/pose_history.js";
-import { DEFAULT_RETRY } from "../src/loader/retry.js";
-import { RetryingReader } from "../src/loader/retrying_reader.js";
 import { SegmentRequests } from "../src/loader/segment_requests.js";
 import { SegmentUnits, type UnitIndex } from "../src/loader/segment_units.js";
 import { StreamedScene } from "../src/loader/streamed_scene.js";
@@ -80,7 +77,7 @@ function order(index: UnitIndex, pose: Pose): number[] {
     ...nothing,
     budgetSplats: 0,
     evictedWorths: new Map(),
-    bytesPerSecond: 1e9,
+    bytesPerSecond: Infinity,
     latency: 0,
   });
   return fetch.map((unit) => units[unit]!.segment);
@@ -106,6 +103,10 @@ test("chunks that end are no units", () => {
 test("a connection is judged by what has come lately, pauses left aside", () => {
   const link = new LinkEstimate();
   assert.equal(link.bytesPerSecond, 250_000);
+  link.recordLatency(0.3);
+  assert.equal(link.latency, 0.1);
+  link.recordLatency(0.02);
+  assert.equal(link.latency, 0.02);
   for (let i = 0; i <= 100; i++) link.recordBytes(10_000, 5 + 0.01 * i);
   assert.ok(Math.abs(link.bytesPerSecond - 1e6) < 1);
   link.pause();
@@ -114,30 +115,6 @@ test("a connection is judged by what has come lately, pauses left aside", () => 
   assert.ok(Math.abs(link.bytesPerSecond - 1e6) < 1);
   for (let i = 1; i <= 300; i++) link.recordBytes(1000, 90 + 0.01 * i);
   assert.ok(Math.abs(link.bytesPerSecond - 1e5) < 1);
-});
-
-test("the latency is the shortest time to a first byte of all requests, those of the opening included", async (context) => {
-  let now = 0;
-  context.mock.method(performance, "now", () => now);
-  const waits = [300, 20, 80];
-  const source: ByteSource = {
-    read: async ({ offset, length }) => {
-      const parts = (async function* () {
-        now += waits.shift()!;
-        yield new Uint8Array(1);
-        now += 1000;
-        yield new Uint8Array(length - 1);
-      })();
-      return { offset, total: 100, whole: false, parts };
-    },
-  };
-  const reader = new RetryingReader(source, DEFAULT_RETRY);
-  const found = [reader.latency];
-  for (let request = 0; request < 3; request++) {
-    await reader.readAll({ offset: 0, length: 10 }, undefined);
-    found.push(reader.latency);
-  }
-  assert.deepEqual(found, [0.1, 0.3, 0.02, 0.02]);
 });
 
 test("a path leads on from where a visitor was a quarter of a second ago, until he stands still", () => {
@@ -337,7 +314,6 @@ test("what was stopped goes on from the byte where it was, and what was asked fo
   const asked: [number, number, string | undefined][] = [];
   const takes: ((part: Uint8Array) => void)[] = [];
   const reader = {
-    latency: 0.1,
     readParts: (
       range: { offset: number; length: number },
       signal: AbortSignal,

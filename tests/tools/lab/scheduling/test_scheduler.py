@@ -11,13 +11,13 @@ VECTORS = json.loads((Path(__file__).parent / "decisions.json").read_text(encodi
 
 # Chunk 0 is the parent of 1 and 2, chunk 1 that of 3; each has a head and a refinement.
 UNITS = [
-    Unit(0, True, False, 100, 0, 100, ()),
-    Unit(1, True, False, 200, 100, 100, (0,)),
-    Unit(0, False, False, 300, 200, 100, (0,)),
-    Unit(2, True, False, 400, 300, 100, (0,)),
-    Unit(1, False, False, 500, 400, 100, (1,)),
-    Unit(3, True, False, 600, 500, 100, (1,)),
-    Unit(2, False, False, 700, 600, 100, (3,)),
+    Unit(0, True, 100, 100, ()),
+    Unit(1, True, 200, 100, (0,)),
+    Unit(0, False, 300, 100, (0,)),
+    Unit(2, True, 400, 100, (0,)),
+    Unit(1, False, 500, 100, (1,)),
+    Unit(3, True, 600, 100, (1,)),
+    Unit(2, False, 700, 100, (3,)),
 ]
 SPLATS = [10, 10, 10, 10]
 EQUAL = np.ones(4)
@@ -76,11 +76,8 @@ def test_a_chain_is_requested_one_unit_at_a_time():
 
 
 def test_the_value_of_a_chain_is_the_mean_over_its_bytes():
-    units = [
-        Unit(0, True, False, 100, 0, 100, ()),
-        *(Unit(k, True, False, 200, 100, 100, (k - 1,)) for k in (1, 2, 3)),
-    ]
-    units.append(Unit(4, True, False, 200, 100, 100, (0,)))
+    units = [Unit(0, True, 100, 100, ()), *(Unit(k, True, 200, 100, (k - 1,)) for k in (1, 2, 3))]
+    units.append(Unit(4, True, 200, 100, (0,)))
     scheduler = Scheduler(units, [10] * 5)
     state = client(present=[0], rate=1.0)
     # Unit 3 alone has a higher urgency than 4, but 1 and 2 have to be fetched with it.
@@ -91,46 +88,6 @@ def test_the_value_of_a_chain_is_the_mean_over_its_bytes():
 def test_at_least_one_unit_is_in_flight():
     assert decide(EQUAL, rate=1.0, latency=0.0).fetch == [0]
     assert decide(EQUAL, rate=1.0, latency=0.0, in_flight=[0]).fetch == []
-
-
-def test_a_request_takes_in_the_units_after_its_first_on_a_distant_connection():
-    # Only chunk 2 is visible, whose units are 3 and 6; 1000 bytes per second.
-    ratios = [1.0, 0.01, 9.0, 0.01]
-    near = {"present": [0], "rate": 1000.0, "latency": 0.0}
-    assert decide(ratios, **near).fetch[:3] == [3, 6, 2]
-    # Two units fit into half the latency, three, and all.
-    assert decide(ratios, **near | {"latency": 0.4}).fetch[:3] == [3, 4, 6]
-    assert decide(ratios, **near | {"latency": 0.6}).fetch[:4] == [3, 4, 5, 6]
-    # A run ends before a unit that has come or is in flight, and before one outside the budget.
-    assert decide(ratios, **near | {"latency": 0.6, "in_flight": [4]}).fetch[:2] == [3, 6]
-    small = {"latency": 0.6, "budget": 20}
-    assert decide(ratios, **near | small).fetch == [3, 6, 2]
-    # Bytes received before count.
-    rest = {"latency": 0.4, "received": {3: 50, 4: 50}}
-    assert decide(ratios, **near | rest).fetch[:3] == [3, 4, 5]
-
-
-def test_a_run_ends_before_a_page():
-    units = [*UNITS[:5], Unit(3, True, True, 600, 500, 100, (1,)), UNITS[6]]
-    state = client(present=[0], rate=1000.0, latency=0.6)
-    fetch = Scheduler(units, SPLATS).decide(np.array([1.0, 0.01, 9.0, 0.01]), state).fetch
-    assert fetch[:3] == [3, 4, 6]
-
-
-def test_requests_of_single_units_stay_single_where_they_fill_the_connection():
-    state = client(present=[0], rate=1000.0, latency=0.4)
-    ratios = np.array([1.0, 0.01, 9.0, 0.01])
-    # The units wanted average (6 * 100 + size) / 7, and a run has 200 bytes at most.
-    for size, first in ((800, [3, 4, 6]), (801, [3, 6, 2])):
-        units = [*UNITS, Unit(0, False, False, 700 + size, 700, size, (0,))]
-        assert Scheduler(units, SPLATS).decide(ratios, state).fetch[:3] == first
-
-
-def test_a_chunk_is_held_from_its_first_unit_on():
-    # The refinement of chunk 1 came in a run; its head is missing, and chunk 2 takes its place.
-    decision = decide([1.0, 0.001, 9.0, 0.001], present=[0, 4], budget=20)
-    assert list(decision.evict) == [1]
-    assert decision.fetch[0] == 3
 
 
 def test_bytes_received_before_an_abort_count():
@@ -184,7 +141,7 @@ def test_a_lowered_budget_is_kept_by_evicting_the_least_valuable_chunks():
 
 
 def test_nothing_is_evicted_for_a_chunk_that_still_would_not_fit():
-    units = [*UNITS[:2], Unit(2, True, False, 400, 300, 100, (0,))]
+    units = [*UNITS[:2], Unit(2, True, 400, 100, (0,))]
     scheduler = Scheduler(units, [10, 10, 50])
     decision = scheduler.decide(np.array([1.0, 0.001, 9.0]), client(present=[0, 1], budget=40))
     assert list(decision.evict) == []
@@ -195,10 +152,7 @@ def test_nothing_is_evicted_for_a_chunk_that_still_would_not_fit():
 @pytest.mark.parametrize("number", range(len(VECTORS["scenes"])))
 def test_fetching_at_a_fixed_pose_ends_under_any_budget(number, rate):
     scene = VECTORS["scenes"][number]
-    units = [
-        Unit(c, head > 0, head == 2, end, end - size, size, tuple(a))
-        for c, head, end, size, a in scene["units"]
-    ]
+    units = [Unit(c, bool(head), end, size, tuple(a)) for c, head, end, size, a in scene["units"]]
     scheduler = Scheduler(units, scene["splats"])
     rng = np.random.default_rng(number)
     for share in (0.3, 0.5, 0.7, 0.9):
@@ -220,10 +174,7 @@ def test_fetching_at_a_fixed_pose_ends_under_any_budget(number, rate):
 @pytest.mark.parametrize("number", range(len(VECTORS["scenes"])))
 def test_fetching_at_a_fixed_pose_ends_though_requests_wait(number):
     scene = VECTORS["scenes"][number]
-    units = [
-        Unit(c, head > 0, head == 2, end, end - size, size, tuple(a))
-        for c, head, end, size, a in scene["units"]
-    ]
+    units = [Unit(c, bool(head), end, size, tuple(a)) for c, head, end, size, a in scene["units"]]
     scheduler = Scheduler(units, scene["splats"])
     rng = np.random.default_rng(number)
     for share in np.linspace(0.2, 0.9, 15):
@@ -264,20 +215,13 @@ def test_decisions_keep_dependencies_and_budget(number):
     gone = {unit for unit, row in enumerate(units) if row[0] in evict}
     there = set(state["there"]) - gone
     coming = set(state["under_way"]) - set(stop) - gone
-    held = {units[unit][0] for unit in there | coming}
-    new = any(units[unit][0] >= 0 and units[unit][0] not in held for unit in fetch)
-    run, size = None, 0
-    left = {unit: units[unit][3] - dict(state["received"]).get(unit, 0) for unit in fetch}
     for unit in fetch:
         assert unit not in there | coming | gone | set(stop)
-        size += left[unit]
-        # Only the units that follow another in a run may lack their dependencies.
-        follows = unit - 1 == run and size <= state["bytes_per_second"] * state["latency"] / 2
-        if not follows:
-            assert set(units[unit][4]) <= there | coming
-            size = left[unit]
-        run = unit
+        assert set(units[unit][4]) <= there | coming
         coming.add(unit)
-    held = {units[unit][0] for unit in there | coming} - {-1}
-    used = sum(scene["splats"][chunk] for chunk in held)
+    # Units that stay have their dependencies.
+    assert all(set(units[unit][4]) <= there | coming | gone for unit in there)
+    heads = {units[unit][0] for unit in there | coming if units[unit][1]}
+    used = sum(scene["splats"][chunk] for chunk in heads)
+    new = any(units[unit][1] for unit in fetch)
     assert not new or not state["budget_splats"] or used <= state["budget_splats"]

@@ -1,5 +1,7 @@
 /** Assumed throughput before the first measurement, bytes per second: 2 Mbit/s. */
 const FIRST_RATE = 250_000;
+/** Assumed latency before the first answer, seconds. */
+const FIRST_LATENCY = 0.1;
 /** Length of the measured window, seconds. */
 const REMEMBERED = 1;
 /** Parts within this time count as one, seconds. */
@@ -8,10 +10,24 @@ const MERGED_SECONDS = 0.001;
 const LEAST_BYTES = 16_384;
 const LEAST_SECONDS = 0.01;
 
-/** Estimate of a connection's throughput from recent answers (docs/streaming.md, 11). */
+/** Estimate of a connection's throughput and latency from recent answers (docs/streaming.md, 11). */
 export class LinkEstimate {
   bytesPerSecond = FIRST_RATE;
   private readonly parts: { readonly seconds: number; bytes: number }[] = [];
+  private shortest = Infinity;
+
+  /**
+   * Time from a request to its first byte, seconds: the minimum so far, because longer ones queued behind other
+   * answers.
+   */
+  get latency(): number {
+    return Math.min(this.shortest, FIRST_LATENCY);
+  }
+
+  /** Record the latency of an answer, seconds. */
+  recordLatency(seconds: number): void {
+    this.shortest = Math.min(this.shortest, seconds);
+  }
 
   /** Record received bytes and their time, seconds. */
   recordBytes(bytes: number, seconds: number): void {

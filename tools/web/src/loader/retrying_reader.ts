@@ -12,29 +12,16 @@ import {
 } from "./byte_source.js";
 import { backOff, isRetryable, type RetryOptions, requestedWait } from "./retry.js";
 
-/** Assumed latency before the first answer, seconds. */
-const FIRST_LATENCY = 0.1;
-
 /**
  * Reader of ranges that retries failed requests after a pause, from the first missing byte.
  *
  * It throws errors of the loader alone, whatever the source throws, and after an abort the signal's reason.
  */
 export class RetryingReader {
-  private shortest = Infinity;
-
   constructor(
     private readonly source: ByteSource,
     private readonly retry: RetryOptions,
   ) {}
-
-  /**
-   * Shortest time so far from a request to its first byte, seconds; longer ones waited behind other answers, as all may
-   * but those that opened the scene.
-   */
-  get latency(): number {
-    return this.shortest === Infinity ? FIRST_LATENCY : this.shortest;
-  }
 
   /**
    * Read a range that may extend beyond the end of the file.
@@ -95,13 +82,10 @@ export class RetryingReader {
     for (;;) {
       try {
         const rest = { offset: range.offset + received, length: range.length - received };
-        const start = performance.now();
         const answer = await this.source.read(rest, options);
         const length = expected(answer);
         let skip = skippedBytes(answer, rest.offset);
         for await (const part of answer.parts) {
-          // Of an answer, the first part came soonest.
-          this.shortest = Math.min(this.shortest, (performance.now() - start) / 1000);
           const useful = usefulPart(part, skip, (length ?? range.length) - received);
           skip = Math.max(0, skip - part.length);
           received += useful.length;

@@ -1,5 +1,5 @@
 import type { ByteRange } from "../container/scene_index.js";
-import { runBytes, windowBytes } from "../schedule/scheduler.js";
+import { windowBytes } from "../schedule/scheduler.js";
 import { GrowingBytes } from "./byte_source.js";
 import { LinkEstimate } from "./link_estimate.js";
 import { nextRequest, type RangeRequest } from "./range_plan.js";
@@ -9,7 +9,7 @@ import type { RetryingReader } from "./retrying_reader.js";
 export const MAX_REQUESTS = 6;
 /** Bytes of stopped segments kept at most: without a limit those of a city would fill the memory. */
 const MOST_PARTIAL_BYTES = 4 << 20;
-/** Maximum size of a request, bytes, except where a run is longer; short, because a request is stopped as a whole. */
+/** Maximum size of a request, bytes, except on fast connections; short, because a request is stopped as a whole. */
 const REQUEST_BYTES = 65_536;
 
 /** Handlers of received segments, failed requests and ended requests. */
@@ -49,11 +49,6 @@ export class SegmentRequests {
     return new Map([...this.parts].map(([segment, bytes]) => [segment, bytes.length]));
   }
 
-  /** Estimate of the connection: its throughput, and its latency in seconds. */
-  get connection(): { readonly bytesPerSecond: number; readonly latency: number } {
-    return { bytesPerSecond: this.link.bytesPerSecond, latency: this.reader.latency };
-  }
-
   /** Number of requests in flight. */
   get count(): number {
     return this.requests.size;
@@ -66,7 +61,7 @@ export class SegmentRequests {
 
   /** Whether the connection has room for another request; more requests than it needs only delay the first. */
   private get hasRoom(): boolean {
-    const { bytesPerSecond, latency } = this.connection;
+    const { bytesPerSecond, latency } = this.link;
     const toCome = this.inFlight.reduce((sum, segment) => sum + this.missing(segment).length, 0);
     return this.count === 0 || (this.count < MAX_REQUESTS && toCome < windowBytes(bytesPerSecond, latency));
   }
@@ -79,8 +74,9 @@ export class SegmentRequests {
    */
   fillConnection(wanted: readonly number[], priority: (segment: number) => RequestPriority): void {
     const left = [...wanted];
-    const { bytesPerSecond, latency } = this.connection;
-    const most = Math.max(REQUEST_BYTES, runBytes(bytesPerSecond, latency));
+    const { bytesPerSecond, latency } = this.link;
+    // Fast connections are filled by longer requests.
+    const most = Math.max(REQUEST_BYTES, (bytesPerSecond * latency) / MAX_REQUESTS);
     while (left.length > 0 && this.hasRoom) {
       const range = nextRequest(left, this.missing, most, 0)!;
       this.start(range, priority(range.segments[0]!));
@@ -144,9 +140,14 @@ export class SegmentRequests {
   /** Send a request and deliver the segments of its answer; report its failure and its end to the receiver. */
   private async run(request: Request, range: ByteRange, priority: RequestPriority | undefined): Promise<void> {
     const { signal } = request.abort;
+    const start = performance.now();
+    let isFirst = true;
     const receive = (part: Uint8Array): void => {
       if (signal.aborted) return;
-      this.link.recordBytes(part.length, performance.now() / 1000);
+      const now = performance.now();
+      if (isFirst) this.link.recordLatency((now - start) / 1000);
+      isFirst = false;
+      this.link.recordBytes(part.length, now / 1000);
       this.distribute(part, request);
     };
     try {

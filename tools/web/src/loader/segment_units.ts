@@ -116,11 +116,9 @@ export class SegmentUnits {
       const before = this.heads.get(isHead ? rows.parents[row]! : row);
       const dependencies = [...books.map((book) => this.unitOf.get(book)), before].filter((unit) => unit !== undefined);
       // The view table decides the order, so it counts as the beginning of its index.
-      const start = offset[segment]!;
-      const begin = kind[segment] === SegmentKind.viewTable ? 0 : start - index.start;
+      const begin = kind[segment] === SegmentKind.viewTable ? 0 : offset[segment]! - index.start;
       const size = length[segment]!;
-      const end = place + weight * (begin + size);
-      this.push({ segment, row, isHead, isPage: false, place: end, start, size, dependencies });
+      this.push({ segment, row, isHead, place: place + weight * (begin + size), size, dependencies });
     }
     for (let i = 0; i < index.chunkCount; i++) this.splats.push(rows.splats[index.firstRow + i]!);
   }
@@ -135,9 +133,7 @@ export class SegmentUnits {
       segment,
       row: page.row,
       isHead: true,
-      isPage: true,
       place: place + weight * page.length,
-      start: page.offset,
       size: page.length,
       dependencies: parent === undefined ? [] : [parent],
     });

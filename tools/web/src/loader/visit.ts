@@ -169,7 +169,7 @@ export class Visit extends SceneFetch<VisitChange> {
   }
 
   private holdings(): Holdings {
-    const { connection, partial, inFlight } = this.requests;
+    const { link, partial, inFlight } = this.requests;
     const unit = (segment: number): number => this.units.of(segment);
     const now = performance.now() / 1000;
     for (const [chunk, { until }] of this.evicted) if (until <= now) this.evicted.delete(chunk);
@@ -179,7 +179,8 @@ export class Visit extends SceneFetch<VisitChange> {
       received: new Map([...partial].map(([segment, bytes]) => [unit(segment), bytes])),
       budgetSplats: this.budget === Infinity ? 0 : this.budget,
       evictedWorths: new Map([...this.evicted].map(([chunk, { worth }]) => [chunk, worth])),
-      ...connection,
+      bytesPerSecond: link.bytesPerSecond,
+      latency: link.latency,
     };
   }
 

@@ -2,11 +2,6 @@
  * Bytes in flight beyond one round trip, as seconds of the connection: requests never run dry, and few are made early.
  */
 const AHEAD_SECONDS = 0.25;
-/**
- * Bytes of units requested together, as a share of what the connection carries within the latency: six such requests
- * keep it full, and let an estimate that is too low grow.
- */
-const RUN_SHARE = 0.5;
 /** Factor on the worth of chunks held. Without it, two chunks of similar worth would evict each other in turn. */
 const HELD_FACTOR = 2;
 /** Least ratio between the urgency of the best missing unit and of a unit stopped for it. */
@@ -20,12 +15,8 @@ export interface Unit {
   readonly row: number;
   /** Whether it is the head of the chunk, or the page. */
   readonly isHead: boolean;
-  /** Whether it is a page of the index, which is fetched for its own urgency alone. */
-  readonly isPage: boolean;
   /** Place of the unit: in the root the end of the segment in the file, bytes (docs/streaming.md, 7). */
   readonly place: number;
-  /** Offset of its first byte in the file. */
-  readonly start: number;
   readonly size: number;
   /** Units without which this one is useless: codebooks, and for a head that of the parent chunk. */
   readonly dependencies: readonly number[];
@@ -39,7 +30,7 @@ export interface Holdings {
   readonly inFlight: ReadonlySet<number>;
   /** Bytes received of incomplete units, in flight or stopped. */
   readonly received: ReadonlyMap<number, number>;
-  /** Splats of chunks of which a unit has arrived or is in flight, at most; 0 for no limit. */
+  /** Splats of chunks whose heads have arrived or are in flight, at most; 0 for no limit. */
   readonly budgetSplats: number;
   /** Chunks evicted in the last `EVICTED_SECONDS`, with their worth then. */
   readonly evictedWorths: ReadonlyMap<number, number>;
@@ -64,16 +55,9 @@ export function windowBytes(bytesPerSecond: number, latency: number): number {
   return bytesPerSecond * (latency + AHEAD_SECONDS);
 }
 
-/** Return the number of bytes that units requested together have at most (docs/streaming.md, 7). */
-export function runBytes(bytesPerSecond: number, latency: number): number {
-  return RUN_SHARE * bytesPerSecond * latency;
-}
-
 /** Decides which units to fetch, stop and evict (docs/streaming.md, 7 to 9). */
 export class Scheduler {
   private readonly heads = new Map<number, number>();
-  /** Unit that begins at an offset. */
-  private readonly unitAt = new Map<number, number>();
   /** Urgencies and order for the ratios of the last decision. */
   private last:
     | { readonly ratios: Float64Array; readonly urgency: Float64Array; readonly order: readonly number[] }
@@ -83,8 +67,7 @@ export class Scheduler {
     private readonly units: readonly Unit[],
     private readonly splats: ArrayLike<number>,
   ) {
-    units.forEach(({ row, isHead, start }, at) => {
-      this.unitAt.set(start, at);
+    units.forEach(({ row, isHead }, at) => {
       if (isHead) this.heads.set(row, at);
     });
   }
@@ -102,13 +85,13 @@ export class Scheduler {
 
   decide(ratios: Float64Array, holdings: Holdings): Decision {
     const { urgency, order } = this.ordered(ratios);
-    const round = new Round(this.units, this.splats, this.heads, this.unitAt, urgency, holdings);
+    const round = new Round(this.units, this.splats, this.heads, urgency, holdings);
     round.makeRoom(0);
     round.stopLessUrgent(order);
     while (!round.isFull) {
       const best = round.best(order);
       if (best === undefined) break;
-      round.requestRun(best);
+      round.request(best);
     }
     return { stop: round.stopped, evict: round.evicted, fetch: round.chosen };
   }
@@ -139,8 +122,6 @@ class Round {
   private readonly received: Map<number, number>;
   private readonly skipped = new Set<number>();
   private readonly window: number;
-  /** Bytes of units requested together, at most; 0 where six single units fill the connection. */
-  private readonly run: number;
   /** Bytes missing of the units in flight. */
   private bytesInFlight = 0;
   /** Chunks to hold; undefined without a budget. */
@@ -148,8 +129,6 @@ class Round {
   /** Other chunks held, in the order of their eviction. */
   private readonly evictable: number[] = [];
   private readonly worths = new Map<number, number>();
-  /** Number of units of each chunk that have arrived or are in flight; such a chunk is held. */
-  private readonly heldUnits = new Map<number, number>();
   /** Splats of the chunks held. */
   private heldSplats = 0;
 
@@ -157,7 +136,6 @@ class Round {
     private readonly units: readonly Unit[],
     private readonly splats: ArrayLike<number>,
     private readonly heads: ReadonlyMap<number, number>,
-    private readonly unitAt: ReadonlyMap<number, number>,
     private readonly urgency: Float64Array,
     private readonly holdings: Holdings,
   ) {
@@ -166,10 +144,7 @@ class Round {
     this.received = new Map(holdings.received);
     this.window = windowBytes(holdings.bytesPerSecond, holdings.latency);
     for (const unit of this.inFlight) this.bytesInFlight += this.missingBytes(unit);
-    for (const unit of new Set([...this.arrived, ...this.inFlight])) this.count(unit, 1);
     if (holdings.budgetSplats > 0) this.target = this.chooseTarget(holdings.budgetSplats);
-    const run = runBytes(holdings.bytesPerSecond, holdings.latency);
-    this.run = this.wantedAverage() > run ? 0 : run;
   }
 
   /** Return the chunks to hold within the budget; list the held chunks to evict (docs/streaming.md, 9). */
@@ -177,7 +152,9 @@ class Round {
     const { worths } = this;
     const parents = new Map<number, number | undefined>();
     for (const [chunk, head] of this.heads) {
-      worths.set(chunk, this.urgency[head]! * this.units[head]!.place * (this.holds(chunk) ? HELD_FACTOR : 1));
+      const held = this.isHeld(head);
+      if (held) this.heldSplats += this.splats[chunk]!;
+      worths.set(chunk, this.urgency[head]! * this.units[head]!.place * (held ? HELD_FACTOR : 1));
       parents.set(
         chunk,
         this.units[head]!.dependencies.map((unit) => this.units[unit]!.row).find((parent) => parent >= 0),
@@ -194,11 +171,14 @@ class Round {
     for (const chunk of order) {
       const parent = parents.get(chunk);
       if ((parent !== undefined && !target.has(parent)) || this.splats[chunk]! > room) continue;
-      if (!this.holds(chunk) && worths.get(chunk)! < (this.holdings.evictedWorths.get(chunk) ?? 0)) continue;
+      if (!this.isHeld(this.heads.get(chunk)!) && worths.get(chunk)! < (this.holdings.evictedWorths.get(chunk) ?? 0))
+        continue;
       target.add(chunk);
       room -= this.splats[chunk]!;
     }
-    this.evictable.push(...order.reverse().filter((chunk) => !target.has(chunk) && this.holds(chunk)));
+    this.evictable.push(
+      ...order.reverse().filter((chunk) => !target.has(chunk) && this.isHeld(this.heads.get(chunk)!)),
+    );
     return target;
   }
 
@@ -262,57 +242,31 @@ class Round {
     return worths;
   }
 
-  /** Request the first unit of a chain, and the units after it that fill its request. */
-  requestRun({ units }: Chain): void {
+  /** Request the first unit of a chain, after evictions for a head without room. */
+  request({ units }: Chain): void {
     const first = units[0]!;
     // A decision does not request again what it stops.
     if (units.some((unit) => this.stopped.includes(unit))) {
       this.skipped.add(units[units.length - 1]!);
       return;
     }
-    let bytes = this.missingBytes(first);
-    this.request(first);
-    for (let unit = this.after(first); unit !== undefined; unit = this.after(unit)) {
-      bytes += this.missingBytes(unit);
-      if (bytes > this.run || this.units[unit]!.isPage || !this.isWanted(unit) || this.stopped.includes(unit)) return;
-      this.request(unit);
+    const { row, isHead } = this.units[first]!;
+    if (isHead) {
+      this.makeRoom(this.splats[row]!);
+      this.heldSplats += this.splats[row]!;
     }
-  }
-
-  /** Return the average size of the units that are wanted, bytes. */
-  private wantedAverage(): number {
-    let bytes = 0;
-    let count = 0;
-    this.units.forEach(({ size }, unit) => {
-      if (!this.isWanted(unit)) return;
-      bytes += size;
-      count++;
-    });
-    return bytes / Math.max(count, 1);
-  }
-
-  /** Return the unit that begins where another one ends in the file. */
-  private after(unit: number): number | undefined {
-    const { start, size } = this.units[unit]!;
-    return this.unitAt.get(start + size);
-  }
-
-  /** Request a unit, after evictions for a chunk without room. */
-  private request(unit: number): void {
-    const { row } = this.units[unit]!;
-    if (row >= 0 && !this.holds(row)) this.makeRoom(this.splats[row]!);
-    this.count(unit, 1);
-    this.inFlight.add(unit);
-    this.bytesInFlight += this.missingBytes(unit);
-    this.chosen.push(unit);
+    this.inFlight.add(first);
+    this.bytesInFlight += this.missingBytes(first);
+    this.chosen.push(first);
   }
 
   /** Stop a unit in flight. */
   private stop(unit: number): void {
+    const { row, isHead } = this.units[unit]!;
     this.inFlight.delete(unit);
     this.bytesInFlight -= this.missingBytes(unit);
     this.stopped.push(unit);
-    this.count(unit, -1);
+    if (isHead) this.heldSplats -= this.splats[row]!;
   }
 
   /**
@@ -323,8 +277,8 @@ class Round {
   makeRoom(splats: number): void {
     while (this.evictable.length > 0 && this.heldSplats + splats > this.holdings.budgetSplats) {
       const chunk = this.evictable.shift()!;
-      // Its units in flight may have been stopped.
-      if (this.holds(chunk)) this.evict(chunk);
+      // A head in flight may have been stopped.
+      if (this.isHeld(this.heads.get(chunk)!)) this.evict(chunk);
     }
   }
 
@@ -333,28 +287,13 @@ class Round {
     this.units.forEach((part, unit) => {
       if (part.row !== chunk) return;
       if (this.inFlight.has(unit)) this.stop(unit);
-      else if (this.arrived.delete(unit)) this.count(unit, -1);
+      else if (this.arrived.delete(unit) && part.isHead) this.heldSplats -= this.splats[chunk]!;
       this.received.delete(unit);
     });
   }
 
   private missingBytes(unit: number): number {
     return this.units[unit]!.size - (this.received.get(unit) ?? 0);
-  }
-
-  /** Count a unit of a chunk that the client has or requests from now on, or no more. */
-  private count(unit: number, change: 1 | -1): void {
-    const { row } = this.units[unit]!;
-    if (row < 0) return;
-    const held = (this.heldUnits.get(row) ?? 0) + change;
-    this.heldUnits.set(row, held);
-    // The first unit of the chunk, or the last one.
-    if (held === (change > 0 ? 1 : 0)) this.heldSplats += change * this.splats[row]!;
-  }
-
-  /** Return whether a unit of a chunk has arrived or is in flight. */
-  private holds(chunk: number): boolean {
-    return (this.heldUnits.get(chunk) ?? 0) > 0;
   }
 
   private isHeld(unit: number): boolean {
