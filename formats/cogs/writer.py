@@ -189,7 +189,7 @@ class IndexPlan:
     pages: list[IndexPlan]
 
     def every(self) -> Iterator[IndexPlan]:
-        """Yield the plan and those of all pages below it, in file order."""
+        """Yield this plan, then the plans of the pages below it, in file order."""
         yield self
         for page in self.pages:
             yield from page.every()
@@ -357,7 +357,7 @@ def box_around(boxes: NDArray[Float]) -> NDArray[Float]:
 
 
 def split_view_table(payload: bytes, plan: IndexPlan, chunks: int) -> list[Segment]:
-    """Return the view tables of the root and of all other indices that list chunks.
+    """Cut a view table of all chunks into a view table for each index that lists chunks.
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ class PageState(TypedDict):
 
 @dataclass(frozen=True)
 class Visit:
-    """What a browser did along a path.
+    """Record of one browser's visit along a path.
 
     Parameters
     ----------
@@ -209,8 +209,9 @@ def _pose(pose: Pose) -> dict[str, object]:
 
 
 def units_of_chunks(units: Units, chunks: list[tuple[int, bool, bool]]) -> list[int]:
-    """Return the numbers of the units that a page had: of its chunks, and what lists these.
+    """Return the numbers of the units behind a page's chunks.
 
+    They are the segments of the chunks, and the index pages and view tables that list the chunks.
     Pages and view tables of indices that list none of the chunks do not change what is drawn.
     """
     found: list[int] = []
@@ -245,7 +246,7 @@ def compare(
         Camera path of the visit.
     link : Link
     visit : Visit
-        What the browser did.
+        Record of the browser's visit.
     budget_splats : int
         Memory limit, splats; 0 for no limit.
 

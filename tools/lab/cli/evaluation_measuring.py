@@ -1,4 +1,4 @@
-"""Measure prefixes of a scene in several orders: rows, COGS files and files of other formats."""
+"""Quality of prefixes of ordered splats, COGS files and foreign files."""
 
 from __future__ import annotations
 

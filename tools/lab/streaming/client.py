@@ -72,7 +72,7 @@ class Units:
     page_of: I64 | None = None
 
     def listed(self, present: Collection[int]) -> NDArray[np.bool_]:
-        """Return which units the root and the pages present list, (u,) bool."""
+        """Return a mask, (u,) bool, of the units listed by the root or by a present page."""
         if self.page_of is None:
             return np.ones(len(self), np.bool_)
         return np.isin(self.page_of, [-1, *present])

@@ -158,15 +158,15 @@ class Client:
         Rows of `scene` in each unit; empty for codebooks.
     splats_of : callable
         Function from received units and a camera to the splats drawn.
-    scene : Splats
-        Splats of all units.
+    scene : callable
+        Function that returns the splats of all units; for most policies it decodes the whole file.
     """
 
     units: Units
     priorities: Priorities
     rows: Sequence[slice | I64]
     splats_of: Callable[[Sequence[int], Camera], Splats]
-    scene: Splats
+    scene: Callable[[], Splats]
 
 
 def _stored_tables(file: CogsFile) -> dict[tuple[int, ...], ViewTable]:
@@ -290,10 +290,12 @@ class Simulation:
             peer = self._peer
             if peer is None:
                 raise ValueError(f"{name}: no other file was given")
-            return Client(peer.units, peer.priorities, peer.rows, peer.splats_of, peer.scene)
-        splats, units = self._renderer.splats, self.units
-        size = int(units.size_bytes.sum())
+            return Client(
+                peer.units, peer.priorities, peer.rows, peer.splats_of, lambda: peer.scene
+            )
+        units = self.units
         if name in ("antimatter", "sgss-cells"):
+            splats, size = self._renderer.splats, int(units.size_bytes.sum())
             made: RowClient = (
                 antimatter_client(splats, size, units.index_bytes)
                 if name == "antimatter"
@@ -306,7 +308,7 @@ class Simulation:
                     np.concatenate([np.zeros(0, np.int64), *(rows[u] for u in present)])
                 )
 
-            return Client(made.units, made.priorities, rows, splats_of_pieces, splats)
+            return Client(made.units, made.priorities, rows, splats_of_pieces, lambda: splats)
         rows_of_units = [
             self._renderer.rows(chunk) if kind in CHUNK_KINDS else slice(0, 0)
             for kind, chunk in zip(units.kind.tolist(), units.row.tolist(), strict=True)
@@ -314,13 +316,15 @@ class Simulation:
 
         def splats_of_segments(present: Sequence[int], camera: Camera) -> Splats:
             if name == "whole" and len(present) < len(units):
-                return splats.take(slice(0, 0))
+                present = ()
             ratios = self._visit_ratios if name == "visit" else self._ratios
             at_pose = ratios(Pose.from_camera(camera), present)
             return self._renderer.splats_of_units(units, present, at_pose)
 
         priorities = self.policy("file" if name == "whole" else name)
-        return Client(units, priorities, rows_of_units, splats_of_segments, splats)
+        return Client(
+            units, priorities, rows_of_units, splats_of_segments, lambda: self._renderer.splats
+        )
 
     def picture(self, camera: Camera, splats: Splats | None = None) -> F32:
         """Render splats, by default the full file, to an (H, W, 3) picture of values 0 to 1."""
@@ -406,7 +410,8 @@ class Simulation:
         # The last time equals the end exactly, so that it includes the last arrival.
         times = np.linspace(0.0, end, moments + 1)[1:]
         measured: dict[str, list[Moment]] = {name: [] for name in policies}
-        scenes = {id(client.scene): client.scene for client in clients.values()}
+        scene_of = {name: client.scene() for name, client in clients.items()}
+        scenes = {id(scene): scene for scene in scene_of.values()}
         is_seen = {key: np.zeros(len(scene), np.bool_) for key, scene in scenes.items()}
         for number, seconds in enumerate(times.tolist()):
             progress("trace", number, moments)
@@ -420,7 +425,7 @@ class Simulation:
                 client = clients[name]
                 fetched = arrived.fetched_by(seconds)
                 sizes = client.units.size_bytes[fetched]
-                rows_seen = is_seen[id(client.scene)]
+                rows_seen = is_seen[id(scene_of[name])]
                 unseen = [
                     client.units.kind[unit] in CHUNK_KINDS
                     and not rows_seen[client.rows[unit]].any()

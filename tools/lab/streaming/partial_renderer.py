@@ -26,6 +26,7 @@ from .client import CHUNK_KINDS, Units
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 
 
 class PartialRenderer:
@@ -123,19 +124,19 @@ class PartialRenderer:
             )
             for is_refined in (True, False)
         ]
-        decoded_as = np.concatenate((numbers[is_fine], numbers[~is_fine]))
-        counts = self._file.chunks.splats[decoded_as]
-        out = concatenate(decoded).take(np.argsort(np.repeat(decoded_as, counts), kind="stable"))
-        out.shN[np.repeat(~has_tail, self._file.chunks.splats[numbers])] = 0.0
-        return self._compensate(out, chunks, units.pages_in(there), ratios)
+        counts = self._file.chunks.splats[numbers]
+        decoded_as = np.argsort(~is_fine, kind="stable")
+        order = np.argsort(np.repeat(decoded_as, counts[decoded_as]), kind="stable")
+        out = concatenate(decoded).take(order)
+        out.shN[np.repeat(~has_tail, counts)] = 0.0
+        return self._compensate(out, numbers, units.pages_in(there), ratios)
 
     def _compensate(
-        self, splats: Splats, chunks: list[int], pages: list[int], ratios: F64 | None
+        self, splats: Splats, chunks: I64, pages: list[int], ratios: F64 | None
     ) -> Splats:
         """Apply compensation to the splats of chunks, if the file defines it for this set."""
-        if self._compensation is None or not chunks:
+        if self._compensation is None or not len(chunks):
             return splats
-        numbers = np.array(chunks, np.int64)
         # Rows of the chunks and unread pages that the client knows, numbered in file order.
         known = self._rows.known(pages)
         unread = known[known >= self._rows.chunks]
@@ -143,13 +144,13 @@ class PartialRenderer:
         layers = [layer for layer in self._compensation.layers if layer.chunks <= listed]
         compensation = replace(self._compensation, layers=layers)
         if not self._has_cells:
-            if chunks != list(range(len(chunks))):
+            if not np.array_equal(chunks, np.arange(len(chunks))):
                 return splats
             prefix = np.full(len(chunks), len(chunks), np.int64)
-            return compensation.apply_per_chunk(splats, numbers, prefix)
+            return compensation.apply_per_chunk(splats, chunks, prefix)
         place = np.full(len(self._rows) + 1, -1, np.int64)
         place[known] = np.arange(len(known))
-        parents, held = place[self._rows.parent[known]], place[numbers].tolist()
+        parents, held = place[self._rows.parent[known]], place[chunks].tolist()
         if not has_all_parents(held, parents):
             return splats
         counts = self._rows.splats[known]
@@ -159,4 +160,4 @@ class PartialRenderer:
         last = int(np.searchsorted(first_chunks, compensation.last_chunks))
         prefixes = first_chunks[equivalent_prefixes(held, parents, counts)]
         parts = descendant_parts(held, parents, counts, last)
-        return compensation.apply_per_chunk(splats, numbers, prefixes, parts)
+        return compensation.apply_per_chunk(splats, chunks, prefixes, parts)
