@@ -22,20 +22,11 @@ from .encoded import EncodeReport
 from .presets import Preset
 from .request import EncodeRequest
 
-_SINGLE_CAMERA_LIMIT: Final = 0.02
-"""Share of contribution visible to a single camera above which more views are scored.
+_SINGLE_CAMERA_LIMIT: Final = 0.01
+"""Share of contribution visible to at most one camera above which more views are scored.
 
-In a house of six rooms it is 0.17 for 14 of 42 views: splats in the other rooms were pruned as
-worthless, and pictures there fell to 13 dB. It is 0.012 for a million splats on a terrace in 20 of
-100 views, and below 0.00005 for a captured room in 15 of 43.
-"""
-
-_OVERLAP_LIMIT: Final = 0.01
-"""Share of contribution visible to a single camera above which planned views are scored as well.
-
-With 15 cameras in one room, in two rooms and in a house of three rooms the share is 0.06, 0.08 and
-0.017: further cameras showed 6 to 10 dB less than scored ones. It is 0 for 14 cameras in a captured
-room, of which further cameras showed as much as scored ones.
+More of the given views first, then planned ones. docs/ablations.md, "Scoring large scenes", has the
+shares of scenes beside what further cameras show there and scored ones do not.
 """
 
 _GROWTH: Final = 4
@@ -97,7 +88,7 @@ def score_scene(splats: Splats, request: EncodeRequest, progress: Progress) -> S
     scorer = _scorer(splats, request, progress)
     views = _add_given(scorer, used, request.effort, request.scoring)
     single = single_camera_share(scorer.sums, request.scoring)
-    if not (left_out and len(views) == len(used) and single > _OVERLAP_LIMIT):
+    if single <= _SINGLE_CAMERA_LIMIT or not left_out:
         return _given_views(request, views, scorer.scores())
     return _score_planned(splats, request, progress, scorer, views)
 
@@ -191,7 +182,7 @@ def _plan_views(splats: Splats, request: EncodeRequest, progress: Progress) -> V
 
 
 def single_camera_share(scores: Scores | ViewSums, config: ScoreConfig) -> float:
-    """Return the share of all contribution from splats that only one camera shows.
+    """Return the share of all contribution from splats that at most one camera shows.
 
     It estimates the part of a picture from a further camera that the scored cameras do not show
     (leave-one-out; Good 1953, "The population frequencies of species").
@@ -201,8 +192,8 @@ def single_camera_share(scores: Scores | ViewSums, config: ScoreConfig) -> float
     scores : Scores or ViewSums
         Scores in the cameras.
     config : ScoreConfig
-        Settings of the scoring pass. A splat counts as shown by one camera if it was seen at most
-        as often as one camera and its jittered copies can see it.
+        Settings of the scoring pass. A splat counts as shown by at most one camera if no more
+        views show it than one camera and its jittered copies (`SHOWN_WEIGHT`).
 
     Returns
     -------
@@ -222,7 +213,7 @@ def single_camera_share(scores: Scores | ViewSums, config: ScoreConfig) -> float
     total = float(scores.contribution.sum())
     if total == 0.0:
         return 0.0
-    of_one = scores.seen <= (1 + config.jitter_copies if config.jitter else 1)
+    of_one = scores.shown <= (1 + config.jitter_copies if config.jitter else 1)
     return float(np.sum(scores.contribution, where=of_one)) / total
 
 

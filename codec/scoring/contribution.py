@@ -77,8 +77,9 @@ class Scores:
         the view that shows the splat best. That of a covering view counts times `COVERING_ENERGY`.
     peak : (N,) float32
         Largest w in any pixel of any view. Weights in covering views count times `COVERING_SHARE`.
-    seen : (N,) int32
-        Number of views, covering views included, in which the splat was blended into a pixel.
+    shown : (N,) int32
+        Number of views, covering views included, that show the splat with a weight of 0.01 or
+        more in some pixel; weights in covering views count as for `peak`.
     covered : (N,) int32
         Number of views, covering views included, that the splat's footprint reaches, hidden or not.
     basis_mean : (N, 15) float32
@@ -98,7 +99,7 @@ class Scores:
     energy: NDArray[np.float64]
     largest_energy: NDArray[np.float64]
     peak: NDArray[np.float32]
-    seen: NDArray[np.int32]
+    shown: NDArray[np.int32]
     covered: NDArray[np.int32]
     basis_mean: NDArray[np.float32]
     basis_spread: NDArray[np.float64]
@@ -106,8 +107,8 @@ class Scores:
     sensitivities: Sensitivities | None = None
 
     def __repr__(self) -> str:
-        seen = int(np.count_nonzero(self.seen))
-        return f"Scores({len(self.seen):,} splats, {seen:,} seen, {self.num_pixels:,} pixels)"
+        shown = int(np.count_nonzero(self.shown))
+        return f"Scores({len(self.shown):,} splats, {shown:,} shown, {self.num_pixels:,} pixels)"
 
     def take(self, rows: NDArray[np.int64], gather: Gather = IN_MEMORY.gather) -> Scores:
         """Return the scores of the splats `rows`, copied by `gather` (see `Workspace.gather`)."""
@@ -119,7 +120,7 @@ class Scores:
             energy=gather(self.energy, rows),
             largest_energy=gather(self.largest_energy, rows),
             peak=gather(self.peak, rows),
-            seen=gather(self.seen, rows),
+            shown=gather(self.shown, rows),
             covered=gather(self.covered, rows),
             basis_mean=gather(self.basis_mean, rows),
             sensitivities=None if found is None else found.take(rows, gather),
@@ -134,7 +135,7 @@ def zero_scores(splats: int) -> Scores:
         energy=np.zeros(splats, np.float64),
         largest_energy=np.zeros(splats, np.float64),
         peak=np.zeros(splats, np.float32),
-        seen=np.zeros(splats, np.int32),
+        shown=np.zeros(splats, np.int32),
         covered=np.zeros(splats, np.int32),
         basis_mean=np.zeros((splats, _BASES - 1), np.float32),
         basis_spread=np.zeros((_BASES - 1, _BASES - 1), np.float64),
@@ -279,7 +280,7 @@ class Scorer:
         totals, n = self.sums, len(self._splats)
         if not self._cameras:
             raise DataError("no-cameras", "0 cameras to score with, expected at least 1")
-        if not totals.seen.any():
+        if not totals.peak.any():
             raise DataError(
                 "cameras-see-nothing",
                 f"none of {n} splats reaches a pixel of the {self._cameras} cameras, expected "
@@ -305,7 +306,7 @@ class Scorer:
             energy=totals.energy,
             largest_energy=totals.largest_energy,
             peak=totals.peak,
-            seen=totals.seen,
+            shown=totals.shown,
             covered=totals.covered,
             basis_mean=basis_mean,
             basis_spread=basis_spread,
@@ -344,7 +345,7 @@ def score(
     covering : sequence of Camera
         Views of parts that `cameras` miss (`planner.ViewPlan.covering_views`). They count in
         ``largest_energy`` (times `COVERING_ENERGY`) and ``peak`` (times `COVERING_SHARE`), and in
-        ``seen`` and ``covered``. They are excluded from all sums and means and have no jittered
+        ``shown`` and ``covered``. They are excluded from all sums and means and have no jittered
         copies.
     workspace : Workspace
         Allocator of the scores; also decides whether several views are scored at once.
@@ -375,7 +376,7 @@ def score(
     >>> splats = cogsplat.read("scene.ply")
     >>> cameras = cogsplat.read_cameras("cameras.json")[:2]
     >>> scores = score(splats, cameras, ScoreConfig(jitter=False))
-    >>> scores.contribution.shape, int(scores.seen.max())
+    >>> scores.contribution.shape, int(scores.shown.max())
     ((1000,), 2)
     """
     config = config or ScoreConfig()

@@ -138,7 +138,7 @@ def test_cameras_that_see_half_leave_the_other_half():
     splats.means[200:, 2] -= 500
     splats.opacities[:] = np.maximum(splats.opacities, 0)
     scores = score(splats, [oracle.camera(0.2 * k) for k in range(6)])
-    assert not scores.seen[200:].any()
+    assert not scores.shown[200:].any()
     encoded = encode(splats, scores, unseen(chunk_splats=64))
     out = check(encoded, 400 - encoded.pruned, 3)
     hidden = out.means[:, 2] < -250

@@ -15,6 +15,7 @@ from cogsplat.codec.scoring.contribution import (
     Scorer,
     score,
 )
+from cogsplat.codec.scoring.view_sums import SHOWN_WEIGHT
 from cogsplat.codec.splats import SceneInfo, empty
 from cogsplat.codec.views.roam_views import jitter
 
@@ -62,8 +63,9 @@ def test_scores_equal_brute_force(top_k, info):
     _close(scores.largest_energy, largest, largest.max())
     peak = np.max([view.weights.max(axis=0) for view in seen], axis=0)
     _close(scores.peak, peak, 1.0)
-    count = sum((view.weights > 0).any(axis=0) for view in seen)
-    np.testing.assert_array_equal(scores.seen, count)
+    count = sum((view.weights >= SHOWN_WEIGHT).any(axis=0) for view in seen)
+    assert (count < sum((view.weights > 0).any(axis=0) for view in seen)).any()
+    np.testing.assert_array_equal(scores.shown, count)
     assert scores.num_pixels == pixels
 
 
@@ -118,7 +120,7 @@ def test_jitter_adds_the_mean_over_the_copies():
     np.testing.assert_allclose(both.contribution, plain.contribution + other.contribution)
     np.testing.assert_allclose(both.energy, (plain.energy + other.energy) / 2)
     np.testing.assert_array_equal(both.peak, np.maximum(plain.peak, other.peak))
-    np.testing.assert_array_equal(both.seen, plain.seen + other.seen)
+    np.testing.assert_array_equal(both.shown, plain.shown + other.shown)
     assert both.num_pixels == plain.num_pixels + other.num_pixels
     bound = (plain.colour_sensitivity + other.colour_sensitivity) / 2
     assert (both.colour_sensitivity <= bound * (1 + 1e-9)).all()
@@ -139,7 +141,9 @@ def test_covering_views_count_in_maxima_and_in_no_mean():
     np.testing.assert_allclose(both.peak, best, rtol=1e-6)
     largest = np.maximum(alone.largest_energy, COVERING_ENERGY * other.largest_energy)
     np.testing.assert_allclose(both.largest_energy, largest, rtol=1e-12)
-    np.testing.assert_array_equal(both.seen, alone.seen + other.seen)
+    peaks = [score(splats, [camera], config).peak for camera in rest]
+    shown = sum((np.float32(COVERING_SHARE) * peak >= SHOWN_WEIGHT) for peak in peaks)
+    np.testing.assert_array_equal(both.shown, alone.shown + shown)
     np.testing.assert_array_equal(both.covered, alone.covered + other.covered)
 
 
@@ -150,7 +154,7 @@ def test_views_may_be_added_in_parts():
     expected = score(splats, CAMERAS, config)
     scorer = Scorer(splats, config)
     scorer.add(CAMERAS[:1], jittered=True)
-    assert 0 < scorer.sums.seen.max() <= 2
+    assert 0 < scorer.sums.shown.max() <= 2
     scorer.add(CAMERAS[1:], jittered=True)
     found = scorer.scores()
     for name in ("contribution", "colour_sensitivity", "energy", "largest_energy", "basis_mean"):
@@ -159,7 +163,7 @@ def test_views_may_be_added_in_parts():
             getattr(found, name), values, rtol=1e-6, atol=1e-9 * values.max(), err_msg=name
         )
     np.testing.assert_array_equal(found.peak, expected.peak)
-    np.testing.assert_array_equal(found.seen, expected.seen)
+    np.testing.assert_array_equal(found.shown, expected.shown)
     np.testing.assert_allclose(
         found.sensitivities.means, expected.sensitivities.means, rtol=1e-9, atol=1e-30
     )
@@ -171,7 +175,7 @@ def test_scores_do_not_depend_on_threads():
         expected = score(splats, cameras, ScoreConfig(threads=1, jitter=False))
         for threads in (2, 3, 7):
             actual = score(splats, cameras, ScoreConfig(threads=threads, jitter=False))
-            for name in ("contribution", "colour_sensitivity", "energy", "peak", "seen"):
+            for name in ("contribution", "colour_sensitivity", "energy", "peak", "shown"):
                 np.testing.assert_array_equal(getattr(actual, name), getattr(expected, name), name)
 
 
@@ -203,7 +207,7 @@ def test_unseen_and_invalid_splats_score_nothing():
     splats.opacities[2] = -np.inf
     scores = score(splats, CAMERAS[:1], ScoreConfig(jitter=False))
     assert not scores.contribution[:3].any()
-    assert not scores.seen[:3].any()
+    assert not scores.shown[:3].any()
     assert np.isfinite(scores.contribution).all()
 
 
@@ -260,7 +264,7 @@ def test_optional_scores_are_not_summed_by_default():
     assert full.colour_sensitivity.any()
     assert bare.colour_sensitivity.shape == (50,)
     assert not bare.colour_sensitivity.any()
-    for name in ("contribution", "energy", "largest_energy", "peak", "seen", "basis_mean"):
+    for name in ("contribution", "energy", "largest_energy", "peak", "shown", "basis_mean"):
         np.testing.assert_array_equal(getattr(bare, name), getattr(full, name))
     np.testing.assert_array_equal(bare.basis_spread, full.basis_spread)
 
@@ -297,7 +301,7 @@ def test_on_a_device_scores_are_the_same_but_for_rounding(monkeypatch):
     for name in ("contribution", "energy", "largest_energy", "peak", "basis_mean"):
         values = getattr(expected, name)
         _close(getattr(found, name), values, np.abs(values).max())
-    np.testing.assert_array_equal(found.seen, expected.seen)
+    np.testing.assert_array_equal(found.shown, expected.shown)
     np.testing.assert_array_equal(found.covered, expected.covered)
     for name in ("opacities", "means", "scales", "rotations", "sh0"):
         values = getattr(expected.sensitivities, name)

@@ -4,9 +4,9 @@ import numpy as np
 import oracle
 import pytest
 
-from cogsplat.codec.scoring.view_sums import ViewSums, add_rows
+from cogsplat.codec.scoring.view_sums import SHOWN_WEIGHT, ViewSums, add_rows
 
-SUMS = ("contribution", "energy", "largest_energy", "peak", "seen")
+SUMS = ("contribution", "energy", "largest_energy", "peak", "shown")
 
 
 def _views(splats, count=4):
@@ -17,6 +17,7 @@ def _views(splats, count=4):
         reached = rng.permutation(len(splats))[: len(splats) // 2].astype(np.int32)
         index = reached[5:]  # the first five are hidden
         sums = rng.random((len(index), 3))
+        sums[: len(index) // 4, 2] *= SHOWN_WEIGHT  # these are only glimpsed
         position = rng.normal(size=3) * 9.0
         views.append((reached, index, sums, position, int(rng.integers(9, 99)), rng.random()))
     return views
@@ -34,7 +35,7 @@ def test_sums_are_those_of_their_definition():
         expected["peak"][index] = np.maximum(expected["peak"][index], sums[:, 2])
         largest = expected["largest_energy"]
         largest[index] = np.maximum(largest[index], sums[:, 1] / num_pixels)
-        expected["seen"][index] += 1
+        expected["shown"][index] += sums[:, 2] >= SHOWN_WEIGHT
         covered[reached] += 1
         offset = splats.means[index] - position
         values = oracle.real_sh(offset / np.linalg.norm(offset, axis=1, keepdims=True), 3)
@@ -78,7 +79,7 @@ def test_without_views_all_sums_are_zero():
     totals = ViewSums(oracle.scene(4, n=9))
     assert not totals.basis_spread().any()
     assert not totals.basis_mean().any()
-    assert not totals.seen.any()
+    assert not totals.shown.any()
 
 
 def test_rows_are_added_with_their_share():

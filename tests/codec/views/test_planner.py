@@ -205,7 +205,7 @@ def test_one_splat_is_seen(log_scale: float) -> None:
     assert len(cameras) >= 4
     assert (gaze(cameras, [3.0, -2.0, 1.0]) > 0.9).all()
     if -10.0 < log_scale < 10.0:
-        assert score(splats, cameras, ScoreConfig(jitter=False)).seen[0] == len(cameras)
+        assert score(splats, cameras, ScoreConfig(jitter=False)).shown[0] == len(cameras)
 
 
 def test_splats_all_in_one_point_are_seen() -> None:

@@ -95,7 +95,7 @@ def score(
             CogsplatWarning,
             stacklevel=1,
         )
-    unseen = int((scores.seen == 0).sum())
+    unseen = int((scores.shown == 0).sum())
     shares = {goal: _share_holding(scores.contribution, goal) for goal in (0.5, 0.9, 0.99)}
     if as_json:
         print_json(

@@ -41,7 +41,7 @@ def test_score_writes_contributions_in_file_order(
     assert values.dtype == np.float64
     np.testing.assert_array_equal(values, expected.contribution)
     assert told.json["splats"] == SPLATS
-    assert told.json["unseen"] == int((expected.seen == 0).sum())
+    assert told.json["unseen"] == int((expected.shown == 0).sum())
     assert told.json["scored_views"] == 3 * VIEWS
     shares = told.json["share_of_splats_holding"]
     assert isinstance(shares, dict)
