@@ -1,4 +1,3 @@
-import datetime
 import os
 import socket
 import ssl
@@ -12,6 +11,7 @@ import h2.events
 import httpx
 import numpy as np
 import pytest
+from certificates import made_certificate
 from cogs_samples import assert_same, file_of
 
 import cogsplat
@@ -19,7 +19,7 @@ from cogsplat.codec.errors import MissingExtraError, StorageError
 from cogsplat.formats.network import http_transport
 from cogsplat.tools.delivery import connection_limit, file_server, served_content
 from cogsplat.tools.delivery.file_app import FileApp
-from cogsplat.tools.delivery.file_server import Certificate, FileServer, running
+from cogsplat.tools.delivery.file_server import FileServer, running
 from cogsplat.tools.delivery.shaped_link import LinkQuality, ShapedLink
 
 
@@ -75,42 +75,6 @@ def test_http2_with_a_certificate(scene, tmp_path, monkeypatch):
         assert server.url.startswith("https://")
         assert_same(cogsplat.decode(server.url + "scene.cogs"), cogsplat.decode(scene))
     assert versions == {"HTTP/2"}
-
-
-def made_certificate(folder):
-    """Sign a certificate for this machine with its own key."""
-    from ipaddress import ip_address
-
-    from cryptography import x509
-    from cryptography.hazmat.primitives import hashes, serialization
-    from cryptography.hazmat.primitives.asymmetric import ec
-
-    key = ec.generate_private_key(ec.SECP256R1())
-    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "test")])
-    today = datetime.datetime.now(datetime.UTC)
-    made = (
-        x509.CertificateBuilder()
-        .subject_name(name)
-        .issuer_name(name)
-        .public_key(key.public_key())
-        .serial_number(1)
-        .not_valid_before(today - datetime.timedelta(days=1))
-        .not_valid_after(today + datetime.timedelta(days=1))
-        .add_extension(
-            x509.SubjectAlternativeName([x509.IPAddress(ip_address("127.0.0.1"))]), critical=False
-        )
-        .sign(key, hashes.SHA256())
-    )
-    files = Certificate(folder / "cert.pem", folder / "key.pem")
-    files.certificate.write_bytes(made.public_bytes(serialization.Encoding.PEM))
-    files.key.write_bytes(
-        key.private_bytes(
-            serialization.Encoding.PEM,
-            serialization.PrivateFormat.PKCS8,
-            serialization.NoEncryption(),
-        )
-    )
-    return files
 
 
 def test_a_port_in_use_is_an_error(scene):

@@ -133,6 +133,15 @@ _GROUPS: Final = {
     help="Time from a request to the first byte of its answer, milliseconds.",
 )
 @click.option(
+    "--requests",
+    "most_requests",
+    type=click.IntRange(1, 1024),
+    default=6,
+    show_default=True,
+    metavar="N",
+    help="Requests at a time, for the policy visit: 6 over HTTP/1.1, 24 over HTTP/2 and HTTP/3.",
+)
+@click.option(
     "--policy",
     "policies",
     type=click.Choice(POLICIES),
@@ -231,6 +240,7 @@ def simulate(
     bandwidth: float | None,
     as_large_as: int | None,
     latency: float,
+    most_requests: int,
     policies: tuple[str, ...],
     budget: int | None,
     source: Path | None,
@@ -296,7 +306,7 @@ def simulate(
                 progress=stages,
             )
             bits = _bits_for(simulation, walked, bandwidth, as_large_as)
-            link = Link(bits, latency / 1000.0)
+            link = Link(bits, latency / 1000.0, most_requests)
             film = _StripPictures(moments if strip_path is not None else 0)
             measured = simulation.run_trace(
                 walked, link, chosen, moments, stages, film.add, budget_splats=budget or 0

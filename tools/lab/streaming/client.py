@@ -104,10 +104,13 @@ class Link:
         Bandwidth.
     latency : float
         Time from a request to the first byte of its response on an idle link, s.
+    most_requests : int
+        Requests in flight at most: 6 over HTTP/1.1, 24 over HTTP/2 and HTTP/3 (SPEC 8.8).
     """
 
     bits_per_second: float
     latency: float
+    most_requests: int = 6
 
 
 @dataclass(frozen=True, eq=False)

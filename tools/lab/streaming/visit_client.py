@@ -32,7 +32,6 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 # docs/streaming.md, 11.
-_MAX_REQUESTS: Final = 6
 _MAX_REQUEST_BYTES: Final = 65_536
 _OBSERVED_SECONDS: Final = 0.25
 # Size of the first request (SPEC 8.8).
@@ -341,7 +340,8 @@ class _Run:
     def _request(self, chosen: Sequence[int], now: float) -> None:
         """Request chosen units, joining adjacent ones, until the window is full."""
         state = self._state
-        max_bytes = max(_MAX_REQUEST_BYTES, self._rate * self._link.latency / _MAX_REQUESTS)
+        link = self._link
+        max_bytes = max(_MAX_REQUEST_BYTES, self._rate * link.latency / link.most_requests)
         in_buffer = [unit for unit in chosen if self._units.end[unit] <= _FIRST_BYTES]
         for unit in in_buffer:
             if unit in state.buffered:
@@ -349,8 +349,8 @@ class _Run:
             else:
                 state.awaited.add(unit)
         queue = [unit for unit in chosen if unit not in in_buffer]
-        window = window_bytes(self._rate, self._link.latency)
-        while queue and len(state.requests) < _MAX_REQUESTS:
+        window = window_bytes(self._rate, link.latency)
+        while queue and len(state.requests) < link.most_requests:
             if (
                 state.requests
                 and sum(self._remaining_bytes(unit) for unit in state.in_flight()) >= window

@@ -4,7 +4,8 @@ import { CogsplatError, SourceError } from "../src/errors.js";
 import { loadKernels } from "../src/kernels/load.js";
 import { HttpSource, retryAfter } from "../src/loader/http_source.js";
 import { nextRequest } from "../src/loader/range_plan.js";
-import type { RetryingReader } from "../src/loader/retrying_reader.js";
+import { DEFAULT_RETRY } from "../src/loader/retry.js";
+import { RetryingReader } from "../src/loader/retrying_reader.js";
 import { SegmentRequests } from "../src/loader/segment_requests.js";
 import type { ChunkUpdate, StreamOptions } from "../src/loader/stream_options.js";
 import { type OpenOptions, StreamedScene } from "../src/loader/streamed_scene.js";
@@ -304,6 +305,24 @@ test("a request delivers its segments however the bytes are cut, without those o
       [2, second],
     ]);
   }
+});
+
+test("requests over HTTP/2 and HTTP/3 share a connection, as far as the browser tells", (context) => {
+  const expected = { h2: 24, h3: 24, "http/1.1": 6, "": 6 };
+  for (const [protocol, most] of Object.entries(expected)) {
+    const source = new HttpSource("http://localhost/scene.cogs");
+    assert.equal(source.mostRequests, 6);
+    const told = context.mock.method(performance, "getEntriesByName", (address: string, type: string) => {
+      assert.deepEqual([address, type], ["http://localhost/scene.cogs", "resource"]);
+      return [{ nextHopProtocol: "http/1.0" }, { nextHopProtocol: protocol }];
+    });
+    assert.equal(source.mostRequests, most);
+    assert.equal(new RetryingReader(source, DEFAULT_RETRY).mostRequests, most);
+    told.mock.restore();
+    // What the first answers told stays, for entries are dropped.
+    assert.equal(source.mostRequests, most);
+  }
+  assert.equal(new RetryingReader({ read: () => assert.fail("nothing is read") }, DEFAULT_RETRY).mostRequests, 6);
 });
 
 test("segments that share a part of their bytes come by requests of their own", () => {

@@ -309,11 +309,36 @@ test("bytes of stopped segments are kept up to a limit, the first stopped are dr
   requests.close();
 });
 
+test("as many requests are in flight as share the connection", () => {
+  for (const mostRequests of [6, 24]) {
+    let asked = 0;
+    const reader = {
+      mostRequests,
+      readParts: (_: unknown, signal: AbortSignal) => {
+        asked++;
+        return new Promise<void>((_, reject) => signal.addEventListener("abort", () => reject(signal.reason as Error)));
+      },
+    } as unknown as ConstructorParameters<typeof SegmentRequests>[0];
+    const requests = new SegmentRequests(reader, (unit) => ({ offset: 200 * unit, length: 100 }), {
+      received: () => assert.fail("no segment is complete"),
+      failed: () => assert.fail("nothing fails"),
+      ended: () => undefined,
+    });
+    requests.fillConnection(
+      Array.from({ length: 40 }, (_, unit) => unit),
+      () => "auto",
+    );
+    assert.equal(asked, mostRequests);
+    requests.close();
+  }
+});
+
 test("what was stopped goes on from the byte where it was, and what was asked for with it stops as well", async () => {
   const file = Uint8Array.from({ length: 1000 }, (_, i) => i & 255);
   const asked: [number, number, string | undefined][] = [];
   const takes: ((part: Uint8Array) => void)[] = [];
   const reader = {
+    mostRequests: 6,
     readParts: (
       range: { offset: number; length: number },
       signal: AbortSignal,

@@ -21,8 +21,13 @@ export interface Answer {
   readonly parts: AsyncIterable<Uint8Array>;
 }
 
+/** Maximum number of requests in flight where no more are known to share a connection (SPEC 8.8). */
+export const MAX_REQUESTS = 6;
+
 /** A source of bytes, for example a server or a file. */
 export interface ByteSource {
+  /** Maximum number of requests in flight; `MAX_REQUESTS` by default. */
+  readonly mostRequests?: number;
   /** Read a range; the answer is shorter where the file ends within it. */
   read(range: ByteRange, options?: ReadOptions): Promise<Answer>;
   /** Return the source of a path relative to this one, such as an object of a folder; required only for folders. */

@@ -6,6 +6,7 @@ import {
   LONGEST_PAUSE,
   lateness,
   lengthOf,
+  MAX_REQUESTS,
   type ReadOptions,
   readParts,
   withinPause,
@@ -24,6 +25,9 @@ export interface HttpOptions {
   readonly fetch?: typeof fetch;
 }
 
+/** Maximum number of requests in flight over HTTP/2 and HTTP/3, where all share one connection (SPEC 8.8). */
+const MAX_SHARED_REQUESTS = 24;
+
 /** Statuses after which a retry may succeed. */
 const RETRYABLE = new Set([408, 425, 429, 500, 502, 503, 504]);
 
@@ -31,6 +35,7 @@ const RETRYABLE = new Set([408, 425, 429, 500, 502, 503, 504]);
 export class HttpSource implements ByteSource {
   private etag: string | undefined;
   private total: number | undefined;
+  private sharesConnection: boolean | undefined;
 
   constructor(
     private readonly url: string | URL,
@@ -54,9 +59,26 @@ export class HttpSource implements ByteSource {
     }
   }
 
+  /**
+   * Maximum number of requests in flight: more where the browser has seen HTTP/2 or HTTP/3. Across origins it tells only
+   * what the server allows by `Timing-Allow-Origin`.
+   */
+  get mostRequests(): number {
+    if (this.sharesConnection === undefined) {
+      const seen = performance.getEntriesByName(this.address.href, "resource").at(-1);
+      if (seen === undefined) return MAX_REQUESTS;
+      this.sharesConnection = /^h[23]/.test((seen as PerformanceResourceTiming).nextHopProtocol);
+    }
+    return this.sharesConnection ? MAX_SHARED_REQUESTS : MAX_REQUESTS;
+  }
+
+  private get address(): URL {
+    return new URL(this.url, globalThis.document?.baseURI ?? globalThis.location?.href);
+  }
+
   /** Return a file relative to this one; it keeps the query of the address, which may hold a signature. */
   relative(name: string): HttpSource {
-    const own = new URL(this.url, globalThis.document?.baseURI ?? globalThis.location?.href);
+    const own = this.address;
     const url = new URL(name, own);
     url.search = own.search;
     return new HttpSource(url, this.options, false);

@@ -5,6 +5,7 @@ import {
   asSourceError,
   type ByteSource,
   GrowingBytes,
+  MAX_REQUESTS,
   PROGRESS_BYTES,
   type ReadOptions,
   skippedBytes,
@@ -22,6 +23,11 @@ export class RetryingReader {
     private readonly source: ByteSource,
     private readonly retry: RetryOptions,
   ) {}
+
+  /** Maximum number of requests in flight. */
+  get mostRequests(): number {
+    return this.source.mostRequests ?? MAX_REQUESTS;
+  }
 
   /**
    * Read a range that may extend beyond the end of the file.

@@ -1,7 +1,7 @@
 import type { ChunkService } from "../workers/decode_task.js";
+import { MAX_REQUESTS } from "./byte_source.js";
 import { nextRequest, type RangeRequest } from "./range_plan.js";
 import { type ChunkRows, type FetchSource, MOST_KEPT_BYTES, SceneFetch } from "./scene_fetch.js";
-import { MAX_REQUESTS } from "./segment_requests.js";
 import { bytesPerSplat, type ChunkInfo, type ChunkUpdate, type StreamOptions } from "./stream_options.js";
 
 /** Bytes of the first request after the beginning; each next one is twice as long, so that first chunks arrive soon. */

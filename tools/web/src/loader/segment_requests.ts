@@ -5,8 +5,6 @@ import { LinkEstimate } from "./link_estimate.js";
 import { nextRequest, type RangeRequest } from "./range_plan.js";
 import type { RetryingReader } from "./retrying_reader.js";
 
-/** Maximum number of requests in flight (SPEC 8.8). */
-export const MAX_REQUESTS = 6;
 /** Bytes of stopped segments kept at most: without a limit those of a city would fill the memory. */
 const MOST_PARTIAL_BYTES = 4 << 20;
 /** Maximum size of a request, bytes, except on fast connections; short, because a request is stopped as a whole. */
@@ -63,7 +61,7 @@ export class SegmentRequests {
   private get hasRoom(): boolean {
     const { bytesPerSecond, latency } = this.link;
     const toCome = this.inFlight.reduce((sum, segment) => sum + this.missing(segment).length, 0);
-    return this.count === 0 || (this.count < MAX_REQUESTS && toCome < windowBytes(bytesPerSecond, latency));
+    return this.count === 0 || (this.count < this.reader.mostRequests && toCome < windowBytes(bytesPerSecond, latency));
   }
 
   /**
@@ -76,7 +74,7 @@ export class SegmentRequests {
     const left = [...wanted];
     const { bytesPerSecond, latency } = this.link;
     // Fast connections are filled by longer requests.
-    const most = Math.max(REQUEST_BYTES, (bytesPerSecond * latency) / MAX_REQUESTS);
+    const most = Math.max(REQUEST_BYTES, (bytesPerSecond * latency) / this.reader.mostRequests);
     while (left.length > 0 && this.hasRoom) {
       const range = nextRequest(left, this.missing, most, 0)!;
       this.start(range, priority(range.segments[0]!));
