@@ -42,6 +42,7 @@ def capture_of_cameras(cameras: Sequence[Camera]) -> Capture:
     Capture
         At most 32 viewpoints, rounded to float32, in the order of the cameras. They are chosen
         farthest first (Gonzalez 1985), starting with the camera nearest to the mean position.
+        They may not stand for all cameras (`choose_capture`).
 
     Examples
     --------
@@ -105,8 +106,8 @@ def merged_capture(captures: Sequence[Capture]) -> Capture:
     Returns
     -------
     Capture
-        All different viewpoints, or 64 of them, farthest first; none if a scene has none, for
-        then the thickness of its splats is not known.
+        All different viewpoints; none if a scene has none, for then the thickness of its splats is
+        not known, and none if there are more than 64, of which no choice stands for all.
 
     Examples
     --------
@@ -118,7 +119,7 @@ def merged_capture(captures: Sequence[Capture]) -> Capture:
     if not all(captures):
         return ()
     different = dict.fromkeys(viewpoint for capture in captures for viewpoint in capture)
-    return _spread(np.array(list(different), np.float32).reshape(-1, 4), MAX_VIEWPOINTS)
+    return tuple(different) if len(different) <= MAX_VIEWPOINTS else ()
 
 
 def training_pixel(capture: Capture, position: NDArray[np.float64]) -> NDArray[np.float64]:

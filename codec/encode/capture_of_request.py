@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cogsplat.codec.capture import capture_of_cameras
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.capture_choice import choose_capture
 from cogsplat.codec.views.first_look import FirstLook
 from cogsplat.codec.views.trained_at import parse_trained_at
 
@@ -26,7 +26,7 @@ def with_capture_of(splats: Splats, request: EncodeRequest, look: FirstLook) -> 
         First look of the scene, whose core box says where its middle is.
     """
     if request.trained_at is None:
-        return splats.with_capture(capture_of_cameras(request.cameras or ()))
+        return splats.with_capture(choose_capture(splats, request.cameras or ()))
     core_box = np.zeros(6) if look.core_box is None else look.core_box
     return splats.without_capture().with_capture(
         parse_trained_at(request.trained_at).capture(core_box)

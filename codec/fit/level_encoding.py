@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.capture import capture_of_cameras
 from cogsplat.codec.encode import pipeline
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.encoded import EncodedChunk, EncodedLevel, EncodedScene
@@ -22,6 +21,7 @@ from cogsplat.codec.scoring.contribution import Scores, score
 from cogsplat.codec.segments.attributes import attribute_types, unpack_attributes
 from cogsplat.codec.segments.opacities import pack_opacities
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.capture_choice import choose_capture
 
 from .level_training import LevelledSplats, grow_levels, train_levels
 from .train_config import LevelsConfig, LevelsRequest
@@ -56,7 +56,7 @@ def make_levels(
     """
     cameras, config, pictures = request.cameras, request.config, request.pictures
     if not request.planned:
-        splats = splats.with_capture(capture_of_cameras(cameras))
+        splats = splats.with_capture(choose_capture(splats, cameras))
     if request.max_splats is None or pictures is None:
         levels = train_levels(splats, cameras, config, pictures=pictures, progress=progress)
     else:

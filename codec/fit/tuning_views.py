@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.capture import Capture, capture_of_cameras
+from cogsplat.codec.capture import Capture
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.capture_choice import choose_capture
 from cogsplat.codec.views.planner import ViewPlanConfig, plan
 from cogsplat.codec.views.view_sets import TEST_VIEWS, at_width, leave_out, sample_evenly
 
@@ -80,7 +81,7 @@ def choose_tuning_views(
         used, left_out = leave_out(at_width(cameras, shown_at))
         origin = "left-out" if left_out else "scored"
         tests = sample_evenly(left_out, TEST_VIEWS)
-        return TuningViews(used, (), tests, origin, capture_of_cameras(cameras))
+        return TuningViews(used, (), tests, origin, choose_capture(splats, cameras))
     # Quality in training views would be too optimistic: planned test views are separate.
     settings = ViewPlanConfig(threads=threads).at_width(shown_at)
     found = plan(splats, settings, progress=progress)

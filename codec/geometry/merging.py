@@ -77,8 +77,8 @@ def merge(parts: Sequence[Splats]) -> Splats:
     capture = merged_capture([part.info.capture for part in placed])
     if not capture and any(part.info.capture for part in placed):
         warnings.warn(
-            "not all parts know the viewpoints of their training pictures; in small pictures, all "
-            "are drawn as thick as usual",
+            "not all parts know the viewpoints of their training pictures, or there are more than "
+            "64; in small pictures, all are drawn as thick as usual",
             CogsplatWarning,
             stacklevel=2,
         )

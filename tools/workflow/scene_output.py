@@ -12,10 +12,10 @@ import click
 
 import cogsplat
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.capture import capture_of_cameras
 from cogsplat.codec.errors import CogsplatWarning
 from cogsplat.codec.geometry.baked_thickness import bake_thickness
 from cogsplat.codec.splats import Splats
+from cogsplat.codec.views.capture_choice import choose_capture
 from cogsplat.formats.scenes.registry import WRITABLE
 from cogsplat.formats.storage.atomic import storage_errors
 from cogsplat.tools.terminal.output import display_name, size_text
@@ -145,7 +145,7 @@ def write_any(
     if not writing.extras:
         splats = splats.without_extras()
     if writing.bake_kernel:
-        splats = bake_thickness(splats.with_capture(capture_of_cameras(cameras or ())))
+        splats = bake_thickness(splats.with_capture(choose_capture(splats, cameras or ())))
     if name == COGS_NAME:
         from cogsplat.codec.encode.config import EncodeConfig
         from cogsplat.codec.encode.request import EncodeRequest
