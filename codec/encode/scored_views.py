@@ -25,12 +25,12 @@ from .request import EncodeRequest
 _SINGLE_CAMERA_LIMIT: Final = 0.01
 """Share of contribution visible to at most one camera above which more views are scored.
 
-More of the given views first, then planned ones. docs/ablations.md, "Scoring large scenes", has the
+First more of the given views, then planned ones. docs/ablations.md, "Scoring large scenes", has the
 shares of scenes beside what further cameras show there and scored ones do not.
 """
 
 _GROWTH: Final = 4
-"""Growth of the number of scored views where they overlap too little."""
+"""Factor on the number of given views where they overlap too little."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,8 +227,8 @@ def score_given(
 ) -> tuple[list[Camera], Scores]:
     """Score a scene in the preset's number of given views, or in more where they overlap little.
 
-    Where single cameras show much that no other shows, as in rooms with walls between them, the
-    number of views is multiplied by four until they overlap or all are scored.
+    Where single cameras show much that no other shows, as in rooms with walls between them, four
+    times as many are scored, or all.
 
     Parameters
     ----------
@@ -261,17 +261,13 @@ def score_given(
 def _add_given(
     scorer: Scorer, cameras: Sequence[Camera], preset: Preset, config: ScoreConfig
 ) -> list[Camera]:
-    """Score given views until they overlap or all are scored; return the scored views."""
-    count = len(preset.views(cameras))
-    scored: list[int] = []
-    while True:
-        rest = sorted(set(range(len(cameras))) - set(scored))
-        further = sample_evenly(rest, count - len(scored)) if rest else []
+    """Score given views, more of them where they overlap too little; return the scored views."""
+    numbers = list(range(len(cameras)))
+    scored = sample_evenly(numbers, len(preset.views(cameras)))
+    scorer.add([cameras[number] for number in scored], jittered=config.jitter)
+    rest = [number for number in numbers if number not in scored]
+    if rest and single_camera_share(scorer.sums, config) > _SINGLE_CAMERA_LIMIT:
+        further = sample_evenly(rest, (_GROWTH - 1) * len(scored))
         scorer.add([cameras[number] for number in further], jittered=config.jitter)
         scored = sorted([*scored, *further])
-        if (
-            len(scored) == len(cameras)
-            or single_camera_share(scorer.sums, config) <= _SINGLE_CAMERA_LIMIT
-        ):
-            return [cameras[number] for number in scored]
-        count = min(_GROWTH * count, len(cameras))
+    return [cameras[number] for number in scored]

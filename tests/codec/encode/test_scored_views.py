@@ -74,6 +74,18 @@ def test_all_views_are_scored_where_each_shows_a_place_of_its_own(
     assert scores.contribution.tobytes() == score(splats, cameras, PLAIN).contribution.tobytes()
 
 
+def test_four_times_as_many_views_at_most_are_scored(
+    rooms: tuple[Splats, list[Camera]],
+) -> None:
+    splats, cameras = rooms
+    few = replace(FAST, most_views=4)
+    views, scores = score_given(splats, cameras, few, PLAIN)
+    assert len(views) == 16
+    assert set(few.views(cameras)) <= set(views)
+    assert [cameras.index(view) for view in views] == sorted(map(cameras.index, views))
+    assert scores.num_pixels == 16 * 40 * 30
+
+
 def test_planned_views_show_rooms_without_a_scored_camera(
     rooms: tuple[Splats, list[Camera]],
 ) -> None:
