@@ -106,8 +106,8 @@ def merged_capture(captures: Sequence[Capture]) -> Capture:
     Returns
     -------
     Capture
-        All different viewpoints; none if a scene has none, for then the thickness of its splats is
-        not known, and none if there are more than 64, of which no choice stands for all.
+        All different viewpoints. None if a scene has none, for then the thickness of its splats is
+        not known; none if there are more than 64, for a choice of them may be far from some scenes.
 
     Examples
     --------

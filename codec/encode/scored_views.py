@@ -23,10 +23,11 @@ from .presets import Preset
 from .request import EncodeRequest
 
 _SINGLE_CAMERA_LIMIT: Final = 0.01
-"""Share of contribution visible to at most one camera above which more views are scored.
+"""Most of all contribution that may come from splats which at most one camera shows.
 
-First more of the given views, then planned ones. docs/ablations.md, "Scoring large scenes", has the
-shares of scenes beside what further cameras show there and scored ones do not.
+Above it, more of the given views are scored; if it is still above, planned views too.
+docs/ablations.md, "Scoring large scenes", has the shares of scenes beside what other cameras show
+there and scored ones do not.
 """
 
 _GROWTH: Final = 4
@@ -192,8 +193,9 @@ def single_camera_share(scores: Scores | ViewSums, config: ScoreConfig) -> float
     scores : Scores or ViewSums
         Scores in the cameras.
     config : ScoreConfig
-        Settings of the scoring pass. A splat counts as shown by at most one camera if no more
-        views show it than one camera and its jittered copies (`SHOWN_WEIGHT`).
+        Settings of the scoring pass. A splat counts as shown by at most one camera if the
+        number of views that show it (`SHOWN_WEIGHT`) is at most that of one camera with its
+        jittered copies.
 
     Returns
     -------
@@ -228,7 +230,7 @@ def score_given(
     """Score a scene in the preset's number of given views, or in more where they overlap little.
 
     Where single cameras show much that no other shows, as in rooms with walls between them, four
-    times as many are scored, or all.
+    times as many are scored; all, if there are fewer.
 
     Parameters
     ----------

@@ -14,12 +14,13 @@ from cogsplat.codec.geometry.frustum import NEAR, in_picture
 from cogsplat.codec.splats import Splats
 
 _MOST_AREA: Final = 1.5
-"""Area of the training pixel by the chosen viewpoints, relative to that of a camera, at most.
+"""Most that a pixel of training may seem larger than it was, as a ratio of areas.
 
-In pictures of the other cameras it is 1.0 in a captured room, 0.9 in a house, 1.2 on a terrace, 1.9
-in a city of a million splats, and 11 in one of three million. From viewpoints far away, streets are
-drawn blurred: at 39.4 dB in place of 43.1 in the smaller city, at 24.8 in place of 36.8 dB in the
-other.
+A reader takes its size from the chosen viewpoints. In pictures of the cameras that are not chosen,
+the ratio is 1.0 in a captured room, 0.9 in a house, 1.2 on a terrace, 1.9 in a city of a million
+splats, and 11 in one of three million. Where it is large, splats are drawn too thick: a street of
+the smaller city had 39.4 dB against the source with viewpoints and 43.1 without, one of the larger
+city 24.8 and 36.8 dB.
 """
 
 # Splats and cameras that the area is measured for, about.
@@ -40,8 +41,8 @@ def choose_capture(splats: Splats, cameras: Sequence[Camera]) -> Capture:
     Returns
     -------
     Capture
-        Those of `capture.capture_of_cameras`; none where they would draw the scene clearly thicker
-        than it is in the pictures of the other cameras, as in a city.
+        Those of `capture.capture_of_cameras`; none where splats, drawn by them, would be clearly
+        thicker than in the pictures of the cameras that are not chosen, as in a city.
 
     Examples
     --------
@@ -67,10 +68,10 @@ def choose_capture(splats: Splats, cameras: Sequence[Camera]) -> Capture:
 
 
 def _relative_area(capture: Capture, camera: Camera, means: NDArray[np.float64]) -> float:
-    """Return the mean area of the training pixel in a picture, relative to the picture's pixel.
+    """Return the area of the training pixel over that of the camera's pixel, a mean over splats.
 
-    A splat counts by the inverse square of its distance, as does the area in which it is drawn. 1
-    for a picture without splats.
+    A splat weighs as the area that it covers in the picture: by the inverse square of its distance.
+    1 for a picture without splats.
     """
     means = means[in_picture(means, camera, NEAR)]
     if not len(means):

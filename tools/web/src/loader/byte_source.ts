@@ -21,7 +21,7 @@ export interface Answer {
   readonly parts: AsyncIterable<Uint8Array>;
 }
 
-/** Maximum number of requests in flight where no more are known to share a connection (SPEC 8.8). */
+/** Maximum number of requests in flight, unless the source knows that more share a connection (SPEC 8.8). */
 export const MAX_REQUESTS = 6;
 
 /** A source of bytes, for example a server or a file. */

@@ -60,8 +60,8 @@ export class HttpSource implements ByteSource {
   }
 
   /**
-   * Maximum number of requests in flight: more where the browser has seen HTTP/2 or HTTP/3. Across origins it tells only
-   * what the server allows by `Timing-Allow-Origin`.
+   * Maximum number of requests in flight: 24 once the browser has told that the server speaks HTTP/2 or HTTP/3. Of
+   * another origin it tells so only if the server sends `Timing-Allow-Origin`.
    */
   get mostRequests(): number {
     if (this.sharesConnection === undefined) {
