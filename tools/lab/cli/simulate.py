@@ -139,7 +139,7 @@ _GROUPS: Final = {
     default=6,
     show_default=True,
     metavar="N",
-    help="Requests at a time, at most, of the policy `visit`. Browsers send 6 over HTTP/1.1; the npm "
+    help="Requests at a time, at most, of the policy visit. Browsers send 6 over HTTP/1.1; the npm "
     "package sends 24 over HTTP/2 and HTTP/3.",
 )
 @click.option(
