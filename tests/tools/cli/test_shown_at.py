@@ -10,6 +10,8 @@ from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.render.rasteriser import render
 from cogsplat.codec.views.planner import ViewPlanConfig
 from cogsplat.codec.views.view_sets import at_width
+from cogsplat.formats.cameras.inria import write_cameras_json
+from cogsplat.tools.lab.synthetic.terrace import synth_cameras
 
 FAST = ["--preset", "fast", "--json"]
 
@@ -30,9 +32,13 @@ def test_quality_is_chosen_and_told_in_pictures_of_the_width(
     run: Run, small: SmallScene, tmp_path: Path
 ) -> None:
     usual, out = tmp_path / "usual.cogs", tmp_path / "small.cogs"
-    given = ["--cameras", small.cameras, *FAST]
+    # So many cameras that they overlap at each width, and no further views are planned.
+    cameras = tmp_path / "cameras.json"
+    write_cameras_json(synth_cameras(24, 64, 48), cameras)
+    given = ["--cameras", cameras, *FAST]
     of_cameras = run("encode", small.ply, usual, *given).json
     told = run("encode", small.ply, out, *given, "--shown-at", "32px", "--measure").json
+    assert told["scored_views_from"] == of_cameras["scored_views_from"] == "given"
     # Details below a pixel cost nothing.
     assert told["bytes"] < of_cameras["bytes"]
     words = ["compare", small.ply, out, *given[:2], "--json", "--shown-at", 32]
