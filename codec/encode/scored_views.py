@@ -87,9 +87,8 @@ def score_scene(splats: Splats, request: EncodeRequest, progress: Progress) -> S
         used = list(request.cameras)
     # An empty list of cameras is refused here; only None plans views.
     scorer = _scorer(splats, request, progress)
-    views = _add_given(scorer, used, request.effort, request.scoring)
-    single = single_camera_share(scorer.sums, request.scoring)
-    if single <= _SINGLE_CAMERA_LIMIT or not left_out:
+    views, share = _add_given(scorer, used, request.effort, request.scoring)
+    if share <= _SINGLE_CAMERA_LIMIT or not left_out:
         return _given_views(request, views, scorer.scores())
     return _score_planned(splats, request, progress, scorer, views)
 
@@ -256,20 +255,28 @@ def score_given(
         ``no-cameras``, ``cameras-see-nothing``.
     """
     scorer = Scorer(splats, config, progress=progress)
-    views = _add_given(scorer, cameras, preset, config)
+    views, _ = _add_given(scorer, cameras, preset, config)
     return views, scorer.scores()
 
 
 def _add_given(
     scorer: Scorer, cameras: Sequence[Camera], preset: Preset, config: ScoreConfig
-) -> list[Camera]:
-    """Score given views, more of them where they overlap too little; return the scored views."""
-    numbers = list(range(len(cameras)))
+) -> tuple[list[Camera], float]:
+    """Score the preset's number of given views, and more if single cameras show much.
+
+    Returns
+    -------
+    (list of Camera, float)
+        Scored views in the order of the given ones, and their `single_camera_share`.
+    """
+    numbers = range(len(cameras))
     scored = sample_evenly(numbers, len(preset.views(cameras)))
     scorer.add([cameras[number] for number in scored], jittered=config.jitter)
-    rest = [number for number in numbers if number not in scored]
-    if rest and single_camera_share(scorer.sums, config) > _SINGLE_CAMERA_LIMIT:
+    share = single_camera_share(scorer.sums, config)
+    rest = sorted(set(numbers) - set(scored))
+    if rest and share > _SINGLE_CAMERA_LIMIT:
         further = sample_evenly(rest, (_GROWTH - 1) * len(scored))
         scorer.add([cameras[number] for number in further], jittered=config.jitter)
         scored = sorted([*scored, *further])
-    return [cameras[number] for number in scored]
+        share = single_camera_share(scorer.sums, config)
+    return [cameras[number] for number in scored], share

@@ -13,6 +13,8 @@ from cogsplat.codec.capture import Capture, capture_of_cameras, training_pixel
 from cogsplat.codec.geometry.frustum import NEAR, in_picture
 from cogsplat.codec.splats import Splats
 
+from .view_sets import sample_evenly
+
 _MOST_AREA: Final = 1.5
 """Most that a pixel of training may seem larger than it was, as a ratio of areas.
 
@@ -23,7 +25,7 @@ the smaller city had 39.4 dB against the source with viewpoints and 43.1 without
 city 24.8 and 36.8 dB.
 """
 
-# Splats and cameras that the area is measured for, about.
+# Splats that the area is measured for, about, and cameras at most.
 _MEASURED_SPLATS: Final = 8_192
 _MEASURED_CAMERAS: Final = 64
 
@@ -53,8 +55,6 @@ def choose_capture(splats: Splats, cameras: Sequence[Camera]) -> Capture:
     True
     """
     chosen = capture_of_cameras(cameras)
-    if len(chosen) == len(cameras):
-        return chosen
     known = {viewpoint[:3] for viewpoint in chosen}
     others = [
         camera
@@ -62,7 +62,7 @@ def choose_capture(splats: Splats, cameras: Sequence[Camera]) -> Capture:
         if tuple(camera.position.astype(np.float32).tolist()) not in known
     ]
     means = splats.means[:: max(1, len(splats) // _MEASURED_SPLATS)].astype(np.float64)
-    measured = others[:: max(1, len(others) // _MEASURED_CAMERAS)]
+    measured = sample_evenly(others, _MEASURED_CAMERAS)
     areas = [_relative_area(chosen, camera, means) for camera in measured]
     return chosen if not areas or np.median(areas) <= _MOST_AREA else ()
 

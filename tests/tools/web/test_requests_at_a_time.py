@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from certificates import made_certificate
 from running import SmallScene
 
 from cogsplat.tools.delivery.file_app import FileApp
@@ -39,8 +40,6 @@ def test_requests_share_a_connection_over_http2(
     encrypted: bool,
     most: int,
 ) -> None:
-    from certificates import made_certificate
-
     module = (web_package / "dist" / "cogsplat.js").read_bytes()
     pages = {"index.html": b"<!doctype html>", "cogsplat.js": module}
     app = FileApp(small.cogs, ShapedLink(LinkQuality()), pages)

@@ -27,7 +27,7 @@ export const MAX_REQUESTS = 6;
 /** A source of bytes, for example a server or a file. */
 export interface ByteSource {
   /** Maximum number of requests in flight; `MAX_REQUESTS` by default. */
-  readonly mostRequests?: number;
+  readonly mostRequests?: number | undefined;
   /** Read a range; the answer is shorter where the file ends within it. */
   read(range: ByteRange, options?: ReadOptions): Promise<Answer>;
   /** Return the source of a path relative to this one, such as an object of a folder; required only for folders. */

@@ -1,7 +1,7 @@
 import type { FolderIndex, FolderObject } from "../container/folder_index.js";
 import type { ByteRange } from "../container/scene_index.js";
 import { CogsplatError, SourceError } from "../errors.js";
-import { type Answer, type ByteSource, MAX_REQUESTS, type ReadOptions, readAll, readParts } from "./byte_source.js";
+import { type Answer, type ByteSource, type ReadOptions, readAll, readParts } from "./byte_source.js";
 
 /** Maximum size of the whole objects kept from a server without ranges, bytes. */
 const KEPT_BYTES = 32 * 2 ** 20;
@@ -21,8 +21,8 @@ export class FolderSource implements ByteSource {
       throw new SourceError("the manifest of a folder, expected its URL", undefined, false);
   }
 
-  get mostRequests(): number {
-    return this.manifest.mostRequests ?? MAX_REQUESTS;
+  get mostRequests(): number | undefined {
+    return this.manifest.mostRequests;
   }
 
   async read(range: ByteRange, options: ReadOptions = {}): Promise<Answer> {

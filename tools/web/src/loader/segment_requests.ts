@@ -58,10 +58,10 @@ export class SegmentRequests {
   }
 
   /** Whether the connection has room for another request; more requests than it needs only delay the first. */
-  private get hasRoom(): boolean {
+  private hasRoom(mostRequests: number): boolean {
     const { bytesPerSecond, latency } = this.link;
     const toCome = this.inFlight.reduce((sum, segment) => sum + this.missing(segment).length, 0);
-    return this.count === 0 || (this.count < this.reader.mostRequests && toCome < windowBytes(bytesPerSecond, latency));
+    return this.count === 0 || (this.count < mostRequests && toCome < windowBytes(bytesPerSecond, latency));
   }
 
   /**
@@ -73,9 +73,10 @@ export class SegmentRequests {
   fillConnection(wanted: readonly number[], priority: (segment: number) => RequestPriority): void {
     const left = [...wanted];
     const { bytesPerSecond, latency } = this.link;
+    const { mostRequests } = this.reader;
     // Fast connections are filled by longer requests.
-    const most = Math.max(REQUEST_BYTES, (bytesPerSecond * latency) / this.reader.mostRequests);
-    while (left.length > 0 && this.hasRoom) {
+    const most = Math.max(REQUEST_BYTES, (bytesPerSecond * latency) / mostRequests);
+    while (left.length > 0 && this.hasRoom(mostRequests)) {
       const range = nextRequest(left, this.missing, most, 0)!;
       this.start(range, priority(range.segments[0]!));
     }
