@@ -53,10 +53,11 @@ def encode(
     preview : PreviewMaker, optional
         Maker of the preview splats; required by `EncodeConfig.preview`.
     progress : Progress
-        Called with the stages ``plan views``, ``score``, ``reference views``, the stages of the
-        order, ``regions``, ``order``, ``codebooks``, ``quantisers``, ``chunks``, ``view table``,
-        ``preview``, ``compensate`` and ``predict``. A search for a target repeats some of these
-        stages within the stage ``search``. A stage of one step is reported when it is done.
+        Called with the stages ``plan views``, ``score`` (``regions`` if scores are given),
+        ``reference views``, the stages of the order, ``order``, ``codebooks``, ``quantisers``,
+        ``chunks``, ``view table``, ``preview``, ``compensate`` and ``predict``. A search for a
+        target repeats some of these stages within the stage ``search``. A stage of one step is
+        reported when it is done.
 
     Returns
     -------
@@ -102,6 +103,7 @@ def encode(
         references=references,
         effort=request.effort.gain,
         basis=request.basis,
+        group_shares=scored.group_shares,
         workspace=request.workspace,
         executor=request.view_executor,
         progress=timed,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
-from cogsplat.codec.executor import Executor, LocalThreads
+from cogsplat.codec.executor import Executor
 from cogsplat.codec.order import chunk_plan, objects
 from cogsplat.codec.order.gain_effort import GainEffort
 from cogsplat.codec.order.orders import OrderInputs, order_rows
@@ -21,12 +21,13 @@ from cogsplat.codec.partition.nested_cells import (
     Region,
     nested_cells,
 )
-from cogsplat.codec.partition.regions import find_regions
+from cogsplat.codec.partition.regions import split_regions
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.rate import allocation
 from cogsplat.codec.rate.pruning import keep_mask
 from cogsplat.codec.scoring.contribution import Scores
 from cogsplat.codec.scoring.reference_views import ReferenceViews
+from cogsplat.codec.scoring.splat_groups import GroupShares
 from cogsplat.codec.segments.codebooks import EncodedCodebook
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams.grid import MAX_VALUE
@@ -165,6 +166,7 @@ def prepare(
     references: ReferenceViews | None = None,
     effort: GainEffort | None = None,
     basis: EncodedCodebook | None = None,
+    group_shares: GroupShares | None = None,
     workspace: Workspace = IN_MEMORY,
     executor: Executor | None = None,
     progress: Progress = silent,
@@ -180,7 +182,7 @@ def prepare(
     config : EncodeConfig
         Configuration of the encode.
     views : sequence of Camera
-        Scored views, for orders that render and for the regions of cells.
+        Scored views, for orders that render.
     jitter : bool
         Use jittered copies of the views in orders that render.
     references : ReferenceViews, optional
@@ -189,12 +191,14 @@ def prepare(
         Effort of the order by marginal gain.
     basis : EncodedCodebook, optional
         Basis of shN of another file, to use as it is.
+    group_shares : GroupShares, optional
+        Shares of groups of splats in the views, from which cells get regions.
     workspace : Workspace
         Allocator of decoded splats.
     executor : Executor, optional
         Runs the work of single views; None for threads of this process.
     progress : Progress
-        Called with the stages of orders that render, and with ``regions``.
+        Called with the stages of orders that render.
 
     Raises
     ------
@@ -220,22 +224,27 @@ def prepare(
     inflated = config.ordering.inflated and config.compensate
     rows = order_rows(config.order, scene, replace(config.ordering, inflated=inflated))
     regions = WHOLE_SCENE
-    if config.cells and views:
-        smallest, _ = _cell_sizes(config)
-        lagrangian = allocation.lagrangian(scores, config.quality_db)
-        is_stored = keep_mask(splats, scores, config.pruning, lagrangian)
-        regions = find_regions(
-            splats,
-            is_stored,
-            views,
-            smallest=smallest,
-            saving=_LEAST_SAVING_CHUNKS * smallest,
-            workspace=workspace,
-            executor=executor or LocalThreads(config.threads),
-            progress=progress,
-        )
+    if config.cells and group_shares is not None:
+        regions = _find_regions(splats, scores, config, group_shares)
     return PreparedScene(
         splats, rows[kept[rows]], scores, config, workspace, basis=basis, regions=regions
+    )
+
+
+def _find_regions(
+    splats: Splats, scores: Scores, config: EncodeConfig, seen: GroupShares
+) -> Region:
+    """Return the regions of the splats that are stored at the nominal quality."""
+    smallest, _ = _cell_sizes(config)
+    lagrangian = allocation.lagrangian(scores, config.quality_db)
+    stored = np.flatnonzero(keep_mask(splats, scores, config.pruning, lagrangian))
+    counts = np.bincount(seen.groups.numbers[stored], minlength=len(seen.groups))
+    return split_regions(
+        seen.groups.centres,
+        counts,
+        seen.shares,
+        smallest=smallest,
+        saving=_LEAST_SAVING_CHUNKS * smallest,
     )
 
 

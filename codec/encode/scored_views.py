@@ -13,6 +13,7 @@ from cogsplat.codec.errors import DataError
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.scoring.contribution import Scorer, Scores
 from cogsplat.codec.scoring.score_config import ScoreConfig
+from cogsplat.codec.scoring.splat_groups import GroupShares, group_splats, measure_shares
 from cogsplat.codec.scoring.view_sums import ViewSums
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.planner import ViewPlan, plan
@@ -50,6 +51,8 @@ class ScoredViews:
         Whether jittered copies of the views were scored as well.
     report : EncodeReport
         Origin of the views, origin of the test views, and coverage.
+    group_shares : GroupShares or None
+        Shares of groups of splats in the views, for the regions of cells; None without cells.
     """
 
     scores: Scores | None
@@ -57,6 +60,7 @@ class ScoredViews:
     test_views: Sequence[Camera]
     jitter: bool
     report: EncodeReport
+    group_shares: GroupShares | None = None
 
 
 def score_scene(splats: Splats, request: EncodeRequest, progress: Progress) -> ScoredViews:
@@ -79,7 +83,17 @@ def score_scene(splats: Splats, request: EncodeRequest, progress: Progress) -> S
     """
     if request.scores is not None or not len(splats):
         given = list(request.cameras or ())
-        return _given_views(request, given, request.scores)
+        scored = _given_views(request, given, request.scores)
+        if not (request.config.cells and given and len(splats)):
+            return scored
+        shares = measure_shares(
+            splats,
+            given,
+            workspace=request.workspace,
+            executor=request.view_executor,
+            progress=progress,
+        )
+        return replace(scored, group_shares=shares)
     if request.cameras is None:
         return _score_planned(splats, request, progress)
     used, left_out = leave_out(request.cameras)
@@ -89,7 +103,8 @@ def score_scene(splats: Splats, request: EncodeRequest, progress: Progress) -> S
     scorer = _scorer(splats, request, progress)
     views, share = _add_given(scorer, used, request.effort, request.scoring)
     if share <= _SINGLE_CAMERA_LIMIT or not left_out:
-        return _given_views(request, views, scorer.scores())
+        given_views = _given_views(request, views, scorer.scores())
+        return replace(given_views, group_shares=scorer.group_shares)
     return _score_planned(splats, request, progress, scorer, views)
 
 
@@ -100,6 +115,7 @@ def _scorer(splats: Splats, request: EncodeRequest, progress: Progress) -> Score
         request.scoring,
         workspace=request.workspace,
         executor=request.executor,
+        groups=group_splats(splats.means, request.workspace) if request.config.cells else None,
         progress=progress,
     )
 
@@ -167,7 +183,7 @@ def _score_planned(
         ) from error
     found = "given and planned" if given else "planned"
     report = EncodeReport(views=found, test_views=origin, coverage=planned.coverage)
-    return ScoredViews(scores, views, tests, jittered, report)
+    return ScoredViews(scores, views, tests, jittered, report, scorer.group_shares)
 
 
 def _plan_views(splats: Splats, request: EncodeRequest, progress: Progress) -> ViewPlan:

@@ -39,7 +39,8 @@ _WITHOUT_JITTER: Final = 1 / 3
 # Costs with the preset `balanced`: fixed, and for each splat.
 _GAIN: Final = (5.5, 6e-5)
 _COMPENSATE: Final = (1.35, 3.7e-5)
-# Cost per view of regions and of a view table: for each pixel, and for each splat.
+# Cost per view, for each pixel and for each splat: of a view table, and of regions where scores are
+# given.
 _VIEW_TABLE: Final = (1.4e-7, 4e-7)
 # The first prefix of the order by marginal gain, as a share of the scene. All splats are taken as
 # effective here.
@@ -96,6 +97,8 @@ def stage_costs(splats: int, request: EncodeRequest, *, scored: bool = False) ->
     predictions = min(preset.prediction_views, len(cameras) if cameras else views)
     prediction = _of_view(_PREDICT, pixels, splats)
     costs = [StageCost("plan views", _PLAN)] if planned else []
+    if scored and cameras and config.cells:
+        costs.append(StageCost("regions", _of_view(_VIEW_TABLE, MAX_PIXELS, splats), views))
     if not scored:
         costs.append(_scoring(splats, views, pixels, preset, jitter=jitter))
     if seen and (fits or order == "gain"):
@@ -104,8 +107,6 @@ def stage_costs(splats: int, request: EncodeRequest, *, scored: bool = False) ->
         costs.append(_references(splats, min(views, preset.reference_views), share * pixels, ratio))
     if order == "gain":
         costs.append(_gain(splats, preset))
-    if seen and config.cells:
-        costs.append(StageCost("regions", _of_view(_VIEW_TABLE, MAX_PIXELS, splats), views))
     costs.append(StageCost("order", _of_scene(_ORDER, splats)))
     books = _of_scene(_CODEBOOKS, splats) if config.profile == "vq" else 0.0
     quantisers = _of_scene(_QUANTISERS, splats)

@@ -130,8 +130,9 @@ def tune(
     rest. The remaining splats are then trained through the encoder's quantisers, with
     straight-through gradients.
 
-    For a target PSNR, the source is also encoded without training. This encode is the result if it
-    is smaller, as for small scenes and for targets that need nearly all splats.
+    For a target PSNR, the source is also encoded without training. This encode is the result if no
+    splat can be deleted or if it is smaller, as for small scenes and for targets that need nearly
+    all splats.
 
     Parameters
     ----------
@@ -183,18 +184,32 @@ def tune(
     if run.base is None:
         run.prune(source_seconds)
         run.base = run.trainer.copy()
+    if of_source is not None and untuned is not None and run.needs_all:
+        return _untuned_result(source, of_source, untuned, notify)
     begin = run.time_budget.now()
     quantised = make_quantised(run.base)
     if resume is not None:
         quantised.restore_codebooks(resume)
     encoded = run.train_quantised(quantised, run.time_budget.now() - begin)
-    if of_source is not None and untuned is not None:
-        measurement = of_source.measure(untuned)
-        if measurement[-1] < quantised.measure(encoded)[-1]:
-            if notify is not None:
-                notify(Milestone("untuned", *measurement))
-            return TuneResult(of_source.finish(untuned), source)
+    if (
+        of_source is not None
+        and untuned is not None
+        and of_source.measure(untuned)[-1] < quantised.measure(encoded)[-1]
+    ):
+        return _untuned_result(source, of_source, untuned, notify)
     return TuneResult(quantised.finish(encoded), run.base)
+
+
+def _untuned_result(
+    source: Splats,
+    of_source: QuantisedTraining,
+    untuned: EncodedScene,
+    notify: Callable[[Milestone], None] | None,
+) -> TuneResult:
+    """Return the encode of the untrained source as the result."""
+    if notify is not None:
+        notify(Milestone("untuned", *of_source.measure(untuned)))
+    return TuneResult(of_source.finish(untuned), source)
 
 
 class _TuningRun:
@@ -210,6 +225,7 @@ class _TuningRun:
     ) -> None:
         self.base: Splats | None = None
         config, views = request.config, request.views
+        self._request = request
         self._target = request.target
         self._config = config
         self._checkpoint = checkpoint
@@ -279,7 +295,18 @@ class _TuningRun:
             while (count := next_count(self._count, self._corrected_to, keep)) is not None:
                 self._run_round(count)
             self._corrected_to = 0
+            if self.needs_all:
+                return
             self._recover()
+
+    @property
+    def needs_all(self) -> bool:
+        """Whether renders of the source are to be shown by all of its splats.
+
+        They show them without training, and training through the quantisers makes them worse: a
+        terrace that needs all of its splats at 38.5 dB then has 38.1 dB in eight times the bytes.
+        """
+        return self._request.photos is None and self._count == self._source_count
 
     def _run_round(self, count: int) -> None:
         """Merge similar splats, prune down to `count` splats, and train."""

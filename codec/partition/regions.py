@@ -7,104 +7,24 @@ rendered pictures, which know walls.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-
-from cogsplat.codec.cameras import Camera
-from cogsplat.codec.executor import Executor
-from cogsplat.codec.geometry.morton import spatial_order
-from cogsplat.codec.progress import Progress, silent
-from cogsplat.codec.scoring.chunk_contributions import chunk_contributions
-from cogsplat.codec.splats import Splats
-from cogsplat.codec.workspace import IN_MEMORY, Workspace
 
 from .nested_cells import WHOLE_SCENE, Region
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-# Splats of a group, the unit of visibility, and groups at most: contributions of all groups to all
-# views have to fit into memory.
-_GROUP_SPLATS: Final = 256
-_MOST_GROUPS: Final = 16_384
-
-_GROUPS_PER_TRIM: Final = 16
-
 # Share of a picture from which a view is assumed to fetch a whole region; smaller shares count in
 # proportion.
-_SEEN_SHARE: Final = 1e-3
+_SEEN_SHARE: Final = 2e-3
 
 # Least share of a region that a split must save a view that fetches the region. The best plane
 # through a captured room saves 0.01, through a terrace 0.02, through a house of six rooms 0.34, and
 # through parts of its rooms 0.12 to 0.4.
 _LEAST_SAVING: Final = 0.1
-
-
-def find_regions(
-    splats: Splats,
-    is_stored: NDArray[np.bool_],
-    cameras: Sequence[Camera],
-    *,
-    smallest: int,
-    saving: int,
-    workspace: Workspace = IN_MEMORY,
-    executor: Executor | None = None,
-    progress: Progress = silent,
-) -> Region:
-    """Split a scene by planes into regions of which each view sees few.
-
-    Parameters
-    ----------
-    splats : Splats
-        Scene of N splats.
-    is_stored : (N,) bool
-        Splats that count; a view fetches no others.
-    cameras : sequence of Camera
-        Views of the scene, in the frame of the means.
-    smallest, saving : int
-        Least splats of a region, and least mean number of splats that a split must save a view
-        that fetches the region.
-    workspace : Workspace
-        Allocator of long arrays.
-    executor : Executor, optional
-        Executor of the work on single views; by default threads of this process.
-    progress : Progress
-        Called with ``("regions", views done, views)``.
-
-    Returns
-    -------
-    Region
-        Root of the tree.
-    """
-    count = min(-(-len(splats) // _GROUP_SPLATS), _MOST_GROUPS)
-    if is_stored.sum() < 2 * smallest or not cameras:
-        return WHOLE_SCENE
-    order = workspace.zeros((len(splats),), np.int64)
-    order[:] = spatial_order(splats.means)
-    bounds = np.linspace(0, len(order), count + 1).astype(np.int64)
-    group = workspace.zeros((len(order),), np.int32)
-    centres = np.empty((count, 3))
-    for number, (start, stop) in enumerate(pairwise(bounds.tolist())):
-        rows = order[start:stop]
-        if number % _GROUPS_PER_TRIM == 0:
-            workspace.trim()
-        group[rows] = number
-        centres[number] = splats.means[rows].mean(axis=0, dtype=np.float64)
-    shares = chunk_contributions(
-        splats,
-        group,
-        count,
-        cameras,
-        workspace=workspace,
-        executor=executor,
-        progress=lambda _, done, views: progress("regions", done, views),
-    )
-    stored = np.bincount(group[is_stored], minlength=count)
-    return split_regions(centres, stored, shares, smallest=smallest, saving=saving)
 
 
 def split_regions(centres: F64, splats: I64, shares: F64, *, smallest: int, saving: int) -> Region:

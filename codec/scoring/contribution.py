@@ -13,7 +13,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.executor import Executor, LocalThreads
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.codec.render.blend_weights import PEAK, SQUARE
+from cogsplat.codec.render.blend_weights import PEAK, SQUARE, WEIGHT
 from cogsplat.codec.render.cuda_views import CudaScene
 from cogsplat.codec.render.sensitivities import COLUMNS, Sensitivities, from_columns
 from cogsplat.codec.render.splat_blocks import add_hidden, blocks_if_large
@@ -24,6 +24,7 @@ from cogsplat.codec.views.roam_views import jitter
 from cogsplat.codec.workspace import IN_MEMORY, Gather, Workspace
 
 from .score_config import ScoreConfig
+from .splat_groups import GroupShares, SplatGroups
 from .view_scores import ViewScores, score_on_device, score_view
 from .view_sums import ViewSums, add_rows
 
@@ -150,6 +151,8 @@ class Scorer:
     ----------
     splats, config, workspace, executor, progress
         See `score`.
+    groups : SplatGroups, optional
+        Groups of the splats whose shares of the pictures are recorded.
 
     Attributes
     ----------
@@ -164,6 +167,7 @@ class Scorer:
         *,
         workspace: Workspace = IN_MEMORY,
         executor: Executor | None = None,
+        groups: SplatGroups | None = None,
         progress: Progress = silent,
     ) -> None:
         if executor is not None and config.device == "cuda":
@@ -176,6 +180,8 @@ class Scorer:
         self._config = config
         self._workspace = workspace
         self._executor = executor
+        self._groups = groups
+        self._shares: list[NDArray[np.float64]] = []
         self._progress = progress
         self._device = CudaScene(splats) if config.device == "cuda" else None
         self._blocks = None if self._device else blocks_if_large(splats, workspace)
@@ -206,6 +212,7 @@ class Scorer:
         config, every = self._config, self._config.sensitivity_every
         views = list(cameras)
         shares = [0.0 if covering else 1.0] * len(views)
+        recorded = 0 if covering else len(views)
         if jittered:
             copies = jitter(self._splats, cameras, config.jitter_copies, self._cameras)
             views += copies
@@ -225,9 +232,25 @@ class Scorer:
         work = list(zip(views, phases, strict=True))
         self._progress("score", numbers.start, self._views)
         for done, result in enumerate(self._results(work)):
+            if self._groups is not None and done < recorded:
+                self._record(self._groups, result, work[done][0])
             self._add(result, *work[done], shares[done])
             self._workspace.trim()
             self._progress("score", numbers[done] + 1, self._views)
+
+    def _record(self, groups: SplatGroups, result: ViewScores, camera: Camera) -> None:
+        """Record the shares of groups in the picture of one view."""
+        sums = groups.sums(result.seen, result.weight_sums[:, WEIGHT])
+        self._shares.append(sums / (camera.width * camera.height))
+
+    @property
+    def group_shares(self) -> GroupShares | None:
+        """Shares of groups in all cameras so far, without moved copies and covering views."""
+        if self._groups is None:
+            return None
+        return GroupShares(
+            self._groups, np.array(self._shares).reshape(len(self._shares), len(self._groups))
+        )
 
     def _results(self, work: Sequence[tuple[Camera, int]]) -> Iterator[ViewScores]:
         """Yield the scores of each view, in their order."""

@@ -9,6 +9,7 @@ from cogsplat.codec.order.chunk_plan import plan_chunks
 from cogsplat.codec.partition.nested_cells import WHOLE_SCENE, parents
 from cogsplat.codec.rate.pruning import PruneConfig
 from cogsplat.codec.scoring.contribution import zero_scores
+from cogsplat.codec.scoring.splat_groups import measure_shares
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, synth_rooms
 
 
@@ -93,7 +94,8 @@ def test_rooms_are_cut_apart_before_they_are_cut_into_layers():
     scene = synth_rooms(4, 8000, sh_degree=0)
     views = [camera.downscaled(8) for camera in rooms_cameras(4, views=4)]
     config = unseen(prune=None, cells=True, chunk_splats=1024)
-    prepared = prepare(scene, zero_scores(8000), config, views=views)
+    shares = measure_shares(scene, views)
+    prepared = prepare(scene, zero_scores(8000), config, group_shares=shares)
     assert prepared.regions.halves is not None
     layout = prepared.lay_out(40.0)
     np.testing.assert_array_equal(np.sort(layout.rows), np.arange(8000))
@@ -103,5 +105,5 @@ def test_rooms_are_cut_apart_before_they_are_cut_into_layers():
     for run in layout.slices[1:]:
         is_low = layout.part(run).means[:, axis] < plane
         assert is_low.all() or not is_low.any()
-    # Without views nothing tells rooms apart.
+    # Without shares nothing tells rooms apart.
     assert prepare(scene, zero_scores(8000), config).regions is WHOLE_SCENE

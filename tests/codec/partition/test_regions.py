@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.partition.nested_cells import WHOLE_SCENE, Region
-from cogsplat.codec.partition.regions import find_regions, split_regions
+from cogsplat.codec.partition.regions import split_regions
+from cogsplat.codec.scoring.splat_groups import measure_shares
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, synth_rooms
 
 SIZES = {"smallest": 100, "saving": 100}
@@ -80,9 +81,11 @@ def test_the_order_of_groups_does_not_matter() -> None:
 def test_planes_follow_the_walls_of_a_house() -> None:
     splats = synth_rooms(4, 12_000, sh_degree=0)
     cameras = [camera.downscaled(8) for camera in rooms_cameras(4, views=4)]
-    is_stored = np.ones(len(splats), np.bool_)
-    found = find_regions(splats, is_stored, cameras, smallest=500, saving=500)
+    seen = measure_shares(splats, cameras)
+    centres, counts = seen.groups.centres, np.bincount(seen.groups.numbers)
+    found = split_regions(centres, counts, seen.shares, smallest=500, saving=500)
     assert leaves(found) >= 4
-    # Splats that are not stored cost a view nothing.
-    assert find_regions(splats, ~is_stored, cameras, smallest=500, saving=500) is WHOLE_SCENE
-    assert find_regions(splats, is_stored, [], smallest=500, saving=500) is WHOLE_SCENE
+    # Splats that are not stored cost a view nothing, and no view fetches any.
+    none = np.zeros_like(counts)
+    assert split_regions(centres, none, seen.shares, smallest=500, saving=500) is WHOLE_SCENE
+    assert split_regions(centres, counts, seen.shares[:0], smallest=500, saving=500) is WHOLE_SCENE
