@@ -10,7 +10,7 @@ import numpy as np
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
-from cogsplat.codec.progress import Progress, silent
+from cogsplat.codec.progress import Progress
 from cogsplat.codec.scoring.contribution import Scorer, Scores
 from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.codec.scoring.splat_groups import GroupShares, group_splats, measure_shares
@@ -234,51 +234,13 @@ def single_camera_share(scores: Scores | ViewSums, config: ScoreConfig) -> float
     return float(np.sum(scores.contribution, where=of_one)) / total
 
 
-def score_given(
-    splats: Splats,
-    cameras: Sequence[Camera],
-    preset: Preset,
-    config: ScoreConfig,
-    *,
-    progress: Progress = silent,
-) -> tuple[list[Camera], Scores]:
-    """Score a scene in the preset's number of given views, or in more where they overlap little.
-
-    Where single cameras show much that no other shows, as in rooms with walls between them, four
-    times as many are scored; all, if there are fewer.
-
-    Parameters
-    ----------
-    splats : Splats
-        Scene to score.
-    cameras : sequence of Camera
-        All given views.
-    preset : Preset
-        Number of views to begin with.
-    config : ScoreConfig
-        Scoring settings.
-    progress : Progress
-        Called with ``score``.
-
-    Returns
-    -------
-    (list of Camera, Scores)
-        Scored views in the order of the given ones, and the scores in them.
-
-    Raises
-    ------
-    DataError
-        ``no-cameras``, ``cameras-see-nothing``.
-    """
-    scorer = Scorer(splats, config, progress=progress)
-    views, _ = _add_given(scorer, cameras, preset, config)
-    return views, scorer.scores()
-
-
 def _add_given(
     scorer: Scorer, cameras: Sequence[Camera], preset: Preset, config: ScoreConfig
 ) -> tuple[list[Camera], float]:
     """Score the preset's number of given views, and more if single cameras show much.
+
+    Where single cameras show much that no other shows, as in rooms with walls between them, four
+    times as many are scored; all, if there are fewer.
 
     Returns
     -------

@@ -10,19 +10,23 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.cameras import Camera
 from cogsplat.codec.encode.config import MAX_QUALITY_DB, MIN_QUALITY_DB, EncodeConfig
 from cogsplat.codec.encode.encoded import EncodedScene
 from cogsplat.codec.encode.finishing import Finisher, SizeOf
 from cogsplat.codec.encode.prepared import prepare
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.rate_control import LOG2_BYTES_PER_DB, PSNR_PER_DB, search_psnr
+from cogsplat.codec.encode.request import EncodeRequest
+from cogsplat.codec.encode.scored_views import score_scene
 from cogsplat.codec.errors import DataError, FormatError
 from cogsplat.codec.order.orders import OrderConfig
 from cogsplat.codec.order.prefix_inflation import effective_splats
 from cogsplat.codec.progress import Progress
 from cogsplat.codec.rate.allocation import lagrangian
-from cogsplat.codec.scoring.contribution import score
+from cogsplat.codec.scoring.contribution import Scores, score
 from cogsplat.codec.scoring.reference_views import render_references
+from cogsplat.codec.scoring.score_config import ScoreConfig
 from cogsplat.codec.segments.codebooks import EncodedCodebook
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.drawn_views import ViewDrawer
@@ -118,16 +122,8 @@ class QuantisedTraining:
             preset = replace(preset, gain=best.gain)
             ordering = OrderConfig(run_chunks=_RUN_CHUNKS)
         threads, profile = config.train.threads, config.profile
-        cameras, covering = request.views.cameras, request.views.covering
-        views = sample_evenly(cameras, _MAX_SCORED_VIEWS)
-        if base is not source and len(views) < _LEAST_SCORED_VIEWS:
-            # What training kept between few cameras counts as much as what they show. The source
-            # itself is scored as without tuning.
-            drawer, rng = ViewDrawer(source, views), np.random.default_rng(config.train.seed)
-            for number in range(len(views), _LEAST_SCORED_VIEWS):
-                views.append(drawer.draw(rng, off_path=bool(number % 2)))
         settings = preset.score_config(profile, threads=threads)
-        scores = score(base, views, settings, covering=covering, progress=progress)
+        views, scores = _score(source, base, request, settings, progress)
         # The source is the ground truth of prefixes, not the trained scene.
         references = render_references(
             source,
@@ -156,7 +152,7 @@ class QuantisedTraining:
             source,
             preset,
             references=references,
-            test_views=request.views.test_views or sample_evenly(cameras, TEST_VIEWS),
+            test_views=request.views.test_views or sample_evenly(request.views.cameras, TEST_VIEWS),
             preview=preview,
             size_of=size_of,
             progress=progress,
@@ -442,3 +438,35 @@ class QuantisedTraining:
 def _clamp_quality(quality_db: float) -> float:
     """Return a nominal quality, dB, clamped to the valid range."""
     return min(max(quality_db, MIN_QUALITY_DB), MAX_QUALITY_DB)
+
+
+def _score(
+    source: Splats,
+    base: Splats,
+    request: TuneRequest,
+    settings: ScoreConfig,
+    progress: Progress,
+) -> tuple[list[Camera], Scores]:
+    """Return the scores of the base and the views that it was scored in.
+
+    The source itself is scored as without tuning. What training kept between few cameras counts as
+    much as what they show.
+    """
+    cameras, config = request.views.cameras, request.config
+    if base is source and not request.views.planned:
+        untuned = EncodeRequest(
+            cameras=cameras,
+            test_views=request.views.test_views,
+            preset=config.preset,
+            score_config=settings,
+        )
+        scored = score_scene(source, untuned, progress)
+        assert scored.scores is not None
+        return list(scored.views), scored.scores
+    views = sample_evenly(cameras, _MAX_SCORED_VIEWS)
+    if base is not source and len(views) < _LEAST_SCORED_VIEWS:
+        drawer, rng = ViewDrawer(source, views), np.random.default_rng(config.train.seed)
+        for number in range(len(views), _LEAST_SCORED_VIEWS):
+            views.append(drawer.draw(rng, off_path=bool(number % 2)))
+    covering = request.views.covering
+    return views, score(base, views, settings, covering=covering, progress=progress)

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.encode import request as request_module
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.pipeline import encode
 from cogsplat.codec.encode.presets import PRESETS
 from cogsplat.codec.encode.request import EncodeRequest
-from cogsplat.codec.encode.scored_views import score_given, score_scene, single_camera_share
+from cogsplat.codec.encode.scored_views import ScoredViews, score_scene, single_camera_share
 from cogsplat.codec.errors import DataError
 from cogsplat.codec.progress import silent
 from cogsplat.codec.scoring.contribution import score
@@ -36,6 +37,19 @@ def rooms() -> tuple[Splats, list[Camera]]:
         for camera, shift in zip(cameras, shifts, strict=True)
     ]
     return replace(many, means=means), moved
+
+
+def scored_in(splats: Splats, cameras: Sequence[Camera]) -> ScoredViews:
+    """Score a scene in given cameras with the preset `fast`; none is left out as a test view."""
+    config = EncodeConfig(order="contribution", compensate=False, threads=1)
+    inputs = EncodeRequest(
+        cameras=cameras,
+        test_views=cameras[:1],
+        config=config,
+        preset="fast",
+        score_config=PLAIN,
+    )
+    return score_scene(splats, inputs, silent)
 
 
 def by_leaving_out(splats: Splats, cameras: Sequence[Camera]) -> float:
@@ -65,10 +79,11 @@ def test_jittered_copies_count_as_their_camera() -> None:
 
 def test_views_of_one_place_are_thinned_out() -> None:
     cameras = synth_cameras(48, 40, 30)
-    views, scores = score_given(synth(400, sh_degree=0), cameras, FAST, PLAIN)
-    assert views == FAST.views(cameras)
-    assert len(views) < len(cameras)
-    assert scores.num_pixels == sum(view.width * view.height for view in views)
+    found = scored_in(synth(400, sh_degree=0), cameras)
+    assert list(found.views) == FAST.views(cameras)
+    assert len(found.views) < len(cameras)
+    assert found.scores is not None
+    assert found.scores.num_pixels == sum(view.width * view.height for view in found.views)
 
 
 def test_all_views_are_scored_where_each_shows_a_place_of_its_own(
@@ -76,21 +91,29 @@ def test_all_views_are_scored_where_each_shows_a_place_of_its_own(
 ) -> None:
     splats, cameras = rooms
     assert len(FAST.views(cameras)) < len(cameras)
-    views, scores = score_given(splats, cameras, FAST, PLAIN)
-    assert views == cameras
-    assert scores.contribution.tobytes() == score(splats, cameras, PLAIN).contribution.tobytes()
+    found = scored_in(splats, cameras)
+    assert list(found.views[: len(cameras)]) == cameras
+    # Eight cameras leave none out: what further views would show is not asked.
+    found = scored_in(splats, cameras[:8])
+    assert (found.report.views, list(found.views)) == ("given", cameras[:8])
+    assert found.scores is not None
+    expected = score(splats, cameras[:8], PLAIN)
+    assert found.scores.contribution.tobytes() == expected.contribution.tobytes()
 
 
 def test_four_times_as_many_views_at_most_are_scored(
-    rooms: tuple[Splats, list[Camera]],
+    rooms: tuple[Splats, list[Camera]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     splats, cameras = rooms
     few = replace(FAST, most_views=4)
-    views, scores = score_given(splats, cameras, few, PLAIN)
+    monkeypatch.setattr(request_module, "PRESETS", {"fast": few})
+    found = scored_in(splats, cameras)
+    assert found.report.views == "given and planned"
+    views = [view for view in found.views if view in cameras]
     assert len(views) == 16
+    assert list(found.views[:16]) == views
     assert set(few.views(cameras)) <= set(views)
     assert [cameras.index(view) for view in views] == sorted(map(cameras.index, views))
-    assert scores.num_pixels == 16 * 40 * 30
 
 
 def test_planned_views_show_rooms_without_a_scored_camera(
@@ -113,7 +136,7 @@ def test_planned_views_show_rooms_without_a_scored_camera(
 
 def test_no_views_are_refused() -> None:
     with pytest.raises(DataError) as error:
-        score_given(synth(100), [], FAST, PLAIN)
+        scored_in(synth(100), [])
     assert error.value.code == "no-cameras"
 
 

@@ -1,5 +1,6 @@
 """Tuning of a small scene: targets, smaller files, checkpoints, time limits and threads."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from cogsplat.codec.errors import CogsplatWarning, DataError
 from cogsplat.codec.fit import quantised_training, tuning
 from cogsplat.codec.fit.differentiable_rendering import Gradients
 from cogsplat.codec.fit.quantised_training import QuantisedTraining
+from cogsplat.codec.fit.time_budget import TimeBudget
 from cogsplat.codec.fit.train_config import TrainConfig
 from cogsplat.codec.fit.tune_config import TuneConfig, TuneRequest
 from cogsplat.codec.fit.tuning import tune
@@ -190,15 +192,24 @@ def test_codebooks_train_with_the_splats(scene):
 
 
 @pytest.mark.slow
-def test_a_resumed_run_makes_the_planned_steps_whatever_their_duration(scene):
+def test_a_resumed_run_makes_the_planned_steps_whatever_their_duration(scene, monkeypatch):
+    class Ticking(TimeBudget):
+        """Time that passes when it is read, whatever else runs on the machine."""
+
+        def __init__(self, seconds: float | None) -> None:
+            ticks = itertools.count()
+            super().__init__(seconds, lambda: 0.02 * next(ticks))
+
+    monkeypatch.setattr(tuning, "TimeBudget", Ticking)
     states = []
     target = Target(size_bytes=5000)
 
     def keep(state):
         states.append({name: np.array(values) for name, values in state.items()})
 
-    config = replace(SHORT, seconds=3.0)
+    config = replace(SHORT, seconds=1.0)
     run_tune(scene, target, config, checkpoint=keep)
+    assert int(states[-1]["stored"][1]) != SHORT.quantised_steps
     # Checkpoints before the recovery, and in the middle of quantised training.
     for state in (states[0], states[-1]):
         first, second = (run_tune(scene, target, config, resume=state) for _ in range(2))

@@ -304,7 +304,8 @@ def _gather(
 ) -> tuple[BenchInput, str]:
     """Read and score a scene; `work` returns the cost of the later stages from scene and views."""
     from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
-    from cogsplat.codec.encode.scored_views import score_given
+    from cogsplat.codec.encode.request import EncodeRequest
+    from cogsplat.codec.encode.scored_views import score_scene
     from cogsplat.codec.encode.stage_costs import score_cost
 
     with stages.stage("read"):
@@ -328,14 +329,16 @@ def _gather(
     work_after = work(splats, preset.views(views), test_views)
     stages.plan([score_cost(len(splats), preset, views), work_after])
     start = time.perf_counter()
-    scored_on, scores = score_given(splats, views, preset, config, progress=stages)
+    request = EncodeRequest(cameras=views, test_views=test_views, score_config=config)
+    scored = score_scene(splats, request, stages)
+    assert scored.scores is not None
     score_s = time.perf_counter() - start
     given = BenchInput(
         splats,
-        scores,
+        scored.scores,
         score_s,
         test_views,
-        scored_on,
+        scored.views,
         tuned_in,
         photos,
         background,

@@ -360,7 +360,8 @@ def _gather(
 ) -> EvaluationInput:
     """Read and score a scene; `work` returns the costs of the later stages from scene and views."""
     from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
-    from cogsplat.codec.encode.scored_views import score_given
+    from cogsplat.codec.encode.request import EncodeRequest
+    from cogsplat.codec.encode.scored_views import score_scene
     from cogsplat.codec.encode.stage_costs import score_cost
 
     with stages.stage("read"):
@@ -402,8 +403,11 @@ def _gather(
             threads=threads,
         )
     settings = preset.score_config("transform", top_k=top_k, jitter=not no_jitter, threads=threads)
-    scored_on, scores = score_given(splats, views, preset, settings, progress=stages)
-    return EvaluationInput(path, splats, scores, scored_on, what, config, evaluator, photos)
+    request = EncodeRequest(cameras=views, test_views=test_views, score_config=settings)
+    scored = score_scene(splats, request, stages)
+    assert scored.scores is not None
+    views = scored.views
+    return EvaluationInput(path, splats, scored.scores, views, what, config, evaluator, photos)
 
 
 def _write(
