@@ -340,6 +340,7 @@ def simulate(
                 "trace_s": walked.seconds,
                 "bits_per_second": bits,
                 "latency_s": link.latency,
+                "most_requests": link.most_requests,
                 "compensated": compensate,
                 "goal_db": goal,
                 "compared_with": display_name(path if source is None else source),

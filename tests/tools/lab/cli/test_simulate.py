@@ -37,9 +37,10 @@ def test_traces_are_those_of_the_paper_or_of_a_file(
     path = small.cameras if trace == "file" else trace
     told = run(
         "lab simulate", small.cogs, "--cameras", small.cameras, "--trace", path, "--moments", 1,
-        "--policy", "file", "--pose-seconds", 2, "--bandwidth", "5M", "--json",
+        "--policy", "file", "--pose-seconds", 2, "--bandwidth", "5M", "--requests", 24, "--json",
     )  # fmt: skip
     assert told.code == 0, told.err
+    assert told.json["most_requests"] == 24
     assert told.json["trace_s"] == (16.0 if trace == "file" else 20.0)
     assert told.json["bits_per_second"] == 5e6
 
