@@ -59,8 +59,8 @@ class SplatGroups:
         values : (n,) float64
             Their values.
         """
-        found: F64 = np.bincount(self.numbers[rows], values, minlength=len(self))
-        return found
+        sums = np.bincount(self.numbers[rows], values, minlength=len(self))
+        return sums.astype(np.float64, copy=False)
 
 
 @dataclass(frozen=True, eq=False)

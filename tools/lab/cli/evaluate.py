@@ -406,8 +406,9 @@ def _gather(
     request = EncodeRequest(cameras=views, test_views=test_views, score_config=settings)
     scored = score_scene(splats, request, stages)
     assert scored.scores is not None
-    views = scored.views
-    return EvaluationInput(path, splats, scored.scores, views, what, config, evaluator, photos)
+    return EvaluationInput(
+        path, splats, scored.scores, scored.views, what, config, evaluator, photos
+    )
 
 
 def _write(
