@@ -234,7 +234,7 @@ def prepare(
 def _find_regions(
     splats: Splats, scores: Scores, config: EncodeConfig, seen: GroupShares
 ) -> Region:
-    """Return the regions of the splats that are stored at the nominal quality."""
+    """Return the tree of regions, by the splats that pruning keeps at the nominal quality."""
     smallest, _ = _cell_sizes(config)
     lagrangian = allocation.lagrangian(scores, config.quality_db)
     stored = np.flatnonzero(keep_mask(splats, scores, config.pruning, lagrangian))

@@ -52,7 +52,8 @@ class ScoredViews:
     report : EncodeReport
         Origin of the views, origin of the test views, and coverage.
     group_shares : GroupShares or None
-        Shares of groups of splats in the views, for the regions of cells; None without cells.
+        Shares of groups of splats in the views, from which `EncodeConfig.cells` gets regions; None
+        without cells.
     """
 
     scores: Scores | None

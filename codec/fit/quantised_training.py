@@ -447,10 +447,10 @@ def _score(
     settings: ScoreConfig,
     progress: Progress,
 ) -> tuple[list[Camera], Scores]:
-    """Return the scores of the base and the views that it was scored in.
+    """Return the views that the base is scored in, and its scores.
 
-    The source itself is scored as without tuning. What training kept between few cameras counts as
-    much as what they show.
+    The source itself is scored as without tuning. A trained scene from few cameras is also scored
+    in views drawn near them, so that splats which only these show are not stored coarsely.
     """
     cameras, config = request.views.cameras, request.config
     if base is source and not request.views.planned:

@@ -301,10 +301,10 @@ class _TuningRun:
 
     @property
     def needs_all(self) -> bool:
-        """Whether renders of the source are to be shown by all of its splats.
+        """Whether no splat was deleted, and the source itself is the ground truth.
 
-        They show them without training, and training through the quantisers makes them worse: a
-        terrace that needs all of its splats at 38.5 dB then has 38.1 dB in eight times the bytes.
+        Training has nothing to gain then, and training through the quantisers loses: a terrace that
+        needs all of its splats at 38.5 dB had 38.1 dB afterwards, in 2.46 MB instead of 0.32 MB.
         """
         return self._request.photos is None and self._count == self._source_count
 

@@ -245,7 +245,7 @@ class Scorer:
 
     @property
     def group_shares(self) -> GroupShares | None:
-        """Shares of groups in all cameras so far, without moved copies and covering views."""
+        """Shares in the cameras so far, not in jittered and covering views; None without groups."""
         if self._groups is None:
             return None
         return GroupShares(

@@ -1,6 +1,6 @@
-"""Groups of splats that lie close together, and their shares of pictures.
+"""Groups of splats that lie close together, and the share of each view's picture that each fills.
 
-They are the unit in which regions of a scene are told apart.
+Regions, the parts of a scene that different views see, are made of whole groups.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ F64 = NDArray[np.float64]
 _GROUP_SPLATS: Final = 256
 _MOST_GROUPS: Final = 16_384
 
+# Groups between two trims of a workspace that maps files.
 _GROUPS_PER_TRIM: Final = 16
 
 
@@ -73,7 +74,7 @@ class GroupShares:
         The g groups.
     shares : (V, g) float64
         Sum of the blending weights of each group's splats over the pixels of a view, divided by the
-        number of pixels: 0 to 1.
+        number of pixels: 0 to 1. A `Scorer` leaves out weights below `ScoreConfig.least_weight`.
     """
 
     groups: SplatGroups
@@ -81,7 +82,7 @@ class GroupShares:
 
 
 def group_splats(means: NDArray[np.float32], workspace: Workspace = IN_MEMORY) -> SplatGroups:
-    """Group splats of which each lies near the next along a Morton curve.
+    """Cut the splats in Morton order into groups: of 256, or more in scenes above 4 million.
 
     Parameters
     ----------
@@ -122,9 +123,9 @@ def measure_shares(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> GroupShares:
-    """Measure the shares of groups in small pictures of a scene that is not scored.
+    """Measure the shares of groups in small pictures, for a scene whose scores are given.
 
-    A `Scorer` measures them as it scores.
+    A `Scorer` records them as it scores.
 
     Parameters
     ----------
