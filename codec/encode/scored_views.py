@@ -10,6 +10,7 @@ import numpy as np
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import DataError
+from cogsplat.codec.executor import LocalThreads
 from cogsplat.codec.progress import Progress
 from cogsplat.codec.scoring.contribution import Scorer, Scores
 from cogsplat.codec.scoring.score_config import ScoreConfig
@@ -84,17 +85,16 @@ def score_scene(splats: Splats, request: EncodeRequest, progress: Progress) -> S
     """
     if request.scores is not None or not len(splats):
         given = list(request.cameras or ())
-        scored = _given_views(request, given, request.scores)
-        if not (request.config.cells and given and len(splats)):
-            return scored
-        shares = measure_shares(
-            splats,
-            given,
-            workspace=request.workspace,
-            executor=request.view_executor,
-            progress=progress,
-        )
-        return replace(scored, group_shares=shares)
+        shares = None
+        if request.config.cells and given and len(splats):
+            shares = measure_shares(
+                splats,
+                given,
+                workspace=request.workspace,
+                executor=request.view_executor or LocalThreads(request.config.threads),
+                progress=progress,
+            )
+        return _given_views(request, given, request.scores, shares)
     if request.cameras is None:
         return _score_planned(splats, request, progress)
     used, left_out = leave_out(request.cameras)
@@ -104,8 +104,7 @@ def score_scene(splats: Splats, request: EncodeRequest, progress: Progress) -> S
     scorer = _scorer(splats, request, progress)
     views, share = _add_given(scorer, used, request.effort, request.scoring)
     if share <= _SINGLE_CAMERA_LIMIT or not left_out:
-        given_views = _given_views(request, views, scorer.scores())
-        return replace(given_views, group_shares=scorer.group_shares)
+        return _given_views(request, views, scorer.scores(), scorer.group_shares)
     return _score_planned(splats, request, progress, scorer, views)
 
 
@@ -122,14 +121,17 @@ def _scorer(splats: Splats, request: EncodeRequest, progress: Progress) -> Score
 
 
 def _given_views(
-    request: EncodeRequest, views: Sequence[Camera], scores: Scores | None
+    request: EncodeRequest,
+    views: Sequence[Camera],
+    scores: Scores | None,
+    group_shares: GroupShares | None,
 ) -> ScoredViews:
-    """Return the scores in some of the given cameras, with test views."""
+    """Return the scores and shares in some of the given cameras, with test views."""
     tests, origin = _test_views(request, views)
     report = EncodeReport(views="given" if views else "none", test_views=origin)
     if views and scores is not None and len(scores.covered):
         report = replace(report, coverage=float((scores.covered > 0).mean()))
-    return ScoredViews(scores, views, tests, request.scoring.jitter, report)
+    return ScoredViews(scores, views, tests, request.scoring.jitter, report, group_shares)
 
 
 def _test_views(request: EncodeRequest, scored: Sequence[Camera]) -> tuple[Sequence[Camera], str]:

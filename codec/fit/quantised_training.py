@@ -457,6 +457,7 @@ def _score(
         untuned = EncodeRequest(
             cameras=cameras,
             test_views=request.views.test_views,
+            config=EncodeConfig(profile=config.profile, threads=config.train.threads),
             preset=config.preset,
             score_config=settings,
         )

@@ -240,7 +240,8 @@ class Scorer:
 
     def _record(self, groups: SplatGroups, result: ViewScores, camera: Camera) -> None:
         """Record the shares of groups in the picture of one view."""
-        sums = groups.sums(result.seen, result.weight_sums[:, WEIGHT])
+        weights = result.weight_sums[:, WEIGHT]
+        sums = np.bincount(groups.numbers[result.seen], weights, minlength=len(groups))
         self._shares.append(sums / (camera.width * camera.height))
 
     @property

@@ -50,19 +50,6 @@ class SplatGroups:
     def __len__(self) -> int:
         return len(self.centres)
 
-    def sums(self, rows: NDArray[np.integer], values: F64) -> F64:
-        """Return the sum of the values of some splats in each group, (g,).
-
-        Parameters
-        ----------
-        rows : (n,) integer
-            Rows of the splats.
-        values : (n,) float64
-            Their values.
-        """
-        sums = np.bincount(self.numbers[rows], values, minlength=len(self))
-        return sums.astype(np.float64, copy=False)
-
 
 @dataclass(frozen=True, eq=False)
 class GroupShares:

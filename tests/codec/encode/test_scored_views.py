@@ -114,6 +114,8 @@ def test_four_times_as_many_views_at_most_are_scored(
     assert list(found.views[:16]) == views
     assert set(few.views(cameras)) <= set(views)
     assert [cameras.index(view) for view in views] == sorted(map(cameras.index, views))
+    assert found.scores is not None
+    assert found.scores.num_pixels == sum(view.width * view.height for view in found.views)
 
 
 def test_planned_views_show_rooms_without_a_scored_camera(

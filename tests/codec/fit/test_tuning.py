@@ -227,6 +227,11 @@ def test_an_earlier_round_is_restored_if_too_many_splats_were_pruned(scene):
     assert counts[0] == min(counts) == 175
     assert 175 < counts[-1] < 700
     assert np.mean(made.encoded.report.test_psnr_db) == pytest.approx(30.0, abs=0.5)
+    # A higher target needs the splats of before the first round: all.
+    made = run_tune(scene, Target(psnr_db=35.0), config, notify=milestones.append)
+    assert milestones[-1].stage == "untuned"
+    assert milestones[-1].splats > counts[-1]
+    assert np.mean(made.encoded.report.test_psnr_db) == pytest.approx(35.0, abs=0.5)
 
 
 @pytest.mark.slow

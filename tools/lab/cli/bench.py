@@ -303,6 +303,7 @@ def _gather(
     stages: Stages,
 ) -> tuple[BenchInput, str]:
     """Read and score a scene; `work` returns the cost of the later stages from scene and views."""
+    from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
     from cogsplat.codec.encode.request import EncodeRequest
     from cogsplat.codec.encode.scored_views import score_scene
@@ -329,7 +330,12 @@ def _gather(
     work_after = work(splats, preset.views(views), test_views)
     stages.plan([score_cost(len(splats), preset, views), work_after])
     start = time.perf_counter()
-    request = EncodeRequest(cameras=views, test_views=test_views, score_config=config)
+    request = EncodeRequest(
+        cameras=views,
+        test_views=test_views,
+        config=EncodeConfig(threads=threads),
+        score_config=config,
+    )
     scored = score_scene(splats, request, stages)
     assert scored.scores is not None
     score_s = time.perf_counter() - start

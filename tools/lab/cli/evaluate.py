@@ -359,6 +359,7 @@ def _gather(
     stages: Stages,
 ) -> EvaluationInput:
     """Read and score a scene; `work` returns the costs of the later stages from scene and views."""
+    from cogsplat.codec.encode.config import EncodeConfig
     from cogsplat.codec.encode.presets import DEFAULT_PRESET, PRESETS
     from cogsplat.codec.encode.request import EncodeRequest
     from cogsplat.codec.encode.scored_views import score_scene
@@ -403,7 +404,12 @@ def _gather(
             threads=threads,
         )
     settings = preset.score_config("transform", top_k=top_k, jitter=not no_jitter, threads=threads)
-    request = EncodeRequest(cameras=views, test_views=test_views, score_config=settings)
+    request = EncodeRequest(
+        cameras=views,
+        test_views=test_views,
+        config=EncodeConfig(threads=threads),
+        score_config=settings,
+    )
     scored = score_scene(splats, request, stages)
     assert scored.scores is not None
     return EvaluationInput(
