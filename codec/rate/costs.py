@@ -118,7 +118,7 @@ class Costs:
 
 # Coarsest steps. A viewer may see splats that no scoring view shows: with these steps such splats
 # roughly keep their position, size, colour and opacity.
-COARSEST_COLOUR: Final = 0.15
+COARSEST_COLOUR: Final = 0.08
 """Coarsest step of a colour, where colours range from 0 to 1."""
 _OPACITY_LIMIT: Final = 1.0
 _SCALE_LIMITS: Final = (0.35, 0.5, 0.7)  # long, middle, thin; log
