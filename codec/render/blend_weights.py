@@ -12,11 +12,14 @@ from cogsplat.codec.compiling import called_with
 
 from .blending import (
     LANES,
+    PAIRS_READ,
     PIXELS,
-    all_ended,
+    bits,
     blend_pixel,
+    find_open_rows,
     footprint_in_tile,
     open_pixels,
+    read_footprints,
     rows_in_tile,
     tile_area,
 )
@@ -28,9 +31,8 @@ _ZERO = np.float32(0.0)
 
 WEIGHT, SQUARE, PEAK = range(3)
 """Columns of a view's sums over pixels, with weights w = T·alpha: Σw, Σw² and the largest w."""
-# Offsets of these sums, of the largest transmittance taken, and of one row of weights, in the lanes
-# of a tile.
-_SQUARES, _PEAKS, _TAKEN, _ROW = (np.uintp(k * TILE) for k in range(1, 5))
+# Offset of the second half of two times TILE lanes.
+_SECOND = np.uintp(TILE)
 
 # Splats of a pixel at most: ln(1e-4) / ln(1 - 1/255) = 2344 splats of the smallest alpha.
 MAX_WEIGHTS = 2346
@@ -80,27 +82,44 @@ def _weigh(
         Half-open range of tiles.
     """
     live = np.empty(PIXELS, np.float32)
-    # Σw, Σw², the largest w and the largest transmittance taken, by column of the tile.
-    lanes = np.empty(4 * TILE, np.float32)
+    open_rows = np.empty(TILE, np.uint32)
+    near_ellipse = np.empty((PAIRS_READ, 8), np.float32)
+    near_rows = np.empty((PAIRS_READ, 2), np.int32)
+    # Σw and Σw² by column of the tile.
+    lanes = np.empty(2 * TILE, np.float32)
     for tile in range(first, last):
         top, left, num_rows, num_columns = tile_area(tile, width, height)
         if len(transmittances):
             live[:] = transmittances[tile]
         else:
             open_pixels(live, num_rows, num_columns)
+        left_open = find_open_rows(live, open_rows)
         begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
         for pair in range(begin, end):
-            i = members[pair]
+            if left_open == 0:
+                for rest in range(pair, end):
+                    acts[rest] = False
+                    for column in range(3):
+                        sums[rest, column] = _ZERO
+                break
+            place = (pair - begin) % PAIRS_READ
+            if place == 0:
+                read_footprints(pair, end, members, ellipse, rows, near_ellipse, near_rows)
             narrow, shear, flat, opacity, centre_x, centre_y = footprint_in_tile(
-                ellipse[i], top, left
+                near_ellipse[place], top, left
             )
             lanes[:] = _ZERO
-            first_row, last_row = rows_in_tile(rows[i], top, num_rows)
+            peak = np.uint32(0)
+            changed = np.uint32(0)
+            first_row, last_row = rows_in_tile(near_rows[place], top, num_rows)
             for y in range(first_row, last_row):
+                if open_rows[y] == 0:
+                    continue
                 dy = np.float32(y) - centre_y
                 row_x = centre_x + shear * dy
                 row_exponent = -flat * dy * dy
                 base = np.uintp(y * TILE)
+                open_row = np.uint32(0)
                 for lane in range(LANES):
                     at = base + lane
                     u = narrow * (np.float32(lane) - row_x)
@@ -108,28 +127,22 @@ def _weigh(
                     _, _, weight, _, after = blend_pixel(before, opacity, row_exponent - u * u)
                     live[at] = after
                     lanes[lane] += weight if weight >= least_weight else _ZERO
-                    lanes[lane + _SQUARES] += weight * weight
-                    lanes[lane + _PEAKS] = max(lanes[lane + _PEAKS], weight)
-                    lanes[lane + _TAKEN] = max(lanes[lane + _TAKEN], before - after)
+                    lanes[lane + _SECOND] += weight * weight
+                    peak = np.uint32(max(peak, bits(weight)))
+                    changed = np.uint32(changed | np.uint32(bits(before) ^ bits(after)))
+                    open_row = np.uint32(open_row | bits(after))
+                open_rows[y] = open_row
+                left_open -= int(open_row == 0)
             weights = _ZERO
             squares = _ZERO
-            peak = _ZERO
-            taken = _ZERO
-            for lane in range(LANES):
-                weights += lanes[lane]
-                squares += lanes[lane + _SQUARES]
-                peak = max(peak, lanes[lane + _PEAKS])
-                taken = max(taken, lanes[lane + _TAKEN])
+            if changed != 0:
+                for lane in range(LANES):
+                    weights += lanes[lane]
+                    squares += lanes[lane + _SECOND]
             sums[pair, WEIGHT] = weights
             sums[pair, SQUARE] = squares
-            sums[pair, PEAK] = peak
-            acts[pair] = taken > _ZERO
-            if all_ended(pair, live):
-                for rest in range(pair + 1, end):
-                    acts[rest] = False
-                    for column in range(3):
-                        sums[rest, column] = _ZERO
-                break
+            sums[pair, PEAK] = np.uint32(peak).view(np.float32)
+            acts[pair] = changed != 0
         if len(transmittances):
             transmittances[tile] = live
 
@@ -172,8 +185,9 @@ def _weigh_largest(
     because selecting the largest weights would double the time of the loop over lanes of `_weigh`.
     """
     live = np.empty(PIXELS, np.float32)
-    # By column of the tile: unused, Σw², the largest w and transmittance, and one row of weights.
-    lanes = np.empty(5 * TILE, np.float32)
+    open_rows = np.empty(TILE, np.uint32)
+    # Σw² and one row of weights, by column of the tile.
+    lanes = np.empty(2 * TILE, np.float32)
     # The K largest weights of each pixel so far, their pairs, and the threshold for the next one.
     best = np.empty((PIXELS, top_k), np.float32)
     owners = np.empty((PIXELS, top_k), np.int64)
@@ -183,21 +197,33 @@ def _weigh_largest(
     for tile in range(first, last):
         top, left, num_rows, num_columns = tile_area(tile, width, height)
         open_pixels(live, num_rows, num_columns)
+        left_open = find_open_rows(live, open_rows)
         filled[:] = 0
         bar[:] = _ZERO
         begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
         for pair in range(begin, end):
+            if left_open == 0:
+                for rest in range(pair, end):
+                    acts[rest] = False
+                    for column in range(3):
+                        sums[rest, column] = _ZERO
+                break
             i = members[pair]
             narrow, shear, flat, opacity, centre_x, centre_y = footprint_in_tile(
                 ellipse[i], top, left
             )
             lanes[:] = _ZERO
+            peak = np.uint32(0)
+            changed = np.uint32(0)
             first_row, last_row = rows_in_tile(rows[i], top, num_rows)
             for y in range(first_row, last_row):
+                if open_rows[y] == 0:
+                    continue
                 dy = np.float32(y) - centre_y
                 row_x = centre_x + shear * dy
                 row_exponent = -flat * dy * dy
                 base = np.uintp(y * TILE)
+                open_row = np.uint32(0)
                 above_bar = 0
                 for lane in range(LANES):
                     at = base + lane
@@ -205,15 +231,18 @@ def _weigh_largest(
                     before = live[at]
                     _, _, weight, _, after = blend_pixel(before, opacity, row_exponent - u * u)
                     live[at] = after
-                    lanes[lane + _SQUARES] += weight * weight
-                    lanes[lane + _PEAKS] = max(lanes[lane + _PEAKS], weight)
-                    lanes[lane + _TAKEN] = max(lanes[lane + _TAKEN], before - after)
-                    lanes[lane + _ROW] = weight
+                    lanes[lane] += weight * weight
+                    lanes[lane + _SECOND] = weight
+                    peak = np.uint32(max(peak, bits(weight)))
+                    changed = np.uint32(changed | np.uint32(bits(before) ^ bits(after)))
+                    open_row = np.uint32(open_row | bits(after))
                     above_bar += int(weight > bar[at])
+                open_rows[y] = open_row
+                left_open -= int(open_row == 0)
                 if above_bar > 0:
                     for lane in range(LANES):
                         at = base + lane
-                        weight = lanes[lane + _ROW]
+                        weight = lanes[lane + _SECOND]
                         if weight > bar[at]:
                             count = filled[at]
                             if count < top_k:
@@ -235,22 +264,12 @@ def _weigh_largest(
                             smallest[at] = low
                             bar[at] = best[at, low]
             squares = _ZERO
-            peak = _ZERO
-            taken = _ZERO
             for lane in range(LANES):
-                squares += lanes[lane + _SQUARES]
-                peak = max(peak, lanes[lane + _PEAKS])
-                taken = max(taken, lanes[lane + _TAKEN])
+                squares += lanes[lane]
             sums[pair, WEIGHT] = _ZERO
             sums[pair, SQUARE] = squares
-            sums[pair, PEAK] = peak
-            acts[pair] = taken > _ZERO
-            if all_ended(pair, live):
-                for rest in range(pair + 1, end):
-                    acts[rest] = False
-                    for column in range(3):
-                        sums[rest, column] = _ZERO
-                break
+            sums[pair, PEAK] = np.uint32(peak).view(np.float32)
+            acts[pair] = changed != 0
         for pixel in range(num_rows * TILE):
             for k in range(filled[pixel]):
                 sums[owners[pixel, k], WEIGHT] += best[pixel, k]

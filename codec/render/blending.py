@@ -51,8 +51,8 @@ PIXELS = TILE * TILE
 # that they do not overlap. The first plane is `live` of `blend_pixel`. Offsets are unsigned: checks
 # for negative indices would prevent vectorisation.
 LANES = np.uintp(TILE)
-# Interval of the check for a finished tile, which takes about as long as blending two splats.
-_PAIRS_PER_CHECK = 16
+PAIRS_READ = 64
+"""Number of pairs whose footprints `read_footprints` copies."""
 RED, GREEN, BLUE, REST = (np.uintp(k * PIXELS) for k in range(1, 5))
 PLANES = 5
 """Number of planes that `blend_tile` fills."""
@@ -111,27 +111,69 @@ def blend_pixel(
 
 
 @inner_kernel
-def all_ended(pair: int, state: F32) -> bool:
-    """Return whether all pixels of a tile have ended; False without a check except every 16th pair.
+def bits(value: np.float32) -> np.uint32:
+    """Return the bits of a float32. Those of numbers from 0 up have the order of the numbers.
 
-    Blending further splats into a finished tile changes nothing. Counting the pixels that each
-    splat ends would take almost as long as blending it.
+    The compiler may not reorder float sums and maxima, and so does not vectorise them over the
+    pixels of a row. It does so with integers of 32 bits; numba makes results of 32 bits 64 wide.
+    """
+    return np.float32(value).view(np.uint32)
+
+
+@inner_kernel
+def find_open_rows(state: F32, open_rows: NDArray[np.uint32]) -> int:
+    """Find the rows of a tile with a pixel that has not ended, and return their number.
+
+    A kernel leaves out the other rows: blending further splats into them changes nothing.
 
     Parameters
     ----------
-    pair : int
-        Number of the pair of a tile and a splat that was blended last.
     state : (at least PIXELS,) float32
         State of the tile; its first plane is `live` of `blend_pixel`.
+    open_rows : (TILE,) uint32
+        Output, by row: 0 where all pixels have ended.
     """
-    if pair % _PAIRS_PER_CHECK != 0:
-        return False
-    # Integers: the compiler may not reorder float sums, and so would not vectorise them.
-    live = state.view(np.uint32)
-    any_live = np.uint32(0)
-    for pixel in range(PIXELS):
-        any_live |= live[np.uintp(pixel)]
-    return bool(any_live == 0)
+    count = 0
+    for y in range(TILE):
+        base = np.uintp(y * TILE)
+        live = np.uint32(0)
+        for lane in range(LANES):
+            live = np.uint32(live | bits(state[base + lane]))
+        open_rows[y] = live
+        count += int(live != 0)
+    return count
+
+
+@inner_kernel
+def read_footprints(
+    pair: int,
+    end: int,
+    members: NDArray[np.int32],
+    ellipse: F32,
+    rows: NDArray[np.int32],
+    near_ellipse: F32,
+    near_rows: NDArray[np.int32],
+) -> None:
+    """Copy the footprints of the next pairs of a tile to the processor's cache, at one time.
+
+    The footprints of a tile are far apart in memory. The copies do not depend on each other, so
+    that the processor waits for many of them together, instead of for each before it is blended.
+
+    Parameters
+    ----------
+    pair, end : int
+        First pair, and the end of the tile's pairs.
+    members, ellipse, rows
+        Arguments of `blend_tile`.
+    near_ellipse, near_rows : (PAIRS_READ, 8) float32, (PAIRS_READ, 2) int32
+        Output: rows of `ellipse` and `rows`, one for each pair.
+    """
+    for k in range(min(PAIRS_READ, end - pair)):
+        i = members[pair + k]
+        for column in range(8):
+            near_ellipse[k, column] = ellipse[i, column]
+        near_rows[k, 0] = rows[i, 0]
+        near_rows[k, 1] = rows[i, 1]
 
 
 @inner_kernel
@@ -217,8 +259,10 @@ def blend_tile(
         End of the range of `members` that was blended, at most `end`; no pixel of the tile shows
         later splats.
     """
+    open_rows = np.empty(TILE, np.uint32)
     state[:] = _ZERO
     open_pixels(state, num_rows, num_columns)
+    left_open = find_open_rows(state, open_rows)
     if keep_rest:
         # A slice assignment would take numba seconds to compile (error messages about shapes).
         for pixel in range(PIXELS):
@@ -231,21 +275,27 @@ def blend_tile(
         red, green, blue = colours[i, 0], colours[i, 1], colours[i, 2]
         first_row, last_row = rows_in_tile(rows[i], top, num_rows)
         for y in range(first_row, last_row):
+            if open_rows[y] == 0:
+                continue
             dy = np.float32(y) - centre_y
             row_x = centre_x + shear * dy
             row_exponent = -flat * dy * dy
             base = np.uintp(y * TILE)
+            open_row = np.uint32(0)
             for lane in range(LANES):
                 at = base + lane
                 u = narrow * (np.float32(lane) - row_x)
                 _, _, weight, drawn, after = blend_pixel(state[at], opacity, row_exponent - u * u)
                 state[at] = after
+                open_row = np.uint32(open_row | bits(after))
                 if keep_rest:
                     state[at + REST] = after if drawn else state[at + REST]
                 state[at + RED] += weight * red
                 state[at + GREEN] += weight * green
                 state[at + BLUE] += weight * blue
-        if all_ended(pair, state):
+            open_rows[y] = open_row
+            left_open -= int(open_row == 0)
+        if left_open == 0:
             return pair + 1
     return end
 

@@ -11,8 +11,9 @@ from cogsplat.codec.splats import Splats
 from .blending import (
     LANES,
     PIXELS,
-    all_ended,
+    bits,
     blend_pixel,
+    find_open_rows,
     footprint_in_tile,
     open_pixels,
     rows_in_tile,
@@ -51,32 +52,40 @@ def _vote(
     """
     height, width = labels.shape
     live = np.empty(PIXELS, np.float32)
+    open_rows = np.empty(TILE, np.uint32)
     weights = np.empty(TILE, np.float32)
     for tile in range(lists_first, lists_last):
         top, left, num_rows, num_columns = tile_area(tile, width, height)
         open_pixels(live, num_rows, num_columns)
+        left_open = find_open_rows(live, open_rows)
         for pair in range(starts[tile - lists_first], starts[tile - lists_first + 1]):
+            if left_open == 0:
+                break
             i = members[pair]
             narrow, shear, flat, opacity, centre_x, centre_y = footprint_in_tile(
                 ellipse[i], top, left
             )
             first_row, last_row = rows_in_tile(rows[i], top, num_rows)
             for y in range(first_row, last_row):
+                if open_rows[y] == 0:
+                    continue
                 dy = np.float32(y) - centre_y
                 row_x = centre_x + shear * dy
                 row_exponent = -flat * dy * dy
                 base = np.uintp(y * TILE)
+                open_row = np.uint32(0)
                 for lane in range(LANES):
                     at = base + lane
                     u = narrow * (np.float32(lane) - row_x)
                     _, _, weight, _, after = blend_pixel(live[at], opacity, row_exponent - u * u)
                     live[at] = after
                     weights[lane] = weight
+                    open_row = np.uint32(open_row | bits(after))
+                open_rows[y] = open_row
+                left_open -= int(open_row == 0)
                 for x in range(num_columns):
                     if weights[x] > _ZERO:
                         votes[i, labels[top + y, left + x]] += weights[x]
-            if all_ended(pair, live):
-                break
 
 
 def label_votes(

@@ -85,14 +85,38 @@ def test_pixels_outside_the_image_are_not_open():
 
 
 @pytest.mark.parametrize("pixel", [0, 100, PIXELS - 1])
-def test_a_tile_is_open_while_one_pixel_is_live(pixel):
+def test_a_row_is_open_while_one_of_its_pixels_is_live(pixel):
     state = np.zeros(PIXELS + 3, np.float32)
     # Beyond the first plane nothing counts.
     state[PIXELS:] = 1.0
-    assert blending.all_ended(32, state)
-    assert not blending.all_ended(33, state), "the pixels are not looked at behind every pair"
+    open_rows = np.full(TILE, 9, np.uint32)
+    assert blending.find_open_rows(state, open_rows) == 0
+    assert not open_rows.any()
     state[pixel] = 1e-4
-    assert not blending.all_ended(32, state)
+    assert blending.find_open_rows(state, open_rows) == 1
+    assert np.flatnonzero(open_rows).tolist() == [pixel // TILE]
+
+
+def test_bits_have_the_order_of_the_numbers():
+    numbers = np.array([0.0, 1e-40, 1e-4, 0.5, 0.99, 1.0], np.float32)
+    found = [blending.bits(number) for number in numbers]
+    assert found == numbers.view(np.uint32).tolist()
+    assert found == sorted(found)
+
+
+@pytest.mark.parametrize("pairs", [0, 3, blending.PAIRS_READ, blending.PAIRS_READ + 5])
+def test_footprints_are_read_in_the_order_of_the_pairs(pairs):
+    rng = np.random.default_rng(2)
+    members = rng.integers(0, 40, 7 + pairs, np.int32)
+    ellipse = rng.random((40, 8), np.float32)
+    rows = rng.integers(0, 90, (40, 2), np.int32)
+    near_ellipse = np.zeros((blending.PAIRS_READ, 8), np.float32)
+    near_rows = np.zeros((blending.PAIRS_READ, 2), np.int32)
+    blending.read_footprints(7, 7 + pairs, members, ellipse, rows, near_ellipse, near_rows)
+    read = min(pairs, blending.PAIRS_READ)
+    np.testing.assert_array_equal(near_ellipse[:read], ellipse[members[7 : 7 + read]])
+    np.testing.assert_array_equal(near_rows[:read], rows[members[7 : 7 + read]])
+    assert not near_ellipse[read:].any()
 
 
 def _tile(splats, camera, present=None, keep_rest=True):
@@ -164,7 +188,7 @@ def test_splats_behind_a_finished_tile_are_not_blended():
     wall.opacities[:] = np.inf
     state, stop, pairs = _tile(concatenate([splats, wall]), camera)
     assert pairs > 20
-    assert stop == 17, "the second capped splat ends every pixel; they are looked at every 16"
+    assert stop == 2, "the second capped splat ends every pixel"
     assert not _plane(state, 0).any()
     np.testing.assert_allclose(_plane(state, REST), 0.01, rtol=1e-4)
 
