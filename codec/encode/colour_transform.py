@@ -187,7 +187,7 @@ def fit(
         because the coefficients of all rows are most of a scene.
     energy : (N,) float64
         Positive energy of each splat.
-    basis_spread : (15, 15) float64
+    basis_spread : (K-1, K-1) float64
         `Scores.basis_spread`, which excludes errors that sh0 corrects.
     lagrangian : float
         λ of the encode.
@@ -228,7 +228,7 @@ def given_basis(rows: F32, basis_spread: F64) -> ColourBasis:
     ----------
     rows : (B, K-1, 3) float32
         Basis rows as a decoder reads them.
-    basis_spread : (15, 15) float64
+    basis_spread : (K-1, K-1) float64
         `Scores.basis_spread` of this scene.
     """
     return ColourBasis(

@@ -108,7 +108,7 @@ def tail_distortion_drop(coefficients: F32, energy: F64, basis_spread: F64) -> f
         shN of the chunk.
     energy : (n,) float64
         Squared error of the pictures per squared error of each splat's colour.
-    basis_spread : (15, 15) float64
+    basis_spread : (K-1, K-1) float64
         `Scores.basis_spread`; zeros if no view was scored.
     """
     count = coefficients.shape[1]

@@ -83,16 +83,19 @@ class Scores:
         more in some pixel; weights in covering views count as for `peak`.
     covered : (N,) int32
         Number of views, covering views included, that the splat's footprint reaches, hidden or not.
-    basis_mean : (N, 15) float32
-        SH bases above DC in the viewing directions of a splat: energy-weighted mean over its views;
-        zeros if no view sees it.
-    basis_spread : (15, 15) float64
+    basis_mean : (N, K-1) float32
+        SH bases above DC, of the scene's degree, in the viewing directions of a splat:
+        energy-weighted mean over its views; zeros if no view sees it.
+    basis_spread : (K-1, K-1) float64
         Covariance of these bases over the views of one splat, as the energy-weighted mean of every
         eighth splat. It gives the cost of an error of shN that sh0 cannot compensate.
     num_pixels : int
         Number of pixels of all views, jittered and covering views included.
     sensitivities : Sensitivities or None
         Costs of errors of the stored values; None if `ScoreConfig.sensitivity_every` is 0.
+    sparse : bool
+        Whether the given cameras show too little in common, so that planned views were scored
+        beside them. Pruning then keeps more splats.
     """
 
     contribution: NDArray[np.float64]

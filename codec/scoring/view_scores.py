@@ -30,7 +30,8 @@ from .score_config import ScoreConfig
 class ViewScores:
     """Weight sums and sensitivities of one view.
 
-    Rows of the scene are ascending, the order in which a mapped scene is read fastest.
+    Rows of the scene are ascending in each slab of depth (`FrontToBack`), the order in which a
+    mapped scene is read fastest.
 
     Parameters
     ----------
@@ -137,8 +138,9 @@ class _Found:
         self, footprints: Footprints, sums: NDArray[np.float64], measured: list[TileLists]
     ) -> None:
         """Add a slab: its footprints, their weight sums, and the lists of the measured tiles."""
-        seen = sums[:, PEAK] > 0.0
-        self._covered.append(footprints.index)
+        ascending = footprints.row_order()
+        seen = ascending[sums[ascending, PEAK] > 0.0]
+        self._covered.append(footprints.sorted_rows())
         self._seen.append(footprints.index[seen])
         self._sums.append(sums[seen])
         shown = np.zeros(len(footprints), np.bool_)
@@ -157,19 +159,15 @@ class _Found:
     def scores(
         self, measured: Footprints, sensitivities: NDArray[np.float64], hidden: NDArray[np.int64]
     ) -> ViewScores:
-        """Return the scores of the view, those of single splats sorted by row of the scene.
+        """Return the scores of the view.
 
         The sensitivities, the widest array, stay in the order of the footprints, nearest first.
         """
-        covered = np.concatenate(self._covered)
-        covered.sort()
-        seen = np.concatenate(self._seen)
-        ascending = np.argsort(seen)
         return ViewScores(
-            covered,
+            np.concatenate(self._covered),
             hidden,
-            seen[ascending],
-            np.concatenate(self._sums)[ascending],
+            np.concatenate(self._seen),
+            np.concatenate(self._sums),
             measured.sorted_rows(),
             measured.row_order(),
             sensitivities,

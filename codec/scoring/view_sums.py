@@ -91,10 +91,10 @@ def _add_view(
                 bases[i, k + 1] += weight * abs(values[k])
         square *= share
         if directions and square > 0.0:
-            for j in range(_BASES - 1):
+            for j in range(basis_sum.shape[1]):
                 basis_sum[i, j] += square * values[j]
             if i % _GRAM_STRIDE == 0:
-                for j in range(_BASES - 1):
+                for j in range(basis_sum.shape[1]):
                     for k in range(j + 1):
                         gram[j, k] += square * values[j] * values[k]
 
@@ -175,8 +175,9 @@ class ViewSums:
         self.peak: NDArray[np.float32] = zeros((n,), np.float32)
         self.shown: NDArray[np.int32] = zeros((n,), np.int32)
         self.covered: NDArray[np.int32] = zeros((n,), np.int32)
-        self._basis_sum: F64 = zeros((n if self._directions else 0, _BASES - 1), np.float64)
-        self._gram = np.zeros((_BASES - 1, _BASES - 1), np.float64)
+        bases = splats.shN.shape[1]
+        self._basis_sum: F64 = zeros((n if self._directions else 0, bases), np.float64)
+        self._gram = np.zeros((bases, bases), np.float64)
 
     def add(
         self,
@@ -232,10 +233,10 @@ class ViewSums:
 
         Returns
         -------
-        (N, 15) float32
-            Means; zeros for splats that no view sees, and in scenes of SH degree 0.
+        (N, K-1) float32
+            Means of the K - 1 bases of the scene's degree; zeros for splats that no view sees.
         """
-        mean: NDArray[np.float32] = self._zeros((len(self.energy), _BASES - 1), np.float32)
+        mean: NDArray[np.float32] = self._zeros((len(self.energy), len(self._gram)), np.float32)
         if not self._directions:
             return mean
         for start in range(0, len(mean), _BLOCK):
@@ -249,7 +250,7 @@ class ViewSums:
 
         Returns
         -------
-        (15, 15) float64
+        (K-1, K-1) float64
             Energy-weighted mean of the covariances of every eighth splat of the scene.
         """
         if not self._directions:

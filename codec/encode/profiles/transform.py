@@ -141,7 +141,7 @@ def plan(
         of its splats, so they are computed chunk by chunk.
     energy : (N,) float64
         `Costs.energy` of each row: the cost of its colour.
-    basis_spread : (15, 15) float64
+    basis_spread : (K-1, K-1) float64
         `Scores.basis_spread`.
     lagrangian : float
         λ of the encode.
