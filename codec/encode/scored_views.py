@@ -156,7 +156,7 @@ def _score_planned(
 
     `scorer` has the scores in the given cameras; None without such cameras.
     """
-    planned = _plan_views(splats, request, progress)
+    planned = _plan_views(splats, request, progress, beside_given=bool(given))
     jittered = request.scoring.jitter and request.effort.planned_jitter
     views = [*given, *planned.views]
     if given:
@@ -173,7 +173,7 @@ def _score_planned(
     scorer.add(planned.views, jittered=jittered)
     scorer.add(planned.covering_views, covering=True)
     try:
-        scores = scorer.scores()
+        scores = replace(scorer.scores(), sparse=bool(given))
     except DataError as error:
         if error.code != "cameras-see-nothing":
             raise
@@ -189,10 +189,13 @@ def _score_planned(
     return ScoredViews(scores, views, tests, jittered, report, scorer.group_shares)
 
 
-def _plan_views(splats: Splats, request: EncodeRequest, progress: Progress) -> ViewPlan:
+def _plan_views(
+    splats: Splats, request: EncodeRequest, progress: Progress, *, beside_given: bool
+) -> ViewPlan:
     """Return planned scoring and test views; none if a near-lossless scene shows nothing."""
     try:
-        settings = request.effort.plan_config(request.config.threads).at_width(request.shown_at)
+        settings = request.effort.plan_config(request.config.threads, beside_given=beside_given)
+        settings = settings.at_width(request.shown_at)
         return plan(splats, settings, executor=request.executor, progress=progress)
     except DataError as error:
         if error.code != "empty-scene" or request.config.profile != "near-lossless":
@@ -257,7 +260,8 @@ def _add_given(
     rest = sorted(set(numbers) - set(scored))
     if rest and share > _SINGLE_CAMERA_LIMIT:
         further = sample_evenly(rest, (_GROWTH - 1) * len(scored))
-        scorer.add([cameras[number] for number in further], jittered=config.jitter)
+        # Without moved copies, which add nothing beside so many cameras (docs/ablations.md).
+        scorer.add([cameras[number] for number in further])
         scored = sorted([*scored, *further])
         share = single_camera_share(scorer.sums, config)
     return [cameras[number] for number in scored], share

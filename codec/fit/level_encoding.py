@@ -159,7 +159,7 @@ def _fill_scores(merged: Scores, scores: Scores, rows: I64, level_rows: I64) -> 
                     for each in fields(new)
                 }
                 changes[field.name] = type(new)(**filled)
-        elif field.name not in ("basis_spread", "num_pixels"):
+        elif field.name not in ("basis_spread", "num_pixels", "sparse"):
             changes[field.name] = _with_rows(old, new, rows)
     return replace(scores, **changes)
 

@@ -25,6 +25,17 @@ Spent elsewhere, a bit removes an error of 2·ln 2·λ/12 (uniform quantisation)
 the three scenes take 0.4, 13 and 2.5 % fewer bytes at equal PSNR.
 """
 
+PEAK: Final = 0.06
+"""Usual value of `PruneConfig.peak`: a dropped splat makes up less than 6 % of any pixel."""
+
+SPARSE_PEAK: Final = 0.02
+"""Value of `PruneConfig.peak` where the given cameras show too little in common (`Scores.sparse`).
+
+There, further views show splats that the scored views hide. At 0.02 a house of six rooms has 0.1 dB
+more at equal bytes, and its worst held-out view 3.1 dB; a city, 0.3 and 1.3 dB. A captured room
+would have up to 0.8 dB less, a terrace 0.4 (docs/ablations.md, "Scoring large scenes").
+"""
+
 # σ(o) = 1/255 at this logit: below it no pixel is ever touched (3DGS, forward pass).
 _INVISIBLE_LOGIT = -np.log(254.0)
 
@@ -35,9 +46,9 @@ class PruneConfig:
 
     Parameters
     ----------
-    peak : float
-        Limit of the splat's largest weight T·α over all pixels of all scoring views, jittered
-        views included. At 0.06 a dropped splat makes up less than 6 % of any pixel.
+    peak : float or None
+        Limit of the splat's largest weight T·alpha over all pixels of all scoring views, jittered
+        views included. None for `PEAK`, or `SPARSE_PEAK` where `Scores.sparse` is set.
     views : int
         Minimum number of scoring views in which the footprint lies. A splat that fewer views cover
         is kept, because its contribution is unknown.
@@ -46,13 +57,13 @@ class PruneConfig:
         other splats gain more per byte than the splat does.
     """
 
-    peak: float = 0.06
+    peak: float | None = None
     views: int = 4
     worth: float = WORTH
 
     def __post_init__(self) -> None:
         require_finite(self)
-        if not 0 <= self.peak < 1:
+        if self.peak is not None and not 0 <= self.peak < 1:
             raise ValueError(f"peak {self.peak}, expected 0 to 1")
         if self.views < 1:
             raise ValueError(f"views {self.views}, expected at least 1")
@@ -83,7 +94,9 @@ def keep_mask(
     """
     if config is None:
         return np.ones(len(splats), np.bool_)
-    idle = (scores.peak < config.peak) & (scores.covered >= config.views)
+    usual = SPARSE_PEAK if scores.sparse else PEAK
+    limit = usual if config.peak is None else config.peak
+    idle = (scores.peak < limit) & (scores.covered >= config.views)
     idle &= robust_energy(scores) < config.worth * lagrangian
     invisible = splats.opacities < _INVISIBLE_LOGIT
     kept: NDArray[np.bool_] = ~(idle | invisible)

@@ -109,6 +109,7 @@ class Scores:
     basis_spread: NDArray[np.float64]
     num_pixels: int
     sensitivities: Sensitivities | None = None
+    sparse: bool = False
 
     def __repr__(self) -> str:
         shown = int(np.count_nonzero(self.shown))

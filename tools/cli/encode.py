@@ -17,7 +17,7 @@ from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.order.chunk_plan import DEFAULT_CHUNK_SPLATS
 from cogsplat.codec.partition.nested_cells import DEFAULT_CELL_SPLATS
 from cogsplat.codec.progress import Progress
-from cogsplat.codec.rate.pruning import PruneConfig
+from cogsplat.codec.rate.pruning import PEAK, SPARSE_PEAK
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.streams.payload_limits import MAX_CHUNK_SPLATS
 from cogsplat.codec.threads import thread_count
@@ -223,7 +223,7 @@ _GROUPS: Final = {
 @click.option(
     "--prune",
     type=FiniteNumber(0, 1, max_open=True),
-    show_default=str(PruneConfig().peak),
+    show_default=f"{PEAK}, or {SPARSE_PEAK} where cameras overlap too little",
     metavar="PEAK",
     help="Drop splats that are not worth their bytes, among those whose weight is below PEAK in "
     "every pixel of every view.",

@@ -112,7 +112,7 @@ class EncodeOptions:
 
     def request(self) -> EncodeRequest:
         """Return the request without the parts that depend on the scene and its cameras."""
-        bound = PruneConfig() if self.prune is None else PruneConfig(peak=self.prune)
+        bound = PruneConfig(peak=self.prune)
         with usage_errors():
             config = EncodeConfig(
                 profile=self.profile,

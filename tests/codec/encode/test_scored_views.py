@@ -134,6 +134,26 @@ def test_planned_views_show_rooms_without_a_scored_camera(
     unseen = (score(splats, cameras[::4], PLAIN).shown > 0) & (of_used.shown == 0)
     assert unseen.any()
     assert (found.scores.shown[unseen] > 0).mean() > 0.5
+    assert found.scores.sparse
+    # Half as many as without cameras, and views for what they leave out.
+    planned = len(found.views) - len(used)
+    assert FAST.planned_views // 2 <= planned < FAST.planned_views
+
+
+def test_only_the_first_views_have_moved_copies(
+    rooms: tuple[Splats, list[Camera]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    splats, cameras = rooms
+    monkeypatch.setattr(request_module, "PRESETS", {"fast": replace(FAST, most_views=4)})
+    config = EncodeConfig(order="contribution", compensate=False, threads=1)
+    request = EncodeRequest(cameras=cameras, config=config, preset="fast")
+    found = score_scene(splats, request, silent)
+    views = [view for view in found.views if view in cameras]
+    assert len(views) == 16
+    copies = 4 * cameras[0].width * cameras[0].height
+    assert found.scores is not None
+    shown = sum(view.width * view.height for view in found.views)
+    assert found.scores.num_pixels == shown + copies
 
 
 def test_no_views_are_refused() -> None:

@@ -65,6 +65,15 @@ def test_a_peak_at_the_limit_is_kept():
     assert keep_mask(splats, scores, PruneConfig(peak=0)).tolist() == [True, True]
 
 
+def test_less_is_dropped_where_cameras_show_too_little_in_common():
+    splats, scores = seen([0.019, 0.021, 0.059, 0.061], [9] * 4)
+    sparse = replace(scores, sparse=True)
+    assert keep_mask(splats, scores, PruneConfig()).tolist() == [False, False, False, True]
+    assert keep_mask(splats, sparse, PruneConfig()).tolist() == [False, True, True, True]
+    for found in (scores, sparse):
+        assert keep_mask(splats, found, PruneConfig(peak=0.05)).tolist() == [False] * 2 + [True] * 2
+
+
 def test_transparent_splats_are_dropped_even_unseen():
     edge = -math.log(254)
     logits = [-np.inf, edge - 1e-4, edge + 1e-4, 0.0, np.inf]
