@@ -216,7 +216,7 @@ def single_camera_share(scores: Scores | ViewSums, config: ScoreConfig) -> float
     config : ScoreConfig
         Settings of the scoring pass. A splat counts as shown by at most one camera if the
         number of views that show it (`SHOWN_WEIGHT`) is at most that of one camera with its
-        jittered copies.
+        jittered copies. Of cameras scored without copies, several then count as one.
 
     Returns
     -------
@@ -260,7 +260,7 @@ def _add_given(
     rest = sorted(set(numbers) - set(scored))
     if rest and share > _SINGLE_CAMERA_LIMIT:
         further = sample_evenly(rest, (_GROWTH - 1) * len(scored))
-        # Without moved copies, which add nothing beside so many cameras (docs/ablations.md).
+        # Without moved copies, which gain less than they take time (docs/ablations.md).
         scorer.add([cameras[number] for number in further])
         scored = sorted([*scored, *further])
         share = single_camera_share(scorer.sums, config)

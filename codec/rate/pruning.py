@@ -47,7 +47,7 @@ class PruneConfig:
     Parameters
     ----------
     peak : float or None
-        Limit of the splat's largest weight T·alpha over all pixels of all scoring views, jittered
+        Limit of the splat's largest weight T·α over all pixels of all scoring views, jittered
         views included. None for `PEAK`, or `SPARSE_PEAK` where `Scores.sparse` is set.
     views : int
         Minimum number of scoring views in which the footprint lies. A splat that fewer views cover
