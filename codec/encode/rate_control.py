@@ -380,7 +380,8 @@ def _next(trials: list[_Trial], goal: float, rise: float) -> float:
     """Return the next quality: between trials on both sides of the goal, else beyond the last.
 
     Values are not monotonic: a codebook may change its number of rows. Of all neighbours by quality
-    with the goal between them, the closest pair is used.
+    with the goal between them, the closest pair is used. Where the last two trials were on the same
+    side of the goal, interpolation hardly moves on a bent curve: the next is nearer to the middle.
     """
     by_quality = sorted(trials, key=lambda trial: trial.quality_db)
     pairs = [
@@ -391,6 +392,8 @@ def _next(trials: list[_Trial], goal: float, rise: float) -> float:
     if pairs:
         lower, upper = min(pairs, key=lambda pair: pair[1].quality_db - pair[0].quality_db)
         share = (goal - lower.value) / (upper.value - lower.value)
+        if len(trials) > 2 and (trials[-1].value < goal) == (trials[-2].value < goal):
+            share = 0.5 * (share + 0.5)
         share = min(max(share, _MARGIN), 1 - _MARGIN)
         return lower.quality_db + share * (upper.quality_db - lower.quality_db)
     last = trials[-1]

@@ -213,6 +213,21 @@ def test_what_cannot_be_reached_is_said():
     assert caught.value.code == "target-out-of-reach"
 
 
+def test_a_size_is_found_on_a_bent_curve():
+    # Seen of a scene of 400 splats: interpolation alone stays above the target.
+    curve = Curve(
+        lambda q: int(
+            np.interp(
+                q,
+                [28, 33, 34, 34.5, 36, 38, 39.3, 40.5, 46.7, 60],
+                [5043, 6229, 6817, 7893, 8592, 9607, 10309, 10408, 15172, 22422],
+            )
+        )
+    )
+    hit = search_size(curve, 400, 10_201, itself)
+    assert 0.95 * 10_201 < hit.value <= 10_201
+
+
 def test_more_room_than_a_scene_needs_gives_the_finest():
     hit = search_size(Curve(lambda q: int(100 * q)), 1000, 10**9, itself)
     assert hit.quality_db == 90.0
