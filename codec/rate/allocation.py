@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.scoring.contribution import Scores
 
-from .costs import COARSEST_COLOUR, robust_energy
+from .costs import coarsest_colour, robust_energy
 
 F64 = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ def lagrangian(scores: Scores, quality_db: float) -> float:
     order = np.argsort(shown, kind="stable")
     shown, energy = shown[order], scores.energy[seen][order]
     # Up to λ = `ends` a splat's error is `share` times λ; beyond, its steps are the coarsest.
-    ends = COARSEST_COLOUR**2 * shown
+    ends = coarsest_colour(scores) ** 2 * shown
     share = energy / shown
     coarsest = np.cumsum(share * ends)
     growing = np.cumsum(share[::-1])[::-1] - share

@@ -118,8 +118,14 @@ class Costs:
 
 # Coarsest steps. A viewer may see splats that no scoring view shows: with these steps such splats
 # roughly keep their position, size, colour and opacity.
-COARSEST_COLOUR: Final = 0.08
+COARSEST_COLOUR: Final = 0.15
 """Coarsest step of a colour, where colours range from 0 to 1."""
+SPARSE_COARSEST_COLOUR: Final = 0.08
+"""The same where the given cameras show too little in common (`Scores.sparse`).
+
+Further views show splats there that hardly count in the scored ones: at 0.15 a grey car of a city
+was green. A city of a million splats takes 1.6 % fewer bytes at 0.08, for 0.2 dB more.
+"""
 _OPACITY_LIMIT: Final = 1.0
 _SCALE_LIMITS: Final = (0.35, 0.5, 0.7)  # long, middle, thin; log
 _MEAN_LIMIT: Final = 1.0  # standard deviations
@@ -248,7 +254,8 @@ def limit_steps(found: Costs, scales: NDArray[np.float32], lagrangian: float) ->
     Parameters
     ----------
     found : Costs
-        Costs to limit, one row per splat.
+        Costs to limit, one row per splat. The energy, the cost of colours, stays as it is
+        (`limit_colour_steps`).
     scales : (n, 3) float32
         Log scales: the coarsest steps of means and rotations depend on a splat's shape.
     lagrangian : float
@@ -264,7 +271,6 @@ def limit_steps(found: Costs, scales: NDArray[np.float32], lagrangian: float) ->
     )
     return replace(
         found,
-        energy=limit_colour_steps(found.energy, lagrangian),
         mean=np.maximum(found.mean, lagrangian / np.square(_MEAN_LIMIT * size)),
         opacity=np.maximum(found.opacity, lagrangian / _OPACITY_LIMIT**2),
         scale_long=np.maximum(found.scale_long, long),
@@ -275,6 +281,11 @@ def limit_steps(found: Costs, scales: NDArray[np.float32], lagrangian: float) ->
     )
 
 
-def limit_colour_steps(energy: F64, lagrangian: float) -> F64:
-    """Return (n,) energies raised so that no step √(λ / energy) exceeds `COARSEST_COLOUR`."""
-    return np.maximum(energy, lagrangian / COARSEST_COLOUR**2)
+def coarsest_colour(scores: Scores) -> float:
+    """Return the coarsest step of a colour in a scene with these scores."""
+    return SPARSE_COARSEST_COLOUR if scores.sparse else COARSEST_COLOUR
+
+
+def limit_colour_steps(energy: F64, lagrangian: float, coarsest: float) -> F64:
+    """Return (n,) energies raised so that no step √(λ / energy) exceeds `coarsest`."""
+    return np.maximum(energy, lagrangian / coarsest**2)

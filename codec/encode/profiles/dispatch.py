@@ -81,7 +81,7 @@ def _transform(scene: ChunkedScene, quality_db: float, progress: Progress) -> Pl
         scene.scores if config.ablation.sensitivities else replace(scene.scores, sensitivities=None)
     )
     energy = rate_costs.positive_energy(scores, scene.rows)
-    lagrangian = scene.lagrangian
+    lagrangian, coarsest = scene.lagrangian, rate_costs.coarsest_colour(scores)
 
     def part(run: slice) -> Splats:
         """Return the splats of a range of rows, with outliers clipped."""
@@ -92,19 +92,22 @@ def _transform(scene: ChunkedScene, quality_db: float, progress: Progress) -> Pl
         return outliers.clip_coefficients(workspace.gather(source.shN, scene.rows[run]))
 
     def own_costs(run: slice) -> Costs:
-        """Return the costs of a range of rows."""
+        """Return the costs of a range of rows, with no colour step beyond the coarsest."""
         rows = scene.rows[run]
-        return rate_costs.costs(part(run), scores.take(rows, workspace.gather), energy[run])
+        found = rate_costs.costs(part(run), scores.take(rows, workspace.gather), energy[run])
+        limited = rate_costs.limit_colour_steps(found.energy, lagrangian, coarsest)
+        return replace(found, energy=limited)
 
     costs_of: Callable[[slice], Costs] = own_costs
+    colour_costs = rate_costs.limit_colour_steps(energy, lagrangian, coarsest)
     if not config.ablation.chunk_steps:
         level = own_costs(slice(0, len(scene.rows))).equalise()
-        energy, costs_of = level.energy, level.take
+        colour_costs, costs_of = level.energy, level.take
     plan = transform.plan(
         source.sh_degree,
         coefficients_of,
         costs_of,
-        energy,
+        colour_costs,
         scene.scores.basis_spread,
         lagrangian,
         scene.slices,
@@ -124,7 +127,7 @@ def _transform(scene: ChunkedScene, quality_db: float, progress: Progress) -> Pl
             codebook = colour_codebook.fit(
                 plan.basis,
                 coefficients_of,
-                rate_costs.limit_colour_steps(energy, lagrangian),
+                colour_costs,
                 lagrangian,
                 scene.slices,
                 config.training,

@@ -138,9 +138,9 @@ def plan(
         Returns the SH coefficients of a range of rows (`colour_transform.fit`).
     costs_of : callable
         Returns the `Costs` of a range of rows. Costs of a whole scene take three times the memory
-        of its splats, so they are computed chunk by chunk.
+        of its splats, so they are computed chunk by chunk. Their energy is as in `energy`.
     energy : (N,) float64
-        `Costs.energy` of each row: the cost of its colour.
+        `Costs.energy` of each row, with no colour step beyond the coarsest.
     basis_spread : (K-1, K-1) float64
         `Scores.basis_spread`.
     lagrangian : float
@@ -164,10 +164,9 @@ def plan(
     if sh_degree:
         spread = basis_spread if ablation.view_metric else np.zeros_like(basis_spread)
         if given is None:
-            limited = rate_costs.limit_colour_steps(energy, lagrangian)
             principal = ablation.colour_basis
             fitted = colour_transform.fit(
-                coefficients_of, limited, spread, lagrangian, chunks, principal=principal
+                coefficients_of, energy, spread, lagrangian, chunks, principal=principal
             )
             payloads = tuple(records.pack([b], digits=ablation.digits) for b in fitted.streams())
             given = EncodedCodebook("colour", len(fitted.rows), payloads)

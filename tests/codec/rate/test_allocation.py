@@ -23,20 +23,23 @@ def test_ten_decibels_are_a_tenth_of_lambda_below_the_coarsest_steps():
     )
 
 
+@pytest.mark.parametrize("sparse", [False, True])
 @pytest.mark.parametrize("quality_db", [22.0, 36.0, 50.0])
-def test_a_scene_quantised_at_the_slope_has_the_nominal_error(quality_db):
+def test_a_scene_quantised_at_the_slope_has_the_nominal_error(quality_db, sparse):
     # The uniform errors of N splats, Δ²/12 times energy, add up to the nominal error.
     # Many splats are so faint that their steps are the coarsest. Some have finer steps than their
     # mean energy gives, because one view shows them best.
     rng = np.random.default_rng(1)
     energy = rng.lognormal(-12, 3, 5000)
     largest = energy * rng.lognormal(3, 1, 5000)
-    scores = replace(with_energy(energy), largest_energy=largest)
+    scores = replace(with_energy(energy), largest_energy=largest, sparse=sparse)
     lagrangian = allocation.lagrangian(scores, quality_db)
     shown = rate_costs.robust_energy(scores)
     assert (shown > energy).any()
-    steps = np.sqrt(lagrangian / rate_costs.limit_colour_steps(shown, lagrangian))
-    assert (steps > 0.999 * rate_costs.COARSEST_COLOUR).any()
+    coarsest = rate_costs.coarsest_colour(scores)
+    assert coarsest == (0.08 if sparse else 0.15)
+    steps = np.sqrt(lagrangian / rate_costs.limit_colour_steps(shown, lagrangian, coarsest))
+    assert 0.999 * coarsest < steps.max() < 1.001 * coarsest
     shares = 24.5
     error = shares * (energy * steps**2 / 12).sum()
     assert -10 * math.log10(error) == pytest.approx(quality_db)
