@@ -120,11 +120,11 @@ class Costs:
 # roughly keep their position, size, colour and opacity.
 COARSEST_COLOUR: Final = 0.15
 """Coarsest step of a colour, where colours range from 0 to 1."""
-SPARSE_COARSEST_COLOUR: Final = 0.08
+SPARSE_COARSEST_COLOUR: Final = 0.05
 """The same where the given cameras show too little in common (`Scores.sparse`).
 
 Further views show splats there that hardly count in the scored ones: at 0.15 a grey car of a city
-was green. A city of a million splats takes 1.6 % fewer bytes at 0.08, for 0.2 dB more.
+was green, at 0.08 it was brown (docs/ablations.md, "Scoring large scenes").
 """
 _OPACITY_LIMIT: Final = 1.0
 _SCALE_LIMITS: Final = (0.35, 0.5, 0.7)  # long, middle, thin; log
