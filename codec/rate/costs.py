@@ -282,7 +282,7 @@ def limit_steps(found: Costs, scales: NDArray[np.float32], lagrangian: float) ->
 
 
 def coarsest_colour(scores: Scores) -> float:
-    """Return the coarsest step of a colour in a scene with these scores."""
+    """Return the coarsest step of a colour, which is finer where `Scores.sparse` is set."""
     return SPARSE_COARSEST_COLOUR if scores.sparse else COARSEST_COLOUR
 
 
