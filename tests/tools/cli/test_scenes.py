@@ -49,7 +49,7 @@ def test_choices_and_defaults_are_the_encoder_s_own() -> None:
         PROFILE_NAMES,
         EncodeConfig,
     )
-    from cogsplat.codec.rate.pruning import PruneConfig
+    from cogsplat.codec.rate.pruning import PEAK, SPARSE_PEAK, PruneConfig
     from cogsplat.codec.scoring.score_config import LEAST_WEIGHT, ScoreConfig
 
     config = EncodeConfig()
@@ -67,8 +67,9 @@ def test_choices_and_defaults_are_the_encoder_s_own() -> None:
     chunk_splats = option(encode, "chunk_splats")
     assert not isinstance(chunk_splats.default, int)
     assert f"[default: {config.chunk_splats}, " in (chunk_splats.help or "")
-    assert option(encode, "prune").show_default == str(PruneConfig().peak)
-    assert config.prune == PruneConfig()
+    usual = f"{PEAK}, or {SPARSE_PEAK} where cameras overlap too little"
+    assert option(encode, "prune").show_default == usual
+    assert config.prune == PruneConfig() == PruneConfig(peak=None)
     assert config.morton
     assert option(score, "top_k").default == ScoreConfig().top_k
     assert option(encode, "top_k").default is None
