@@ -381,7 +381,8 @@ def _next(trials: list[_Trial], goal: float, rise: float) -> float:
 
     Values are not monotonic: a codebook may change its number of rows. Of all neighbours by quality
     with the goal between them, the closest pair is used. Where the last two trials were on the same
-    side of the goal, interpolation hardly moves on a bent curve: the next is nearer to the middle.
+    side of the goal, as on a bent curve, interpolation alone is slow: the next quality is halfway
+    from there to the middle of the pair.
     """
     by_quality = sorted(trials, key=lambda trial: trial.quality_db)
     pairs = [

@@ -260,7 +260,7 @@ def _add_given(
     rest = sorted(set(numbers) - set(scored))
     if rest and share > _SINGLE_CAMERA_LIMIT:
         further = sample_evenly(rest, (_GROWTH - 1) * len(scored))
-        # Without moved copies, which gain less than they take time (docs/ablations.md).
+        # Without moved copies: what they gain is not worth their time (docs/ablations.md).
         scorer.add([cameras[number] for number in further])
         scored = sorted([*scored, *further])
         share = single_camera_share(scorer.sums, config)

@@ -121,10 +121,10 @@ class Costs:
 COARSEST_COLOUR: Final = 0.15
 """Coarsest step of a colour, where colours range from 0 to 1."""
 SPARSE_COARSEST_COLOUR: Final = 0.05
-"""The same where the given cameras show too little in common (`Scores.sparse`).
+"""Coarsest step of a colour where the given cameras show too little in common (`Scores.sparse`).
 
-Further views show splats there that hardly count in the scored ones: at 0.15 a grey car of a city
-was green, at 0.08 it was brown (docs/ablations.md, "Scoring large scenes").
+Other viewpoints show splats that hardly count in the scored views: a grey car of a city was green
+at 0.15 and brown at 0.08 (docs/ablations.md, "Scoring large scenes").
 """
 _OPACITY_LIMIT: Final = 1.0
 _SCALE_LIMITS: Final = (0.35, 0.5, 0.7)  # long, middle, thin; log

@@ -33,7 +33,7 @@ SPARSE_PEAK: Final = 0.02
 
 There, further views show splats that the scored views hide. At 0.02 a house of six rooms has 0.1 dB
 more at equal bytes, and its worst held-out view 3.1 dB; a city, 0.3 and 1.3 dB. A captured room
-would have up to 0.8 dB less, a terrace 0.4 (docs/ablations.md, "Scoring large scenes").
+would have up to 0.8 dB less, a terrace 0.6 (docs/ablations.md, "Scoring large scenes").
 """
 
 # σ(o) = 1/255 at this logit: below it no pixel is ever touched (3DGS, forward pass).

@@ -31,7 +31,7 @@ _ZERO = np.float32(0.0)
 
 WEIGHT, SQUARE, PEAK = range(3)
 """Columns of a view's sums over pixels, with weights w = T·alpha: Σw, Σw² and the largest w."""
-# Offset of the second half of two times TILE lanes.
+# Offset of the second half of a buffer of two times TILE lanes.
 _SECOND = np.uintp(TILE)
 
 # Splats of a pixel at most: ln(1e-4) / ln(1 - 1/255) = 2344 splats of the smallest alpha.

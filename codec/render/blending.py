@@ -114,8 +114,9 @@ def blend_pixel(
 def bits(value: np.float32) -> np.uint32:
     """Return the bits of a float32. Those of numbers from 0 up have the order of the numbers.
 
-    The compiler may not reorder float sums and maxima, and so does not vectorise them over the
-    pixels of a row. It does so with integers of 32 bits; numba makes results of 32 bits 64 wide.
+    The compiler vectorises maxima and unions of 32-bit integers over the pixels of a row, but not
+    maxima of floats, which it may not reorder. Callers put results into `np.uint32`, because numba
+    makes them 64 bits wide.
     """
     return np.float32(value).view(np.uint32)
 

@@ -95,7 +95,7 @@ class Scores:
         Costs of errors of the stored values; None if `ScoreConfig.sensitivity_every` is 0.
     sparse : bool
         Whether the given cameras show too little in common, so that planned views were scored
-        beside them. Pruning then keeps more splats.
+        beside them. Pruning then keeps more splats, and colours have finer steps.
     """
 
     contribution: NDArray[np.float64]

@@ -138,7 +138,7 @@ def plan(
         Returns the SH coefficients of a range of rows (`colour_transform.fit`).
     costs_of : callable
         Returns the `Costs` of a range of rows. Costs of a whole scene take three times the memory
-        of its splats, so they are computed chunk by chunk. Their energy is as in `energy`.
+        of its splats, so they are computed chunk by chunk. Their energy is limited as `energy` is.
     energy : (N,) float64
         `Costs.energy` of each row, with no colour step beyond the coarsest.
     basis_spread : (K-1, K-1) float64
