@@ -74,10 +74,10 @@ def _weigh(
         Transmittance of nearer splats by pixel of all tiles (`open_tiles`), changed in place;
         without rows, nothing is nearer.
     sums : (P, 3) float32
-        Output: Σw, Σw² and the largest w of each pair.
+        Zeros; output: Σw, Σw² and the largest w of each pair.
     acts : (P,) bool
-        Output: whether the pair changes the transmittance of a pixel: one that ends a pixel does,
-        without a weight.
+        False; output: whether the pair changes the transmittance of a pixel: one that ends a pixel
+        does, without a weight.
     first, last : int
         Half-open range of tiles.
     """
@@ -97,10 +97,6 @@ def _weigh(
         begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
         for pair in range(begin, end):
             if left_open == 0:
-                for rest in range(pair, end):
-                    acts[rest] = False
-                    for column in range(3):
-                        sums[rest, column] = _ZERO
                 break
             place = (pair - begin) % PAIRS_READ
             if place == 0:
@@ -203,10 +199,6 @@ def _weigh_largest(
         begin, end = starts[tile - lists_first], starts[tile - lists_first + 1]
         for pair in range(begin, end):
             if left_open == 0:
-                for rest in range(pair, end):
-                    acts[rest] = False
-                    for column in range(3):
-                        sums[rest, column] = _ZERO
                 break
             i = members[pair]
             narrow, shear, flat, opacity, centre_x, centre_y = footprint_in_tile(
@@ -314,8 +306,9 @@ def add_weights(
     (P,) bool
         Mask of the pairs that change a pixel. Without the others, pictures are the same.
     """
-    pair_sums = np.empty((len(lists.members), 3), np.float32)
-    acts = np.empty(len(lists.members), np.bool_)
+    # The kernels leave out the pairs behind the one that ends a tile: their sums are 0.
+    pair_sums = np.zeros((len(lists.members), 3), np.float32)
+    acts = np.zeros(len(lists.members), np.bool_)
     by_size = 0 < top_k < MAX_WEIGHTS
     if transmittances is None:
         transmittances = np.empty((0, PIXELS), np.float32)
