@@ -25,8 +25,8 @@ class Preset:
     Parameters
     ----------
     planned_views : int
-        Views planned for a scene without cameras; half as many beside cameras that overlap too
-        little.
+        Views planned for a scene without cameras. Where given cameras overlap too little, half as
+        many are planned and scored in addition.
     planned_jitter : bool
         Score jittered copies of planned views as well. A fast preset drops copies rather than
         places: nothing else shows the surfaces of a dropped place.
@@ -90,19 +90,19 @@ class Preset:
         every = min(self.views_every, max(len(cameras) // FEWEST_VIEWS, 1))
         return sample_evenly(cameras, min(-(-len(cameras) // every), self.most_views))
 
-    def plan_config(self, threads: int = 0, *, beside_given: bool = False) -> ViewPlanConfig:
+    def plan_config(self, threads: int = 0, *, in_addition: bool = False) -> ViewPlanConfig:
         """Return the view planning settings.
 
         Parameters
         ----------
         threads : int
             Number of threads, 0 for all cores.
-        beside_given : bool
-            Whether the planned views are scored beside given cameras, half as many.
+        in_addition : bool
+            Whether the views are planned in addition to given cameras; then half as many.
         """
         from cogsplat.codec.views.planner import ViewPlanConfig
 
-        views = max(self.planned_views // 2, 1) if beside_given else self.planned_views
+        views = max(self.planned_views // 2, 1) if in_addition else self.planned_views
         return ViewPlanConfig(views=views, threads=threads)
 
     def fit_config(self, threads: int = 0) -> FitConfig:

@@ -156,7 +156,7 @@ def _score_planned(
 
     `scorer` has the scores in the given cameras; None without such cameras.
     """
-    planned = _plan_views(splats, request, progress, beside_given=bool(given))
+    planned = _plan_views(splats, request, progress, in_addition=bool(given))
     jittered = request.scoring.jitter and request.effort.planned_jitter
     views = [*given, *planned.views]
     if given:
@@ -190,11 +190,11 @@ def _score_planned(
 
 
 def _plan_views(
-    splats: Splats, request: EncodeRequest, progress: Progress, *, beside_given: bool
+    splats: Splats, request: EncodeRequest, progress: Progress, *, in_addition: bool
 ) -> ViewPlan:
     """Return planned scoring and test views; none if a near-lossless scene shows nothing."""
     try:
-        settings = request.effort.plan_config(request.config.threads, beside_given=beside_given)
+        settings = request.effort.plan_config(request.config.threads, in_addition=in_addition)
         settings = settings.at_width(request.shown_at)
         return plan(splats, settings, executor=request.executor, progress=progress)
     except DataError as error:

@@ -94,8 +94,8 @@ class Scores:
     sensitivities : Sensitivities or None
         Costs of errors of the stored values; None if `ScoreConfig.sensitivity_every` is 0.
     sparse : bool
-        Whether the given cameras show too little in common, so that planned views were scored
-        beside them. Pruning then keeps more splats, and colours have finer steps.
+        Whether the given cameras show too little in common, so that planned views were scored as
+        well. Pruning then keeps more splats, and colours have finer steps.
     """
 
     contribution: NDArray[np.float64]
@@ -133,7 +133,10 @@ class Scores:
 
 
 def zero_scores(splats: int) -> Scores:
-    """Return scores of zero for `splats` splats, for a scene without rendered views."""
+    """Return scores of zero for `splats` splats, for a scene without rendered views.
+
+    They have the bases of degree 3, of which scenes of lower degrees use the first.
+    """
     return Scores(
         contribution=np.zeros(splats, np.float64),
         colour_sensitivity=np.zeros(splats, np.float64),

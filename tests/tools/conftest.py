@@ -111,7 +111,7 @@ def few_planned_views(monkeypatch: pytest.MonkeyPatch) -> None:
     from cogsplat.codec.encode.presets import Preset
     from cogsplat.codec.views.planner import ViewPlanConfig
 
-    def plan_config(_: Preset, threads: int = 0, *, beside_given: bool = False) -> ViewPlanConfig:
+    def plan_config(_: Preset, threads: int = 0, *, in_addition: bool = False) -> ViewPlanConfig:
         return ViewPlanConfig(views=6, width=80, height=60, threads=threads)
 
     monkeypatch.setattr(Preset, "plan_config", plan_config)
