@@ -77,8 +77,11 @@ const { Scheduler, Visit } = await load("visit.js");
 const found = { decisions: 0, most: 0, mostDrawn: 0, evictions: 0, refetched: 0, soonAgain: 0, unneeded: 0, heapMb: [] };
 const evicted = new Map();
 
+/** Return the unit that is the head of each chunk or unread page. */
+const headsOf = ({ units }) => new Map(units.flatMap(({ row, isHead }, unit) => (isHead ? [[row, unit]] : [])));
+
 /** Return the worth of each chunk that is not held: the largest of itself and its descendants (docs/streaming.md, 9). */
-function worthsOf({ heads, units }, ratios) {
+function worthsOf({ units }, heads, ratios) {
   const worths = new Map([...heads].map(([chunk, head]) => [chunk, ratios[chunk] / units[head].place]));
   for (const chunk of [...heads.keys()].sort((a, b) => b - a)) {
     const parent = units[heads.get(chunk)].dependencies.map((unit) => units[unit].row).find((other) => other >= 0);
@@ -91,11 +94,12 @@ const { decide } = Scheduler.prototype;
 Scheduler.prototype.decide = function (ratios, holdings) {
   const decision = decide.call(this, ratios, holdings);
   const held = new Set();
+  const heads = headsOf(this);
   const record = () => {
     const splats = [...held].reduce((sum, chunk) => sum + this.splats[chunk], 0);
     found.most = Math.max(found.most, splats);
   };
-  for (const [chunk, head] of this.heads) {
+  for (const [chunk, head] of heads) {
     if (holdings.arrived.has(head) || holdings.inFlight.has(head)) held.add(chunk);
   }
   record();
@@ -116,7 +120,7 @@ Scheduler.prototype.decide = function (ratios, holdings) {
     if (now - before.at >= 1000) continue;
     found.soonAgain++;
     // Rounding of the urgency may differ in the last bit.
-    if (worthsOf(this, ratios).get(chunk) < (1 - 1e-12) * before.worth) found.unneeded++;
+    if (worthsOf(this, heads, ratios).get(chunk) < (1 - 1e-12) * before.worth) found.unneeded++;
   }
   record();
   found.decisions++;

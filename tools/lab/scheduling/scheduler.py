@@ -204,6 +204,41 @@ def _chain(
     return [*out, unit]
 
 
+class _Links:
+    """What follows from the units alone.
+
+    Parameters
+    ----------
+    units : sequence of Unit
+
+    Attributes
+    ----------
+    rows : list of int
+        Rows of chunks and unread pages, ascending: parents precede their children.
+    head_of, parent_of : dict of int to int
+        By row: unit of its head; row of the chunk on whose head its head depends, -1 for none.
+    units_of : dict of int to list of int
+        By row: its units.
+    dependents : list of list of int
+        By unit: the units that directly depend on it.
+    """
+
+    def __init__(self, units: Sequence[Unit]) -> None:
+        self.head_of = {unit.row: at for at, unit in enumerate(units) if unit.is_head}
+        self.rows = sorted(self.head_of)
+        self.units_of: dict[int, list[int]] = {row: [] for row in self.rows}
+        self.dependents: list[list[int]] = [[] for _ in units]
+        for at, unit in enumerate(units):
+            if unit.row >= 0:
+                self.units_of[unit.row].append(at)
+            for dependency in unit.dependencies:
+                self.dependents[dependency].append(at)
+        self.parent_of = {
+            row: max((units[other].row for other in units[head].dependencies), default=-1)
+            for row, head in self.head_of.items()
+        }
+
+
 class Scheduler:
     """Scheduler for the units of one scene.
 
@@ -227,13 +262,9 @@ class Scheduler:
     def __init__(self, units: Sequence[Unit], splats: Sequence[int]) -> None:
         self._units = units
         self._splats = splats
-        self._chunk = np.array([unit.row for unit in units], np.int64)
+        self._links = _Links(units)
+        self._row = np.array([unit.row for unit in units], np.int64)
         self._place = np.array([unit.place for unit in units], np.float64)
-        self._heads = {unit.row: at for at, unit in enumerate(units) if unit.is_head}
-        self._units_of_chunk: dict[int, list[int]] = {chunk: [] for chunk in self._heads}
-        for at, unit in enumerate(units):
-            if unit.row >= 0:
-                self._units_of_chunk[unit.row].append(at)
 
     def decide(self, ratios: F64, state: ClientState) -> Decision:
         """Decide which units to abort, evict and fetch.
@@ -244,15 +275,12 @@ class Scheduler:
             Visibility ratio of each chunk (`chunk_ratios.weighted_ratios`).
         state : ClientState
         """
-        urgency = urgencies(ratios, self._chunk, self._place).tolist()
-        order = sorted(range(len(self._units)), key=lambda unit: (-urgency[unit], unit))
-        round_ = _Round(
-            self._units, self._splats, self._heads, self._units_of_chunk, urgency, state
-        )
+        urgency = urgencies(ratios, self._row, self._place)
+        round_ = _Round(self._units, self._splats, self._links, self._row, urgency, state)
         round_.make_room(0)
-        round_.abort_outranked(order)
+        round_.abort_outranked()
         while not round_.is_window_full():
-            best = round_.best_chain(order)
+            best = round_.best_chain()
             if best is None:
                 break
             round_.request_first(best[0])
@@ -266,14 +294,19 @@ class _Round:
         self,
         units: Sequence[Unit],
         splats: Sequence[int],
-        heads: dict[int, int],
-        units_of_chunk: dict[int, list[int]],
-        urgency: list[float],
+        links: _Links,
+        row: I64,
+        urgency: F64,
         state: ClientState,
     ) -> None:
-        self._units, self._splats, self._heads = units, splats, heads
-        self._units_of_chunk, self._urgency, self._state = units_of_chunk, urgency, state
-        self._present = set(state.present)
+        self._units, self._splats, self._links, self._row = units, splats, links, row
+        self._order = np.argsort(-urgency, kind="stable")
+        self._urgency: list[float] = urgency.tolist()
+        self._state = state
+        # By unit: whether it is present or in flight.
+        self._held = bytearray(len(units))
+        for unit in (*state.present, *state.in_flight):
+            self._held[unit] = 1
         self._in_flight = set(state.in_flight)
         self._received = dict(state.received)
         self._window = window_bytes(state.bytes_per_second, state.latency)
@@ -282,61 +315,68 @@ class _Round:
         self._skipped: set[int] = set()
         self._worth: dict[int, float] = {}
         self._target, self._evictable = self._choose_target()
-        self._held_splats = sum(splats[chunk] for chunk in heads if self._is_held(chunk))
+        self._held_splats = sum(splats[chunk] for chunk in links.rows if self._is_held(chunk))
+        self._candidates = self._wanted()
         self.aborted: list[int] = []
         self.evicted: dict[int, float] = {}
         self.chosen: list[int] = []
 
-    def _choose_target(self) -> tuple[set[int], list[int]]:
+    def _choose_target(self) -> tuple[set[int] | None, list[int]]:
         """Choose the chunks to hold within the budget (section 9).
 
         Returns
         -------
-        target, evictable : set of int, list of int
-            The chunks to hold, and the other chunks held, in the order of their eviction.
+        target, evictable : set of int or None, list of int
+            The chunks to hold, None for all; and the other chunks held, in the order of their
+            eviction.
         """
         if not self._state.budget_splats:
-            return set(self._heads), []
-        worth = self._worth
-        for chunk, head in self._heads.items():
-            factor = _HELD_FACTOR if self._is_held(chunk) else 1.0
+            return None, []
+        worth, links = self._worth, self._links
+        for chunk in links.rows:
+            head = links.head_of[chunk]
+            factor = _HELD_FACTOR if self._held[head] else 1.0
             worth[chunk] = self._urgency[head] * self._units[head].place * factor
-        parents = {chunk: self._parent(chunk) for chunk in self._heads}
-        # Parents precede their children.
-        for chunk in sorted(worth, reverse=True):
-            parent = parents[chunk]
-            if parent is not None:
+        for chunk in reversed(links.rows):
+            parent = links.parent_of[chunk]
+            if parent >= 0:
                 worth[parent] = max(worth[parent], worth[chunk])
-        order = sorted(worth, key=lambda chunk: (-worth[chunk], chunk))
-        target: set[int | None] = {None}
+        order = sorted(links.rows, key=lambda chunk: (-worth[chunk], chunk))
+        target = {-1}
         room = self._state.budget_splats
         for chunk in order:
+            if links.parent_of[chunk] not in target or self._splats[chunk] > room:
+                continue
             least = 0.0 if self._is_held(chunk) else self._state.evicted_worths.get(chunk, 0.0)
-            fits = self._splats[chunk] <= room and worth[chunk] >= least
-            if parents[chunk] in target and fits:
+            if worth[chunk] >= least:
                 target.add(chunk)
                 room -= self._splats[chunk]
         evictable = [chunk for chunk in order[::-1] if self._is_held(chunk) and chunk not in target]
-        return {chunk for chunk in target if chunk is not None}, evictable
+        return target - {-1}, evictable
 
-    def _parent(self, chunk: int) -> int | None:
-        """Return the chunk on whose head the head of a chunk depends."""
-        chunks = [self._units[at].row for at in self._units[self._heads[chunk]].dependencies]
-        return max((parent for parent in chunks if parent >= 0), default=None)
+    def _wanted(self) -> list[int]:
+        """Return the missing units of chunks to hold and of no chunk, by falling urgency."""
+        is_wanted = np.frombuffer(self._held, np.uint8) == 0
+        if self._target is not None:
+            is_wanted &= (self._row < 0) | np.isin(self._row, list(self._target))
+        wanted: list[int] = self._order[is_wanted[self._order]].tolist()
+        return wanted
 
     def is_window_full(self) -> bool:
         """Whether the bytes in flight reach the window."""
         remaining = sum(self._remaining_bytes(unit) for unit in self._in_flight)
         return remaining >= self._window and bool(self._in_flight)
 
-    def best_chain(self, order: Sequence[int]) -> tuple[Sequence[int], float] | None:
+    def best_chain(self) -> tuple[Sequence[int], float] | None:
         """Return the best chain and its value, without units skipped in this decision."""
-        units = (unit for unit in order if self._is_wanted(unit) and unit not in self._skipped)
+        units = (
+            unit for unit in self._candidates if not self._held[unit] and unit not in self._skipped
+        )
         return best_chain(units, self._urgency, self._sizes, self._dependencies, self._is_missing)
 
-    def abort_outranked(self, order: Sequence[int]) -> None:
+    def abort_outranked(self) -> None:
         """Abort units in flight whose value is far below that of the best missing unit."""
-        best = self.best_chain(order)
+        best = self.best_chain()
         if best is None:
             return
         _, best_value = best
@@ -349,8 +389,11 @@ class _Round:
             if transfer_seconds <= self._state.latency or self._is_required(unit):
                 continue
             self._abort(unit)
+        if self.aborted:
+            self._candidates = self._wanted()
 
     def _abort(self, unit: int) -> None:
+        self._held[unit] = 0
         self._in_flight.remove(unit)
         self.aborted.append(unit)
         if self._units[unit].is_head:
@@ -358,15 +401,17 @@ class _Round:
 
     def _in_flight_values(self) -> dict[int, float]:
         """Return per unit in flight the largest urgency of itself and its missing dependents."""
-        values = {unit: self._urgency[unit] for unit in self._in_flight}
-        for unit in range(len(self._units)):
-            stack = [unit] if self._is_missing(unit) else []
-            while stack:
-                for dependency in self._units[stack.pop()].dependencies:
-                    stack.append(dependency)
-                    if dependency in values:
-                        values[dependency] = max(values[dependency], self._urgency[unit])
-        return values
+        known: dict[int, float] = {}
+
+        def of_dependents(unit: int) -> float:
+            if unit not in known:
+                known[unit] = 0.0
+                for other in self._links.dependents[unit]:
+                    own = 0.0 if self._held[other] else self._urgency[other]
+                    known[unit] = max(known[unit], own, of_dependents(other))
+            return known[unit]
+
+        return {unit: max(self._urgency[unit], of_dependents(unit)) for unit in self._in_flight}
 
     def request_first(self, chain: Sequence[int]) -> None:
         """Choose the first unit of a chain, after evictions for a head without room."""
@@ -378,6 +423,7 @@ class _Round:
         if first.is_head:
             self.make_room(self._splats[first.row])
             self._held_splats += self._splats[first.row]
+        self._held[chain[0]] = 1
         self._in_flight.add(chain[0])
         self.chosen.append(chain[0])
 
@@ -395,12 +441,12 @@ class _Round:
             if not self._is_held(chunk):
                 continue
             self.evicted[chunk] = self._worth[chunk]
-            for unit in self._units_of_chunk[chunk]:
+            for unit in self._links.units_of[chunk]:
                 if unit in self._in_flight:
                     self._abort(unit)
-                elif unit in self._present and self._units[unit].is_head:
+                elif self._held[unit] and self._units[unit].is_head:
                     self._held_splats -= self._splats[chunk]
-                self._present.discard(unit)
+                self._held[unit] = 0
                 self._received.pop(unit, None)
 
     def _remaining_bytes(self, unit: int) -> int:
@@ -408,19 +454,11 @@ class _Round:
 
     def _is_held(self, chunk: int) -> bool:
         """Whether the head of a chunk is present or in flight."""
-        return not self._is_missing(self._heads[chunk])
+        return bool(self._held[self._links.head_of[chunk]])
 
     def _is_missing(self, unit: int) -> bool:
-        return unit not in self._present and unit not in self._in_flight
-
-    def _is_wanted(self, unit: int) -> bool:
-        """Whether a unit is missing, and of a chunk to hold or of none."""
-        chunk = self._units[unit].row
-        return self._is_missing(unit) and (chunk < 0 or chunk in self._target)
+        return not self._held[unit]
 
     def _is_required(self, unit: int) -> bool:
         """Whether a unit that is present or in flight depends on this one."""
-        return any(
-            unit in dependencies and not self._is_missing(other)
-            for other, dependencies in enumerate(self._dependencies)
-        )
+        return any(self._held[other] for other in self._links.dependents[unit])

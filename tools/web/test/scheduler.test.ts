@@ -12,7 +12,8 @@ import {
   sumAlongPath,
 } from "../src/schedule/chunk_ratios.js";
 import { type Pose, predictPath } from "../src/schedule/poses.js";
-import { Scheduler, type Unit } from "../src/schedule/scheduler.js";
+import { Scheduler } from "../src/schedule/scheduler.js";
+import type { Unit } from "../src/schedule/unit_links.js";
 
 /** Contents of the file of `tools/lab/make_decisions.py`. */
 interface Scene {

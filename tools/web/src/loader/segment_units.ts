@@ -1,6 +1,6 @@
 import type { Index, Page, SceneIndex } from "../container/scene_index.js";
 import { SegmentKind } from "../container/tables.js";
-import type { Unit } from "../schedule/scheduler.js";
+import type { Unit } from "../schedule/unit_links.js";
 
 /** Part of an index that units are made from. */
 export type UnitIndex = Pick<SceneIndex, "indexes" | "rows" | "segments" | "chunks" | "codebookSegmentsOf">;

@@ -21,7 +21,8 @@ export {
   sumAlongPath,
 } from "../schedule/chunk_ratios.js";
 export { type Pose, predictPath, predictPose, type WeightedPose } from "../schedule/poses.js";
-export { type Decision, type Holdings, Scheduler, type Unit } from "../schedule/scheduler.js";
+export { type Decision, type Holdings, Scheduler } from "../schedule/scheduler.js";
+export type { Unit } from "../schedule/unit_links.js";
 
 /** Shortest time between two evaluations of the pose, seconds (docs/streaming.md, 11). */
 const EVALUATION_SECONDS = 0.1;

@@ -1,3 +1,5 @@
+import { type Unit, UnitLinks } from "./unit_links.js";
+
 /**
  * Bytes in flight beyond one round trip, as seconds of the connection: requests never run dry, and few are made early.
  */
@@ -8,19 +10,6 @@ const HELD_FACTOR = 2;
 const ABORT_FACTOR = 16;
 /** Time after its eviction for which a chunk is fetched again only if it has become worth more, seconds. */
 export const EVICTED_SECONDS = 1;
-
-/** A segment or unread page that a client may fetch; units of an index are in file order. */
-export interface Unit {
-  /** Row in `SceneRows` of the chunk or page; −1 for segments of no chunk, for example of codebooks. */
-  readonly row: number;
-  /** Whether it is the head of the chunk, or the page. */
-  readonly isHead: boolean;
-  /** Place of the unit: in the root the end of the segment in the file, bytes (docs/streaming.md, 7). */
-  readonly place: number;
-  readonly size: number;
-  /** Units without which this one is useless: codebooks, and for a head that of the parent chunk. */
-  readonly dependencies: readonly number[];
-}
 
 /** State of a client: units, memory and connection. */
 export interface Holdings {
@@ -57,7 +46,9 @@ export function windowBytes(bytesPerSecond: number, latency: number): number {
 
 /** Decides which units to fetch, stop and evict (docs/streaming.md, 7 to 9). */
 export class Scheduler {
-  private readonly heads = new Map<number, number>();
+  private readonly links: UnitLinks;
+  /** Rows of the chunks by falling worth in the last decision; nearly sorted for the next. */
+  private readonly byWorth: number[];
   /** Urgencies and order for the ratios of the last decision. */
   private last:
     | { readonly ratios: Float64Array; readonly urgency: Float64Array; readonly order: readonly number[] }
@@ -67,9 +58,8 @@ export class Scheduler {
     private readonly units: readonly Unit[],
     private readonly splats: ArrayLike<number>,
   ) {
-    units.forEach(({ row, isHead }, at) => {
-      if (isHead) this.heads.set(row, at);
-    });
+    this.links = new UnitLinks(units);
+    this.byWorth = [...this.links.rows];
   }
 
   /**
@@ -85,11 +75,11 @@ export class Scheduler {
 
   decide(ratios: Float64Array, holdings: Holdings): Decision {
     const { urgency, order } = this.ordered(ratios);
-    const round = new Round(this.units, this.splats, this.heads, urgency, holdings);
+    const round = new Round(this.units, this.splats, this.links, urgency, order, this.byWorth, holdings);
     round.makeRoom(0);
-    round.stopLessUrgent(order);
+    round.stopLessUrgent();
     while (!round.isFull) {
-      const best = round.best(order);
+      const best = round.best();
       if (best === undefined) break;
       round.request(best);
     }
@@ -112,74 +102,88 @@ interface Chain {
   readonly worth: number;
 }
 
-/** A decision in progress. */
+/** A decision in progress; its time follows the number of units, and not how many of them have arrived. */
 class Round {
   readonly stopped: number[] = [];
   readonly evicted = new Map<number, number>();
   readonly chosen: number[] = [];
-  private readonly arrived: Set<number>;
+  /** By unit: 1 if it has arrived or is in flight. */
+  private readonly held: Uint8Array;
   private readonly inFlight: Set<number>;
   private readonly received: Map<number, number>;
   private readonly skipped = new Set<number>();
   private readonly window: number;
   /** Bytes missing of the units in flight. */
   private bytesInFlight = 0;
-  /** Chunks to hold; undefined without a budget. */
-  private readonly target: ReadonlySet<number> | undefined;
+  /** By row: 1 for the chunks to hold; undefined without a budget. */
+  private readonly target: Uint8Array | undefined;
   /** Other chunks held, in the order of their eviction. */
   private readonly evictable: number[] = [];
-  private readonly worths = new Map<number, number>();
+  /** By row: worth of the chunk. */
+  private readonly worths: Float64Array;
   /** Splats of the chunks held. */
   private heldSplats = 0;
+  /** Missing units of chunks to hold and of no chunk, the most urgent first; some are requested since. */
+  private candidates: readonly number[];
 
   constructor(
     private readonly units: readonly Unit[],
     private readonly splats: ArrayLike<number>,
-    private readonly heads: ReadonlyMap<number, number>,
+    private readonly links: UnitLinks,
     private readonly urgency: Float64Array,
+    private readonly order: readonly number[],
+    byWorth: number[],
     private readonly holdings: Holdings,
   ) {
-    this.arrived = new Set(holdings.arrived);
+    this.held = new Uint8Array(units.length);
+    for (const unit of holdings.arrived) this.held[unit] = 1;
+    for (const unit of holdings.inFlight) this.held[unit] = 1;
     this.inFlight = new Set(holdings.inFlight);
     this.received = new Map(holdings.received);
     this.window = windowBytes(holdings.bytesPerSecond, holdings.latency);
     for (const unit of this.inFlight) this.bytesInFlight += this.missingBytes(unit);
-    if (holdings.budgetSplats > 0) this.target = this.chooseTarget(holdings.budgetSplats);
+    this.worths = new Float64Array(links.headOf.length);
+    if (holdings.budgetSplats > 0) this.target = this.chooseTarget(holdings.budgetSplats, byWorth);
+    this.candidates = this.wanted();
   }
 
   /** Return the chunks to hold within the budget; list the held chunks to evict (docs/streaming.md, 9). */
-  private chooseTarget(budget: number): Set<number> {
-    const { worths } = this;
-    const parents = new Map<number, number | undefined>();
-    for (const [chunk, head] of this.heads) {
-      const held = this.isHeld(head);
-      if (held) this.heldSplats += this.splats[chunk]!;
-      worths.set(chunk, this.urgency[head]! * this.units[head]!.place * (held ? HELD_FACTOR : 1));
-      parents.set(
-        chunk,
-        this.units[head]!.dependencies.map((unit) => this.units[unit]!.row).find((parent) => parent >= 0),
-      );
+  private chooseTarget(budget: number, byWorth: number[]): Uint8Array {
+    const { worths, splats } = this;
+    const { rows, parentOf, headOf } = this.links;
+    const { evictedWorths } = this.holdings;
+    for (const row of rows) {
+      const head = headOf[row]!;
+      if (this.held[head]) this.heldSplats += splats[row]!;
+      worths[row] = this.urgency[head]! * this.units[head]!.place * (this.held[head] ? HELD_FACTOR : 1);
     }
-    // Parents precede their children.
-    for (const chunk of [...worths.keys()].sort((a, b) => b - a)) {
-      const parent = parents.get(chunk);
-      if (parent !== undefined) worths.set(parent, Math.max(worths.get(parent)!, worths.get(chunk)!));
+    for (let i = rows.length - 1; i >= 0; i--) {
+      const parent = parentOf[rows[i]!]!;
+      if (parent >= 0) worths[parent] = Math.max(worths[parent]!, worths[rows[i]!]!);
     }
-    const order = [...worths.keys()].sort((a, b) => worths.get(b)! - worths.get(a)! || a - b);
-    const target = new Set<number>();
+    byWorth.sort((a, b) => worths[b]! - worths[a]! || a - b);
+    const target = new Uint8Array(worths.length);
     let room = budget;
-    for (const chunk of order) {
-      const parent = parents.get(chunk);
-      if ((parent !== undefined && !target.has(parent)) || this.splats[chunk]! > room) continue;
-      if (!this.isHeld(this.heads.get(chunk)!) && worths.get(chunk)! < (this.holdings.evictedWorths.get(chunk) ?? 0))
-        continue;
-      target.add(chunk);
-      room -= this.splats[chunk]!;
+    for (const row of byWorth) {
+      const parent = parentOf[row]!;
+      if ((parent >= 0 && !target[parent]) || splats[row]! > room) continue;
+      if (!this.held[headOf[row]!] && worths[row]! < (evictedWorths.get(row) ?? 0)) continue;
+      target[row] = 1;
+      room -= splats[row]!;
     }
-    this.evictable.push(
-      ...order.reverse().filter((chunk) => !target.has(chunk) && this.isHeld(this.heads.get(chunk)!)),
-    );
+    for (const row of byWorth) if (!target[row] && this.held[headOf[row]!]) this.evictable.push(row);
+    this.evictable.reverse();
     return target;
+  }
+
+  /** Return the missing units of chunks to hold and of no chunk, the most urgent first. */
+  private wanted(): number[] {
+    const { target } = this;
+    return this.order.filter((unit) => {
+      if (this.held[unit]) return false;
+      const { row } = this.units[unit]!;
+      return row < 0 || target === undefined || target[row] === 1;
+    });
   }
 
   /** Whether the bytes in flight fill the window. */
@@ -188,10 +192,10 @@ class Round {
   }
 
   /** Return the most urgent chain, without units skipped in this decision. */
-  best(order: readonly number[]): Chain | undefined {
+  best(): Chain | undefined {
     let best: Chain | undefined;
-    for (const unit of order) {
-      if (!this.isWanted(unit) || this.skipped.has(unit)) continue;
+    for (const unit of this.candidates) {
+      if (this.held[unit] || this.skipped.has(unit)) continue;
       const units = this.withDependencies(unit);
       const worth = units.length === 1 ? this.urgency[unit]! : this.mean(units);
       if (best === undefined || worth > best.worth) best = { units, worth };
@@ -213,8 +217,8 @@ class Round {
   }
 
   /** Stop units in flight that are far less urgent than the best missing chain. */
-  stopLessUrgent(order: readonly number[]): void {
-    const best = this.best(order);
+  stopLessUrgent(): void {
+    const best = this.best();
     if (best === undefined) return;
     const { bytesPerSecond, latency } = this.holdings;
     const worths = this.worthsInFlight();
@@ -224,22 +228,23 @@ class Round {
       if (this.missingBytes(unit) / bytesPerSecond <= latency || this.hasDependents(unit)) continue;
       this.stop(unit);
     }
+    if (this.stopped.length > 0) this.candidates = this.wanted();
   }
 
   /** Return the worth of each unit in flight: the urgency of the most urgent missing unit that depends on it. */
   private worthsInFlight(): Map<number, number> {
-    const worths = new Map([...this.inFlight].map((unit) => [unit, this.urgency[unit]!]));
-    this.units.forEach((_, unit) => {
-      const left = this.isHeld(unit) ? [] : [unit];
-      for (let next = left.pop(); next !== undefined; next = left.pop()) {
-        for (const before of this.units[next]!.dependencies) {
-          left.push(before);
-          const worth = worths.get(before);
-          if (worth !== undefined) worths.set(before, Math.max(worth, this.urgency[unit]!));
-        }
+    const known = new Map<number, number>();
+    const ofDependents = (unit: number): number => {
+      let most = known.get(unit);
+      if (most !== undefined) return most;
+      most = 0;
+      for (const other of this.links.dependents[unit]!) {
+        most = Math.max(most, this.held[other] ? 0 : this.urgency[other]!, ofDependents(other));
       }
-    });
-    return worths;
+      known.set(unit, most);
+      return most;
+    };
+    return new Map([...this.inFlight].map((unit) => [unit, Math.max(this.urgency[unit]!, ofDependents(unit))]));
   }
 
   /** Request the first unit of a chain, after evictions for a head without room. */
@@ -255,6 +260,7 @@ class Round {
       this.makeRoom(this.splats[row]!);
       this.heldSplats += this.splats[row]!;
     }
+    this.held[first] = 1;
     this.inFlight.add(first);
     this.bytesInFlight += this.missingBytes(first);
     this.chosen.push(first);
@@ -263,6 +269,7 @@ class Round {
   /** Stop a unit in flight. */
   private stop(unit: number): void {
     const { row, isHead } = this.units[unit]!;
+    this.held[unit] = 0;
     this.inFlight.delete(unit);
     this.bytesInFlight -= this.missingBytes(unit);
     this.stopped.push(unit);
@@ -276,47 +283,37 @@ class Round {
    */
   makeRoom(splats: number): void {
     while (this.evictable.length > 0 && this.heldSplats + splats > this.holdings.budgetSplats) {
-      const chunk = this.evictable.shift()!;
+      const row = this.evictable.shift()!;
       // A head in flight may have been stopped.
-      if (this.isHeld(this.heads.get(chunk)!)) this.evict(chunk);
+      if (this.held[this.links.headOf[row]!]) this.evict(row);
     }
   }
 
-  private evict(chunk: number): void {
-    this.evicted.set(chunk, this.worths.get(chunk)!);
-    this.units.forEach((part, unit) => {
-      if (part.row !== chunk) return;
+  private evict(row: number): void {
+    this.evicted.set(row, this.worths[row]!);
+    for (const unit of this.links.unitsOf[row]!) {
       if (this.inFlight.has(unit)) this.stop(unit);
-      else if (this.arrived.delete(unit) && part.isHead) this.heldSplats -= this.splats[chunk]!;
+      else if (this.held[unit] && this.units[unit]!.isHead) this.heldSplats -= this.splats[row]!;
+      this.held[unit] = 0;
       this.received.delete(unit);
-    });
+    }
   }
 
   private missingBytes(unit: number): number {
     return this.units[unit]!.size - (this.received.get(unit) ?? 0);
   }
 
-  private isHeld(unit: number): boolean {
-    return this.arrived.has(unit) || this.inFlight.has(unit);
-  }
-
-  /** Return whether a unit is missing, and of a chunk to hold or of none. */
-  private isWanted(unit: number): boolean {
-    const { row } = this.units[unit]!;
-    return !this.isHeld(unit) && (row < 0 || this.target === undefined || this.target.has(row));
-  }
-
   /** Return the missing dependencies of a unit, then the unit. */
   private withDependencies(unit: number): number[] {
     const out: number[] = [];
     for (const before of this.units[unit]!.dependencies) {
-      if (!this.isHeld(before)) out.push(...this.withDependencies(before).filter((other) => !out.includes(other)));
+      if (!this.held[before]) out.push(...this.withDependencies(before).filter((other) => !out.includes(other)));
     }
     return [...out, unit];
   }
 
   /** Return whether a unit that has arrived or is in flight depends on this one. */
   private hasDependents(unit: number): boolean {
-    return this.units.some(({ dependencies }, other) => dependencies.includes(unit) && this.isHeld(other));
+    return this.links.dependents[unit]!.some((other) => this.held[other] === 1);
   }
 }
