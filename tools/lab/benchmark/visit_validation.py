@@ -1,7 +1,7 @@
 """Validation of the simulated `visit` policy against a real browser.
 
-Run ``python -m cogsplat.tools.lab.benchmark.visit_validation SCENE.cogs --cameras PATH --trace
-WALK.json`` from a checkout, after ``npm ci && npm run build`` in ``tools/web``.
+Run ``python -m cogsplat.tools.lab.benchmark.visit_validation SCENE.cogs --trace WALK.json`` from a
+checkout, after ``npm ci && npm run build`` in ``tools/web``.
 
 Headless Chromium follows the path with the npm package over a slow link and records which chunks
 it has decoded at given times. The recorded and the simulated chunks are rendered afterwards by the
@@ -23,7 +23,6 @@ import numpy as np
 
 import cogsplat
 from cogsplat.codec.metrics import psnr
-from cogsplat.codec.views.view_sets import hold_out
 from cogsplat.formats.cameras.camera_files import read_cameras
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.tools.delivery import slow_server
@@ -258,7 +257,13 @@ def compare(
     """
     client = simulation.client("visit")
     arrivals = simulation.arrivals(
-        "visit", client, trace, link, budget_splats=budget_splats, browser=visit.browser
+        "visit",
+        client,
+        trace,
+        link,
+        budget_splats=budget_splats,
+        browser=visit.browser,
+        until=visit.noted[-1]["seconds"],
     )
     rows = []
     pictures: dict[str, list[np.ndarray]] = {"": [], "browser": [], "simulated": []}
@@ -295,7 +300,6 @@ def compare(
 
 @click.command()
 @click.argument("scene", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@click.option("--cameras", type=click.Path(exists=True, path_type=Path), required=True)
 @click.option("--trace", type=click.Path(exists=True, path_type=Path), required=True)
 @click.option("--pose-seconds", default=0.5, show_default=True)
 @click.option("--mbit", default=2.0, show_default=True, help="Bandwidth of the link, Mbit/s.")
@@ -328,7 +332,6 @@ def compare(
 @click.option("--json", "as_json", is_flag=True)
 def main(
     scene: Path,
-    cameras: Path,
     trace: Path,
     pose_seconds: float,
     mbit: float,
@@ -344,14 +347,13 @@ def main(
 ) -> None:
     """Compare a visit in Chromium with its simulation."""
     walked = recorded_trace(read_cameras(trace), pose_seconds)
-    known, _ = hold_out(read_cameras(cameras), 8)
     end = min(seconds or walked.seconds, walked.seconds)
     times = sorted(at) or [end * (k + 1) / moments for k in range(moments)]
     link = Link(1e6 * mbit, latency / 1000.0)
     visit = run_browser(scene, walked, link, times, budget, splats_per_second)
     drawn = None if source is None else cogsplat.read(source)
     with cogsplat.open(scene) as file:
-        simulation = Simulation(file, known, compensate=True, source=drawn)
+        simulation = Simulation(file, [], compensate=True, source=drawn)
         rows, shown = compare(simulation, walked, link, visit, budget)
     if pictures is not None:
         kept = np.unique(

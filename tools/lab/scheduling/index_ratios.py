@@ -38,7 +38,12 @@ class IndexRatios:
         self._indices, self._tables = indices, tables
         self._known: dict[tuple[Path, bool], PoseRatios] = {}
 
-    def at(self, pose: Pose, arrived: Collection[Path] | None = None) -> F64:
+    def at(
+        self,
+        pose: Pose,
+        arrived: Collection[Path] | None = None,
+        read: Collection[Path] | None = None,
+    ) -> F64:
         """Return the ratio of each row of `scene_rows.SceneRows` at a pose, (r,) float64.
 
         Each is relative to all chunks and pages of its index, times the ratio of the index' page.
@@ -48,16 +53,23 @@ class IndexRatios:
         pose : Pose
         arrived : collection of tuple of int, optional
             Indices whose tables have arrived; boxes give the ratios of others. By default all.
+        read : collection of tuple of int, optional
+            Indices that the client has read; rows that others list have `MIN_RATIO`. By default
+            all.
         """
         chunks: list[F64] = []
         pages: list[F64] = []
         of_pages: dict[Path, float] = {}
         for index in self._indices:
             has_table = index.path in self._tables and (arrived is None or index.path in arrived)
+            count = len(index.tables.chunks)
+            if read is not None and index.path not in read:
+                chunks.append(np.full(count, MIN_RATIO))
+                pages.append(np.full(len(index.tables.pages), MIN_RATIO))
+                continue
             values = self._ratios(index, has_table)(pose)
             if index.path:
                 values = np.maximum(of_pages[index.path] * values, MIN_RATIO)
-            count = len(index.tables.chunks)
             chunks.append(values[:count])
             pages.append(values[count:])
             of_pages |= {(*index.path, row): value for row, value in enumerate(values[count:])}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -23,6 +24,7 @@ from cogsplat.tools.lab.scheduling.scene_rows import scene_rows
 
 from .client import (
     CHUNK_KINDS,
+    PAGE,
     Arrivals,
     Link,
     Priorities,
@@ -220,13 +222,17 @@ class Simulation:
         # `visit` uses only information in the file, never a measured table.
         self._visit_ratios = self._stored_ratios(file, stored)
         self._boxes = IndexRatios(file.indices, {})
-        if () in stored:
-            self.known_views = len(stored[()].positions)
-            self._ratios = self._visit_ratios
-            return
-        self.known_views = len(self._known)
-        measured = IndexRatios(file.indices, self._measured_tables(file, progress))
-        self._ratios = lambda pose, _: measured.at(pose)
+        self._is_known = () in stored
+        self.known_views = len(stored[()].positions if self._is_known else self._known)
+        self._file, self._progress = file, progress
+
+    @cached_property
+    def _ratios(self) -> ClientRatios:
+        """Ratios from the file's view tables, or else from tables measured when first needed."""
+        if self._is_known:
+            return self._visit_ratios
+        measured = IndexRatios(self._file.indices, self._measured_tables())
+        return lambda pose, _: measured.at(pose)
 
     def _stored_ratios(
         self, file: CogsFile, tables: dict[tuple[int, ...], ViewTable]
@@ -240,16 +246,21 @@ class Simulation:
             for unit in np.flatnonzero(units.kind == SegmentKind.VIEW_TABLE).tolist()
         }
 
+        paths = {index.start: index.path for index in file.indices}
+        pages = {
+            unit: paths[unit_starts[unit]] for unit in np.flatnonzero(units.kind == PAGE).tolist()
+        }
+
         def of_client(pose: Pose, present: Collection[int]) -> F64:
-            return ratios.at(pose, {path_of[unit] for unit in present if unit in path_of})
+            arrived = {path_of[unit] for unit in present if unit in path_of}
+            read = {pages[unit] for unit in present if unit in pages}
+            return ratios.at(pose, arrived, {(), *read})
 
         return of_client
 
-    def _measured_tables(
-        self, file: CogsFile, progress: Progress
-    ) -> dict[tuple[int, ...], ViewTable]:
+    def _measured_tables(self) -> dict[tuple[int, ...], ViewTable]:
         """Measure the view tables of all indices from the known views."""
-        count = len(self._known)
+        count, progress = len(self._known), self._progress
         shares = []
         for number, camera in enumerate(self._known):
             progress("table", number, count)
@@ -258,7 +269,7 @@ class Simulation:
         columns = np.stack(shares)
         tables = {}
         page = self._rows.chunks
-        for node in file.indices:
+        for node in self._file.indices:
             end, pages = node.first_chunk + len(node.tables.chunks), len(node.tables.pages)
             of_node = [*range(node.first_chunk, end), *range(page, page + pages)]
             tables[node.path] = measured_view_table(self._known, columns[:, of_node])
@@ -343,6 +354,7 @@ class Simulation:
         *,
         budget_splats: int = 0,
         browser: Browser | None = None,
+        until: float | None = None,
     ) -> Arrivals:
         """Simulate the arrival of a client's units.
 
@@ -357,6 +369,8 @@ class Simulation:
             Memory limit of ``visit``, splats; 0 for no limit.
         browser : Browser, optional
             Machine that ``visit`` runs on; by default one without delays.
+        until : float, optional
+            Time at which the simulation of ``visit`` ends, s; by default 600 s after the trace.
         """
         if name != "visit":
             return simulate_fetch(client.units, trace, link, client.priorities)
@@ -368,6 +382,7 @@ class Simulation:
             link,
             budget_splats=budget_splats,
             browser=browser,
+            until=until,
         )
 
     def run_trace(

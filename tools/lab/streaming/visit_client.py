@@ -109,6 +109,7 @@ def simulate_visit(
     *,
     budget_splats: int = 0,
     browser: Browser | None = None,
+    until: float | None = None,
 ) -> Arrivals:
     """Simulate the client along a trace, and at its end until all fetches are complete.
 
@@ -127,6 +128,8 @@ def simulate_visit(
         Memory limit, splats; 0 for no limit.
     browser : Browser, optional
         Machine; by default one without delays.
+    until : float, optional
+        Time at which the simulation ends in any case, s; by default 600 s after the trace.
 
     Returns
     -------
@@ -134,7 +137,7 @@ def simulate_visit(
         Time at which each unit and its dependencies are decoded, and time of its eviction.
     """
     run = _Run(units, splats, ratios, trace, link, budget_splats, browser or Browser())
-    return run.arrivals()
+    return run.arrivals(trace.seconds + _MAX_WAIT_SECONDS if until is None else until)
 
 
 def scheduled_units(units: Units, present: Collection[int]) -> tuple[list[int], list[Unit]]:
@@ -154,15 +157,13 @@ def scheduled_units(units: Units, present: Collection[int]) -> tuple[list[int], 
     is_read = (units.kind == PAGE) & np.isin(np.arange(len(units)), list(present))
     listed = np.flatnonzero(units.listed(present) & ~is_read).tolist()
     number = {unit: k for k, unit in enumerate(listed)}
+    is_head = np.isin(units.kind, [SegmentKind.HEAD, PAGE])
+    columns = (units.row, is_head, units.place, units.size_bytes)
     rows = [
-        Unit(
-            int(units.row[unit]),
-            bool(units.kind[unit] in (SegmentKind.HEAD, PAGE)),
-            float(units.place[unit]),
-            int(units.size_bytes[unit]),
-            tuple(number[other] for other in units.dependencies[unit]),
+        Unit(row, head, place, size, tuple(number[other] for other in units.dependencies[unit]))
+        for unit, row, head, place, size in zip(
+            listed, *(column[listed].tolist() for column in columns), strict=True
         )
-        for unit in listed
     ]
     return listed, rows
 
@@ -198,10 +199,9 @@ class _Run:
         self._evicted_at: list[float] = []
         self._requested_at: list[float] = [browser.start_seconds]
 
-    def arrivals(self) -> Arrivals:
-        """Run the simulation."""
+    def arrivals(self, end: float) -> Arrivals:
+        """Run the simulation up to a time."""
         now = self._open()
-        end = self._trace.seconds + _MAX_WAIT_SECONDS
         self._decide(now)
         while now < end:
             later = self._next_event(now)
