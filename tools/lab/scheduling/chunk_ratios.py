@@ -90,7 +90,8 @@ def visibility_ratios(visibility: F64, contribution: F64) -> F64:
 def ratios_from_boxes(boxes: F64, contribution: F64) -> PoseRatios:
     """Return the ratio function for files without a view table (docs/streaming.md, 5).
 
-    The visibility of a box in the frustum is its contribution over its squared depth.
+    A box in the frustum counts its contribution over its squared depth, of which the squared
+    half diagonal of the box is a part: views cannot be nearer to all of a large box.
 
     Parameters
     ----------
@@ -99,12 +100,16 @@ def ratios_from_boxes(boxes: F64, contribution: F64) -> PoseRatios:
     contribution : (c,) float64
         Stored contribution of each chunk.
     """
+    sides = boxes[:, 3:] - boxes[:, :3]
+    radii = 0.25 * _dots(sides, sides)
+    usual = np.sort(radii)[(len(radii) - 1) // 2] if len(radii) else 0.0
 
     def ratios(pose: Pose) -> F64:
         depth = np.maximum(centre_depths(boxes, pose), _MIN_DEPTH)
         is_visible = screen_coverage(boxes, pose) > 0.0
         return visibility_ratios(
-            np.where(is_visible, contribution / (depth * depth), 0.0), contribution
+            np.where(is_visible, contribution * (usual + radii) / (depth * depth + radii), 0.0),
+            contribution,
         )
 
     return ratios
@@ -122,21 +127,18 @@ def ratios_from_view_table(table: ViewTable, boxes: F64, contribution: F64) -> P
         Stored contribution of each chunk.
     """
     viewpoints = _viewpoints(table)
-    shares = [table.shares[view] for view in range(len(viewpoints))]
+    shares = table.shares.astype(np.float64)
     # The view of the table may be wider than assumed here, so coverage is at least the share.
-    coverages = [
-        np.maximum(screen_coverage(boxes, view), share)
-        for view, share in zip(viewpoints, shares, strict=True)
-    ]
-    spread = _spread([view.position for view in viewpoints])
+    coverages = np.maximum([screen_coverage(boxes, view) for view in viewpoints], shares)
+    positions = np.stack([view.position for view in viewpoints])
+    forwards = np.stack([view.rotation[2] for view in viewpoints])
+    spread = _spread(positions)
     average = contribution / (ordered_sum(contribution) or 1.0)
 
     def ratios(pose: Pose) -> F64:
-        visible, covered = np.zeros(len(boxes)), np.zeros(len(boxes))
-        for view, share, coverage in zip(viewpoints, shares, coverages, strict=True):
-            weight = _weight(pose, view, spread)
-            visible = visible + share * weight
-            covered = covered + coverage * weight
+        weights = _weights(pose, positions, forwards, spread)[:, None]
+        # Sums over the viewpoints from the first to the last (docs/streaming.md, 1).
+        visible, covered = (np.cumsum(of * weights, axis=0)[-1] for of in (shares, coverages))
         # Chunks outside the frustum of every viewpoint fall back to their average contribution.
         filled = np.where(covered > 0.0, visible / np.where(covered > 0.0, covered, 1.0), average)
         return visibility_ratios(screen_coverage(boxes, pose) * filled, contribution)
@@ -203,23 +205,27 @@ def _viewpoints(table: ViewTable) -> list[Pose]:
     return poses
 
 
-def _spread(positions: Sequence[F64]) -> float:
-    """Return the root mean square distance of positions from their mean."""
+def _spread(positions: F64) -> float:
+    """Return the root mean square distance of positions, (v, 3), from their mean."""
     count = float(len(positions))
-    centre = np.array(
-        [ordered_sum(np.array([p[axis] for p in positions])) / count for axis in range(3)]
-    )
-    squares = np.array([dot(p - centre, p - centre) for p in positions])
-    return max(float(np.sqrt(ordered_sum(squares) / count)), 1e-9)
+    centre = np.array([ordered_sum(positions[:, axis]) / count for axis in range(3)])
+    away = positions - centre
+    return max(float(np.sqrt(ordered_sum(_dots(away, away)) / count)), 1e-9)
 
 
-def _weight(pose: Pose, view: Pose, spread: float) -> float:
-    """Return the interpolation weight of a viewpoint at a pose."""
-    offset = pose.position - view.position
-    rotation = 1.0 - dot(pose.rotation[2], view.rotation[2])
+def _weights(pose: Pose, positions: F64, forwards: F64, spread: float) -> F64:
+    """Return the interpolation weight, (v,), of viewpoints with (v, 3) positions and directions."""
+    offset = pose.position - positions
+    rotation = 1.0 - _dots(pose.rotation[2:], forwards)
     closeness = 1.0 / (
-        float(np.sqrt(dot(offset, offset))) / spread
-        + _ROTATION_WEIGHT * rotation
-        + _DISTANCE_OFFSET
+        np.sqrt(_dots(offset, offset)) / spread + _ROTATION_WEIGHT * rotation + _DISTANCE_OFFSET
     )
-    return (closeness * closeness) * (closeness * closeness)
+    weights: F64 = (closeness * closeness) * (closeness * closeness)
+    return weights
+
+
+def _dots(one: F64, other: F64) -> F64:
+    """Return the dot products of (v, 3) vectors; each adds its terms from left to right."""
+    terms = one * other
+    dots: F64 = terms[:, 0] + terms[:, 1] + terms[:, 2]
+    return dots

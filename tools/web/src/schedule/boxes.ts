@@ -24,26 +24,48 @@ function corners(boxes: Boxes, box: number, pose: Pose): [number, number, number
 }
 
 /** Return the share of the picture that a box's bounding rectangle covers; 0 for a box behind or outside the view. */
-export function pictureShare(boxes: Boxes, box: number, pose: Pose): number {
-  const points = corners(boxes, box, pose);
-  if (!(Math.max(...points.map((point) => point[2])) > NEAR)) return 0;
-  let share = 1;
-  for (const [axis, tan] of [
-    [0, pose.tanX],
-    [1, pose.tanY],
-  ] as const) {
-    const tangents = points.map((point) => point[axis] / Math.max(point[2], NEAR));
-    const low = Math.max(Math.min(...tangents), -tan);
-    const high = Math.min(Math.max(...tangents), tan);
-    share *= Math.max((high - low) / (2 * tan), 0);
+export function pictureShare(boxes: Boxes, box: number, { position, rotation, tanX, tanY }: Pose): number {
+  const at = 6 * box;
+  let far = -Infinity;
+  let [left, right, top, bottom] = [Infinity, -Infinity, Infinity, -Infinity];
+  // Written out: it runs for every chunk of every pose, where arrays of corners took most of the time.
+  for (let corner = 0; corner < 8; corner++) {
+    const dx = boxes[at + 3 * (corner & 1)]! - position[0]!;
+    const dy = boxes[at + 1 + 3 * ((corner >> 1) & 1)]! - position[1]!;
+    const dz = boxes[at + 2 + 3 * (corner >> 2)]! - position[2]!;
+    const z = rotation[6]! * dx + rotation[7]! * dy + rotation[8]! * dz;
+    const depth = Math.max(z, NEAR);
+    const x = (rotation[0]! * dx + rotation[1]! * dy + rotation[2]! * dz) / depth;
+    const y = (rotation[3]! * dx + rotation[4]! * dy + rotation[5]! * dz) / depth;
+    far = Math.max(far, z);
+    left = Math.min(left, x);
+    right = Math.max(right, x);
+    top = Math.min(top, y);
+    bottom = Math.max(bottom, y);
   }
-  return share;
+  if (!(far > NEAR)) return 0;
+  const wide = Math.max((Math.min(right, tanX) - Math.max(left, -tanX)) / (2 * tanX), 0);
+  const high = Math.max((Math.min(bottom, tanY) - Math.max(top, -tanY)) / (2 * tanY), 0);
+  return wide * high;
 }
 
 /** Return the depth of a box's centre, scene units. */
-export function middleDepth(boxes: Boxes, box: number, pose: Pose): number {
-  const middle = (axis: number): number => 0.5 * (boxes[6 * box + axis]! + boxes[6 * box + 3 + axis]!);
-  return local(pose, middle(0), middle(1), middle(2))[2];
+export function middleDepth(boxes: Boxes, box: number, { position, rotation }: Pose): number {
+  const at = 6 * box;
+  const dx = 0.5 * (boxes[at]! + boxes[at + 3]!) - position[0]!;
+  const dy = 0.5 * (boxes[at + 1]! + boxes[at + 4]!) - position[1]!;
+  const dz = 0.5 * (boxes[at + 2]! + boxes[at + 5]!) - position[2]!;
+  return rotation[6]! * dx + rotation[7]! * dy + rotation[8]! * dz;
+}
+
+/** Return the square of half the diagonal of a box. */
+export function squaredRadius(boxes: Boxes, box: number): number {
+  const [x, y, z] = [0, 1, 2].map((axis) => boxes[6 * box + axis + 3]! - boxes[6 * box + axis]!) as [
+    number,
+    number,
+    number,
+  ];
+  return 0.25 * (x * x + y * y + z * z);
 }
 
 type Point = readonly [number, number];

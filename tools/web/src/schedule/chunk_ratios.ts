@@ -1,5 +1,5 @@
 import type { ViewTable } from "../container/view_table.js";
-import { type Boxes, inPyramid, middleDepth, pictureShare } from "./boxes.js";
+import { type Boxes, inPyramid, middleDepth, pictureShare, squaredRadius } from "./boxes.js";
 import { cross, dot, type Pose, type WeightedPose } from "./poses.js";
 
 /** Smallest ratio of a chunk; a chunk that the pose does not show follows the chunks that it shows. */
@@ -41,12 +41,18 @@ export function sumAlongPath(ratios: PoseRatios, path: readonly WeightedPose[]):
   return sum;
 }
 
-/** Estimate ratios from bounding boxes: contribution over squared depth for each visible box. */
+/**
+ * Estimate ratios from bounding boxes: contribution over squared depth for each visible box, where the squared half
+ * diagonal of the box counts as depth.
+ */
 export function byBoxes(boxes: Boxes, contribution: Float64Array): PoseRatios {
+  const radii = contribution.map((_, chunk) => squaredRadius(boxes, chunk));
+  const usual = Float64Array.from(radii).sort()[(radii.length - 1) >> 1] ?? 0;
   return (pose) => {
     const shown = contribution.map((value, chunk) => {
       const depth = Math.max(middleDepth(boxes, chunk, pose), NEAREST_DEPTH);
-      return pictureShare(boxes, chunk, pose) > 0 ? value / (depth * depth) : 0;
+      const radius = radii[chunk]!;
+      return pictureShare(boxes, chunk, pose) > 0 ? (value * (usual + radius)) / (depth * depth + radius) : 0;
     });
     return overUsual(shown, contribution);
   };
@@ -63,16 +69,19 @@ export function byViewTable(table: ViewTable, boxes: Boxes, contribution: Float6
   const spread = spreadOf(viewpoints);
   const whole = total(contribution) || 1;
   return (pose) => {
-    const weights = viewpoints.map((view) => weightOf(pose, view, spread));
+    const visible = new Float64Array(chunks);
+    const covered = new Float64Array(chunks);
+    viewpoints.forEach((view, at) => {
+      const weight = weightOf(pose, view, spread);
+      for (let chunk = 0, i = at * chunks; chunk < chunks; chunk++, i++) {
+        visible[chunk]! += shares[i]! * weight;
+        covered[chunk]! += taken[i]! * weight;
+      }
+    });
     const shown = contribution.map((value, chunk) => {
-      let sum = 0;
-      let most = 0;
-      weights.forEach((weight, view) => {
-        sum += shares[view * chunks + chunk]! * weight;
-        most += taken[view * chunks + chunk]! * weight;
-      });
+      const most = covered[chunk]!;
       // Chunks outside the view of all viewpoints count by their average contribution.
-      return pictureShare(boxes, chunk, pose) * (most > 0 ? sum / most : value / whole);
+      return pictureShare(boxes, chunk, pose) * (most > 0 ? visible[chunk]! / most : value / whole);
     });
     return overUsual(shown, contribution);
   };
