@@ -19,6 +19,7 @@ from cogsplat.codec.partition.nested_cells import (
     WHOLE_SCENE,
     NestedCells,
     Region,
+    box_of_most,
     nested_cells,
 )
 from cogsplat.codec.partition.regions import split_regions
@@ -41,6 +42,9 @@ _CELL_DIVISOR: Final = 8
 # Splats that a split into regions saves a view at least, in smallest chunks: a split adds about
 # two chunks.
 _LEAST_SAVING_CHUNKS: Final = 2
+
+# Splats that decide on the box of surroundings: a share of 2 % of them is known to a tenth.
+_BOX_SPLATS: Final = 1 << 16
 
 # Rows that are checked at a time; comparing all at once would copy the scene.
 _BLOCK: Final = 1 << 16
@@ -224,7 +228,7 @@ def prepare(
     inflated = config.ordering.inflated and config.compensate
     rows = order_rows(config.order, scene, replace(config.ordering, inflated=inflated))
     regions = WHOLE_SCENE
-    if config.cells and group_shares is not None:
+    if config.cells:
         regions = _find_regions(splats, scores, config, group_shares)
     return PreparedScene(
         splats, rows[kept[rows]], scores, config, workspace, basis=basis, regions=regions
@@ -232,20 +236,32 @@ def prepare(
 
 
 def _find_regions(
-    splats: Splats, scores: Scores, config: EncodeConfig, seen: GroupShares
+    splats: Splats, scores: Scores, config: EncodeConfig, seen: GroupShares | None
 ) -> Region:
     """Return the tree of regions, by the splats that pruning keeps at the nominal quality."""
     smallest, _ = _cell_sizes(config)
     lagrangian = allocation.lagrangian(scores, config.quality_db)
     stored = np.flatnonzero(keep_mask(splats, scores, config.pruning, lagrangian))
-    counts = np.bincount(seen.groups.numbers[stored], minlength=len(seen.groups))
-    return split_regions(
-        seen.groups.centres,
-        counts,
-        seen.shares,
-        smallest=smallest,
-        saving=_LEAST_SAVING_CHUNKS * smallest,
-    )
+    if not len(stored):
+        return WHOLE_SCENE
+    box = box_of_most(splats.means[stored[:: -(-len(stored) // _BOX_SPLATS)]])
+    around = Region(box=box)
+    has_surroundings = np.count_nonzero(around.in_second_half(splats.means, stored)) >= smallest
+    found = WHOLE_SCENE
+    if seen is not None:
+        counts = np.bincount(seen.groups.numbers[stored], minlength=len(seen.groups))
+        centres = seen.groups.centres
+        chosen = np.arange(len(centres))
+        if has_surroundings:
+            chosen = chosen[~around.in_second_half(centres, chosen)]
+        found = split_regions(
+            centres[chosen],
+            counts[chosen],
+            seen.shares[:, chosen],
+            smallest=smallest,
+            saving=_LEAST_SAVING_CHUNKS * smallest,
+        )
+    return Region(halves=(found, WHOLE_SCENE), box=box) if has_surroundings else found
 
 
 def _cut_chunks(

@@ -3,8 +3,9 @@
 The first layer is one chunk of the whole scene. Each further layer has more splats. Its cells are
 those of the layer before, halved if they hold too many splats. A client can thus fetch a coarse
 version of the whole scene, and details of visible cells only (as in COPC's octree of points).
-The scene is first split into regions that views tell apart, such as rooms. Each has layers of its
-own: a view in one room fetches few coarse splats of the others.
+The scene is first split into regions: its surroundings, such as the sky, which would make the box
+of any cell endless, and those that views tell apart, such as rooms. Each has layers of its own: a
+view in one room fetches few coarse splats of the others.
 """
 
 from __future__ import annotations
@@ -53,11 +54,16 @@ _COARSENING: Final = 4
 # Share of the splats ignored at each end of an axis when a cell's length is measured: distant
 # floaters would make it cut across the wrong axis.
 _OUTLIERS: Final = 0.02
+# Share of the splats ignored at each end of an axis when surroundings are looked for, and their
+# distance from the box of the others, as a share of its longest side. Chosen, not measured: of a
+# city of a million, 8 % are land and sky around it, up to six sides away.
+_FAR_OUT: Final = 0.1
+_SURROUNDING: Final = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Node of the binary tree of regions.
+    """Node of the binary tree of regions: a region is split by a plane, or by a box.
 
     Parameters
     ----------
@@ -66,15 +72,31 @@ class Region:
     plane : float
         Coordinate of the plane, scene units; lower coordinates belong to the first half.
     halves : tuple of Region, optional
-        Regions on both sides; None for a region that is not split.
+        Regions on both sides, or inside and outside; None for a region that is not split.
+    box : tuple of six float, optional
+        Minimum, then maximum corner, scene units; in place of the plane.
     """
 
     axis: int = 0
     plane: float = 0.0
     halves: tuple[Region, Region] | None = None
+    box: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         require_finite(self)
+
+    def in_second_half(self, means: NDArray[np.floating], places: I64) -> NDArray[np.bool_]:
+        """Return a mask, (p,) bool, of the rows `places` of (n, 3) means beyond plane or box.
+
+        A mean with a NaN where it is compared is in the first half.
+        """
+        if self.box is None:
+            return means[:, self.axis].take(places) >= self.plane
+        is_outside = np.zeros(len(places), np.bool_)
+        for axis, (low, high) in enumerate(zip(self.box[:3], self.box[3:], strict=True)):
+            column = means[:, axis].take(places)
+            is_outside |= (column < low) | (column > high)
+        return is_outside
 
 
 WHOLE_SCENE: Final = Region()
@@ -261,7 +283,7 @@ def _cut_region(
     if region.halves is not None and number <= _MAX_HALVED:
         has_coarse = len(places) * _COARSENING <= outer_splats
         coarse, rest = np.split(places, [sizes.first * has_coarse])
-        is_low = means[rest, region.axis] < region.plane
+        is_low = ~region.in_second_half(means, rest)
         below = int(np.count_nonzero(is_low))
         # Pruning may have left few splats on one side.
         if min(below, len(rest) - below) >= sizes.smallest:
@@ -392,6 +414,28 @@ def inner_box(means: F64) -> tuple[F64, F64]:
     """Return both corners of the box around (n, 3) means, less 2 % at each end of an axis."""
     low, high = np.quantile(means, [_OUTLIERS, 1.0 - _OUTLIERS], axis=0)
     return low, high
+
+
+def box_of_most(means: NDArray[np.floating]) -> tuple[float, ...]:
+    """Return the box outside of which splats count as surroundings, such as hills and the sky.
+
+    It is the box of (n, 3) means less 10 % at each end of an axis, extended at each side by the
+    length of its longest side.
+
+    Returns
+    -------
+    tuple of six float
+        Minimum, then maximum corner.
+
+    Examples
+    --------
+    >>> from cogsplat.codec.partition.nested_cells import box_of_most
+    >>> box_of_most(np.array([[0.0, 0, 0], [8, 1, 0]] * 100))
+    (-8.0, -8.0, -8.0, 16.0, 9.0, 8.0)
+    """
+    low, high = np.quantile(means, [_FAR_OUT, 1.0 - _FAR_OUT], axis=0)
+    margin = _SURROUNDING * float((high - low).max())
+    return (*(low - margin).tolist(), *(high + margin).tolist())
 
 
 def _chunk_pending(cell: _Cell, largest: int, chunks: list[_Chunk]) -> None:

@@ -1,7 +1,7 @@
-"""Parts of a scene that are encoded one by one: planes that halve space, and cameras of a part.
+"""Parts of a scene that are encoded one by one: regions of space, and cameras of a part.
 
-A tree of planes is drawn through a sample of the centres, because those of a city do not fit into
-memory. The leaves of the tree, the lower half before the upper one, are the parts.
+The tree of regions follows from a sample of the centres, because those of a city do not fit into
+memory. Its leaves are the parts, the lower half before the upper one and the surroundings last.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from cogsplat.codec.cameras import Camera
 from cogsplat.codec.farthest_first import farthest_first
 from cogsplat.codec.geometry.frustum import NEAR, in_picture
 
-from .nested_cells import WHOLE_SCENE, Region, dividing_plane, inner_box
+from .nested_cells import WHOLE_SCENE, Region, box_of_most, dividing_plane, inner_box
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -34,8 +34,42 @@ _SEEN_SHARE: Final = 0.25
 # the part as well. Chosen, not measured.
 _MARGIN: Final = 0.25
 
+# Least centres of a sample that are worth a part of surroundings. Chosen, not measured.
+_LEAST_AROUND: Final = 16
+
 # Centres of a part that decide whether a camera sees it. They are looked up for every camera.
 _SEEN_CENTRES: Final = 1024
+
+
+def part_regions(sample: F64, shares: float, most: float) -> Region:
+    """Cut space into parts: planes halve it, but for the surroundings, which are a part.
+
+    In one part with splats of the scene, surroundings (`box_of_most`) would give it a box of
+    kilometres, which does not tell where a visitor needs it.
+
+    Parameters
+    ----------
+    sample, shares, most
+        As of `halving_planes`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cogsplat.codec.partition.scene_parts import divide, part_regions
+    >>> line = np.arange(1000.0)[:, None] * [0.01, 0, 0]
+    >>> sky = np.full((16, 3), [0.0, -50.0, 0.0])
+    >>> scene = np.concatenate([sky, line])
+    >>> [len(part) for part in divide(part_regions(scene, 1.0, 600), scene)]
+    [500, 500, 16]
+    """
+    if len(sample) < 2 or len(sample) * shares <= most:
+        return WHOLE_SCENE
+    box = box_of_most(sample)
+    is_around = Region(box=box).in_second_half(sample, np.arange(len(sample)))
+    if np.count_nonzero(is_around) < _LEAST_AROUND:
+        return halving_planes(sample, shares, most)
+    inside, around = (halving_planes(sample[of], shares, most) for of in (~is_around, is_around))
+    return Region(halves=(inside, around), box=box)
 
 
 def halving_planes(sample: F64, shares: float, most: float) -> Region:
@@ -57,12 +91,12 @@ def halving_planes(sample: F64, shares: float, most: float) -> Region:
     Examples
     --------
     >>> import numpy as np
-    >>> from cogsplat.codec.partition.part_planes import divide, halving_planes
+    >>> from cogsplat.codec.partition.scene_parts import divide, halving_planes
     >>> street = np.array([[0.0, 0, 0], [9, 0, 0], [1, 0, 0], [8, 0, 0]])
-    >>> planes = halving_planes(street, shares=1.0, most=2)
-    >>> planes.axis, planes.plane
+    >>> regions = halving_planes(street, shares=1.0, most=2)
+    >>> regions.axis, regions.plane
     (0, 8.0)
-    >>> [part.tolist() for part in divide(planes, street)]
+    >>> [part.tolist() for part in divide(regions, street)]
     [[0, 2], [1, 3]]
     """
     if len(sample) < 2 or len(sample) * shares <= most:
@@ -76,15 +110,15 @@ def halving_planes(sample: F64, shares: float, most: float) -> Region:
     return Region(axis, place, (low, high))
 
 
-def divide(planes: Region, centres: F64) -> list[I64]:
+def divide(regions: Region, centres: F64) -> list[I64]:
     """Return the rows of the centres in each part, ascending.
 
     A centre with a NaN belongs to the first part, whatever its other coordinates.
 
     Parameters
     ----------
-    planes : Region
-        Tree of planes, as of `halving_planes`.
+    regions : Region
+        Tree of regions, as of `part_regions`.
     centres : (n, 3) float64
         Centres, scene units.
     """
@@ -94,31 +128,31 @@ def divide(planes: Region, centres: F64) -> list[I64]:
         centres = np.array(centres)
         centres[is_nan] = np.nan
     parts: list[I64] = []
-    _divide(planes, np.arange(len(centres)), centres, parts)
+    _divide(regions, np.arange(len(centres)), centres, parts)
     return parts
 
 
-def _divide(planes: Region, places: I64, centres: F64, parts: list[I64]) -> None:
+def _divide(regions: Region, places: I64, centres: F64, parts: list[I64]) -> None:
     """Append the rows of each part below a node, of the centres in rows `places`."""
-    if planes.halves is None:
+    if regions.halves is None:
         parts.append(places)
         return
-    is_high = centres[:, planes.axis].take(places) >= planes.plane
-    _divide(planes.halves[0], places[~is_high], centres, parts)
-    _divide(planes.halves[1], places[is_high], centres, parts)
+    is_high = regions.in_second_half(centres, places)
+    _divide(regions.halves[0], places[~is_high], centres, parts)
+    _divide(regions.halves[1], places[is_high], centres, parts)
 
 
-def refined(planes: Region, finer: Mapping[int, Region]) -> Region:
-    """Return a tree of planes with some parts cut further.
+def refined(regions: Region, finer: Mapping[int, Region]) -> Region:
+    """Return a tree of regions with some parts cut further.
 
     Parameters
     ----------
-    planes : Region
-        Tree of planes.
+    regions : Region
+        Tree of regions.
     finer : mapping of int to Region
         Planes that cut a part, by its number.
     """
-    numbers = iter(range(count_parts(planes)))
+    numbers = iter(range(count_parts(regions)))
 
     def below(node: Region) -> Region:
         if node.halves is None:
@@ -126,12 +160,12 @@ def refined(planes: Region, finer: Mapping[int, Region]) -> Region:
         low, high = node.halves
         return replace(node, halves=(below(low), below(high)))
 
-    return below(planes)
+    return below(regions)
 
 
-def count_parts(planes: Region) -> int:
-    """Return the number of parts of a tree of planes."""
-    return 1 if planes.halves is None else sum(map(count_parts, planes.halves))
+def count_parts(regions: Region) -> int:
+    """Return the number of parts of a tree of regions."""
+    return 1 if regions.halves is None else sum(map(count_parts, regions.halves))
 
 
 def part_cameras(sample: F64, cameras: Sequence[Camera]) -> list[Camera]:

@@ -13,7 +13,7 @@ import click
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.errors import StorageError
-from cogsplat.codec.partition.part_planes import part_cameras
+from cogsplat.codec.partition.scene_parts import part_cameras
 from cogsplat.formats.cameras.inria import write_cameras_json
 from cogsplat.formats.scenes.ply.splitting import plan_parts, write_parts
 from cogsplat.formats.storage.atomic import atomic_write, is_folder, storage_errors
@@ -89,10 +89,11 @@ def split(
 ) -> None:
     """Cut a PLY into parts that are encoded one by one.
 
-    Planes halve space until parts have about --splats splats. FOLDER gets the rows of each
-    part, unchanged, as 000.ply, 001.ply and so on, its cameras as 000.cameras.json, and a manifest
-    for `cogsplat batch`, parts.toml. Options of encode for all parts can be added to its table
-    [options]: profile transform, no preview. A scene of any size takes about 0.2 GB of memory.
+    Planes halve space until parts have about --splats splats; hills and sky far around the scene
+    are a part of their own. FOLDER gets the rows of each part, unchanged, as 000.ply, 001.ply and
+    so on, its cameras as 000.cameras.json, and a manifest for `cogsplat batch`, parts.toml. Options
+    of encode for all parts can be added to its table [options]: profile transform, no preview. A
+    scene of any size takes about 0.2 GB of memory.
     """
     manifest = folder / _MANIFEST
     if is_folder(folder):

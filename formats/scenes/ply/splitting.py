@@ -1,6 +1,6 @@
 """Split of a PLY into parts: its rows, copied unchanged into one PLY for each part of space.
 
-Neither the scene nor the centres of its splats are held in memory. A sample decides on the planes;
+Neither the scene nor the centres of its splats are held in memory. A sample decides on the regions;
 passes over the rows count them by part and copy them.
 """
 
@@ -18,7 +18,13 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.errors import StorageError, TruncatedError, UnsupportedError
 from cogsplat.codec.partition.nested_cells import WHOLE_SCENE, Region
-from cogsplat.codec.partition.part_planes import count_parts, divide, halving_planes, refined
+from cogsplat.codec.partition.scene_parts import (
+    count_parts,
+    divide,
+    halving_planes,
+    part_regions,
+    refined,
+)
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, open_for_read, storage_errors
 
@@ -55,8 +61,8 @@ class PlyParts:
 
     Parameters
     ----------
-    planes : Region
-        Tree of the planes between the parts.
+    regions : Region
+        Tree of the regions between the parts.
     counts : tuple of int
         Splats of each part.
     samples : tuple of (n, 3) float64
@@ -67,7 +73,7 @@ class PlyParts:
         Size, bytes, and time of the last change, ns, of the PLY.
     """
 
-    planes: Region
+    regions: Region
     counts: tuple[int, ...]
     samples: tuple[F64, ...]
     has_sh: bool
@@ -75,7 +81,7 @@ class PlyParts:
 
 
 def plan_parts(path: StrPath, most: int, *, progress: Progress = silent) -> PlyParts:
-    """Find planes that cut a PLY into parts of about equal numbers of splats.
+    """Find regions that cut a PLY into parts of about equal numbers of splats.
 
     Parameters
     ----------
@@ -101,22 +107,22 @@ def plan_parts(path: StrPath, most: int, *, progress: Progress = silent) -> PlyP
         The header is refused, see `read_ply`, or ``file-changed``.
     """
     with _opened(path) as rows:
-        sample, planes = rows.first_sample(most, progress)
+        sample, regions = rows.first_sample(most, progress)
         while True:
-            counts = rows.count(planes, progress)
+            counts = rows.count(regions, progress)
             large = [n for n, count in enumerate(counts) if count > _TOLERANCE * most]
             if not large:
                 break
-            found = rows.samples(planes, {n: counts[n] for n in large}, progress)
+            found = rows.samples(regions, {n: counts[n] for n in large}, progress)
             finer = {n: halving_planes(each, step, most) for n, (each, step) in found.items()}
             if all(region is WHOLE_SCENE for region in finer.values()):
                 break
-            planes = refined(planes, finer)
+            regions = refined(regions, finer)
             sample = np.concatenate([sample, *(each for each, _ in found.values())])
         return PlyParts(
-            planes,
+            regions,
             tuple(counts.tolist()),
-            tuple(sample[places] for places in divide(planes, sample)),
+            tuple(sample[places] for places in divide(regions, sample)),
             bool(match_fields(rows.vertex, rows.where)["shN"]),
             rows.state,
         )
@@ -165,7 +171,7 @@ def write_parts(
                 for file, count in zip(files, parts.counts[group], strict=True):
                     file.write(with_count(rows.head, count))
                 for stop, block in rows.blocks():
-                    divided = divide(parts.planes, _centres(block))[group]
+                    divided = divide(parts.regions, _centres(block))[group]
                     plain = block.view(f"V{block.itemsize}")
                     for file, places in zip(files, divided, strict=True):
                         if len(places):
@@ -214,7 +220,7 @@ class _PlainRows:
             yield start + len(block), block
 
     def first_sample(self, most: int, progress: Progress) -> tuple[F64, Region]:
-        """Return a sample of the scene's finite centres, read in runs, and planes that halve it."""
+        """Return a sample of finite centres, read in runs, and the regions that it makes."""
         step = max(_RUN_ROWS, -(-self.total * _RUN_ROWS // _SAMPLE))
         found, read = [np.zeros((0, 3))], 0
         for stop, block in self.blocks(range(0, self.total, step), _RUN_ROWS):
@@ -222,18 +228,18 @@ class _PlainRows:
             read += len(block)
             progress("sample", stop, self.total)
         sample = np.concatenate(found)
-        return sample, halving_planes(sample, self.total / max(read, 1), most)
+        return sample, part_regions(sample, self.total / max(read, 1), most)
 
-    def count(self, planes: Region, progress: Progress) -> I64:
+    def count(self, regions: Region, progress: Progress) -> I64:
         """Return the number of rows in each part."""
-        counts = np.zeros(count_parts(planes), np.int64)
+        counts = np.zeros(count_parts(regions), np.int64)
         for stop, block in self.blocks():
-            counts += [len(places) for places in divide(planes, _centres(block))]
+            counts += [len(places) for places in divide(regions, _centres(block))]
             progress("count", stop, self.total)
         return counts
 
     def samples(
-        self, planes: Region, counts: dict[int, int], progress: Progress
+        self, regions: Region, counts: dict[int, int], progress: Progress
     ) -> dict[int, tuple[F64, int]]:
         """Return finite centres of some parts, and the number of rows that each stands for."""
         steps = {
@@ -244,7 +250,7 @@ class _PlainRows:
         passed = dict.fromkeys(counts, 0)
         for stop, block in self.blocks():
             centres = _centres(block)
-            divided = divide(planes, centres)
+            divided = divide(regions, centres)
             for n, step in steps.items():
                 drawn = divided[n][-passed[n] % step :: step]
                 found[n].append(_finite(centres[drawn]))

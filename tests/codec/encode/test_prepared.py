@@ -107,3 +107,18 @@ def test_rooms_are_cut_apart_before_they_are_cut_into_layers():
         assert is_low.all() or not is_low.any()
     # Without shares nothing tells rooms apart.
     assert prepare(scene, zero_scores(8000), config).regions is WHOLE_SCENE
+
+
+def test_the_sky_is_cut_apart_from_the_rooms_below_it():
+    scene = synth_rooms(2, 8000, sh_degree=0)
+    means = scene.means.copy()
+    means[::20] = 900.0 * means[::20] / np.linalg.norm(means[::20], axis=1)[:, None]
+    config = unseen(prune=None, cells=True, chunk_splats=1024)
+    prepared = prepare(replace(scene, means=means), zero_scores(8000), config)
+    box = prepared.regions.box
+    assert box is not None
+    assert max(box[3:]) - min(box[:3]) < 100.0
+    layout = prepared.lay_out(40.0)
+    for run in layout.slices[1:]:
+        sizes = np.linalg.norm(layout.part(run).means, axis=1)
+        assert (sizes > 800.0).all() or not (sizes > 800.0).any()

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from cogsplat.codec.partition.nested_cells import NestedCells, Region, nested_cells, parents
+from cogsplat.codec.partition.nested_cells import (
+    WHOLE_SCENE,
+    NestedCells,
+    Region,
+    box_of_most,
+    nested_cells,
+    parents,
+)
 
 
 def cut(means: np.ndarray, first: int = 64, least: int = 16, most: int = 128) -> NestedCells:
@@ -163,6 +170,23 @@ def test_chunks_of_regions_are_apart_and_coarse_chunks_span_them() -> None:
     # The coarse chunk of a region holds its first splats.
     quarter = np.flatnonzero((means[:, 0] < -4.0) & (np.arange(6000) >= 64))
     np.testing.assert_array_equal(below[4], quarter[:64])
+
+
+def test_surroundings_share_no_chunk_but_the_first_with_the_scene() -> None:
+    rng = np.random.default_rng(2)
+    means = rng.uniform(-8.0, 8.0, (2000, 3))
+    is_sky = rng.random(2000) < 0.01
+    means[is_sky] *= 1000.0
+    assert 16 <= np.count_nonzero(is_sky[64:]) < 128
+    box = box_of_most(means)
+    found = cut_regions(means, Region(halves=(halved(1), WHOLE_SCENE), box=box))
+    np.testing.assert_array_equal(np.sort(found.order), np.arange(2000))
+    first, *others = (is_sky[found.order[run]] for run in found.slices)
+    assert len(first) == 64
+    assert all(of.all() or not of.any() for of in others)
+    # The surroundings are the second half of the scene.
+    skies = [cell for cell, of in zip(found.cells[1:], others, strict=True) if of.all()]
+    assert {int(cell) >> int(cell).bit_length() - 2 for cell in skies} == {3}
 
 
 def test_a_region_that_pruning_left_empty_is_not_halved() -> None:

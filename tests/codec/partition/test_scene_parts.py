@@ -7,12 +7,13 @@ from hypothesis import strategies as st
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.partition.nested_cells import WHOLE_SCENE, Region
-from cogsplat.codec.partition.part_planes import (
+from cogsplat.codec.partition.scene_parts import (
     FAR_CAMERAS,
     count_parts,
     divide,
     halving_planes,
     part_cameras,
+    part_regions,
     refined,
 )
 
@@ -53,9 +54,41 @@ def test_coincident_centres_share_a_part() -> None:
     assert sorted(map(len, divide(halving_planes(means, 1.0, 5), means))) == [25, 25, 25, 25]
 
 
+def rectangle(count: int) -> np.ndarray:
+    return np.random.default_rng(count).uniform(-1.0, 1.0, (count, 3)) * [90.0, 20.0, 60.0]
+
+
+def around(count: int, radius: float) -> np.ndarray:
+    points = np.random.default_rng(count).normal(size=(count, 3))
+    return radius * points / np.linalg.norm(points, axis=1)[:, None]
+
+
+def test_surroundings_are_the_last_part_and_leave_the_boxes_of_others_tight() -> None:
+    means = np.concatenate([around(40, 4000.0), rectangle(4000)])
+    first, *others, last = divide(part_regions(means, 1.0, 1000), means)
+    np.testing.assert_array_equal(last, np.arange(40))
+    assert max(np.ptp(means[part], axis=0).max() for part in (first, *others)) < 500.0
+    assert sum(map(len, (first, *others))) == 4000
+
+
+def test_surroundings_are_cut_where_a_part_cannot_hold_them() -> None:
+    means = np.concatenate([rectangle(60_000), around(1200, 4000.0)])
+    parts = divide(part_regions(means, 1.0, 800), means)
+    assert max(map(len, parts)) <= 800
+    assert sum(len(part) for part in parts if part.min() >= 60_000) == 1200
+
+
+def test_few_far_centres_and_scenes_of_one_part_have_no_surroundings() -> None:
+    means = np.concatenate([around(15, 4000.0), rectangle(4000)])
+    assert count_parts(part_regions(means, 1.0, 1000)) == count_parts(
+        halving_planes(means, 1.0, 1000)
+    )
+    assert part_regions(means, 1.0, 5000) is WHOLE_SCENE
+
+
 def test_nan_belongs_to_the_first_part_and_infinity_to_an_outer_one() -> None:
-    means = centres(100, 4)
-    tree = halving_planes(means, 1.0, 25)
+    means = np.concatenate([rectangle(100), around(20, 4000.0)])
+    tree = part_regions(means, 1.0, 25)
     means[7] = means[99]
     means[[3, 50, 98]] = [
         [np.inf, np.nan, 0.0],
@@ -64,8 +97,8 @@ def test_nan_belongs_to_the_first_part_and_infinity_to_an_outer_one() -> None:
     ]
     means[[4, 5]] = [[-np.inf] * 3, [np.inf] * 3]
     first, *_, last = divide(tree, means)
-    assert {3, 4, 50, 98} <= set(first.tolist())
-    assert 5 in last
+    assert {3, 50, 98} <= set(first.tolist())
+    assert {4, 5} <= set(last.tolist())
     assert np.isnan(means[[3, 50, 98]]).any(axis=1).all()
 
 
