@@ -37,7 +37,7 @@ _MIN_DENSITY: Final = 10.0
 _EPSILON: Final = 1e-6
 
 PoseRatios = Callable[[Pose], F64]
-"""Function from a pose to the visibility ratios of all chunks, (c,) float64."""
+"""Function from a pose to a number for each chunk, (c,) float64: visibility, or its ratio."""
 
 
 def ordered_sum(values: F64) -> float:
@@ -80,7 +80,13 @@ def visibility_ratios(visibility: F64, contribution: F64) -> F64:
     (c,) float64
         At least `MIN_RATIO`; 1 for all chunks if either input sums to 0.
     """
-    all_visible, whole = ordered_sum(visibility), ordered_sum(contribution)
+    return ratios_of_sums(
+        visibility, contribution, ordered_sum(visibility), ordered_sum(contribution)
+    )
+
+
+def ratios_of_sums(visibility: F64, contribution: F64, all_visible: float, whole: float) -> F64:
+    """Return ratios for known sums of visibility and contribution (docs/streaming.md, 4)."""
     if not all_visible > 0.0 or not whole > 0.0:
         return np.ones(len(visibility))
     average = np.maximum(contribution / whole, _MIN_AVERAGE_SHARE)
@@ -88,7 +94,19 @@ def visibility_ratios(visibility: F64, contribution: F64) -> F64:
 
 
 def ratios_from_boxes(boxes: F64, contribution: F64) -> PoseRatios:
-    """Return the ratio function for files without a view table (docs/streaming.md, 5).
+    """Return the ratio function of one index without a view table (`visibility_of_boxes`)."""
+    visibility = visibility_of_boxes(boxes, contribution)
+    return lambda pose: visibility_ratios(visibility(pose), contribution)
+
+
+def ratios_from_view_table(table: ViewTable, boxes: F64, contribution: F64) -> PoseRatios:
+    """Return the ratio function of one index with a view table (`visibility_of_view_table`)."""
+    visibility = visibility_of_view_table(table, boxes, contribution)
+    return lambda pose: visibility_ratios(visibility(pose), contribution)
+
+
+def visibility_of_boxes(boxes: F64, contribution: F64) -> PoseRatios:
+    """Return the visibility function for an index without a view table (docs/streaming.md, 5).
 
     A box in the frustum counts its contribution over its squared depth, of which the squared
     half diagonal of the box is a part: views cannot be nearer to all of a large box.
@@ -104,19 +122,16 @@ def ratios_from_boxes(boxes: F64, contribution: F64) -> PoseRatios:
     radii = 0.25 * _dots(sides, sides)
     usual = np.sort(radii)[(len(radii) - 1) // 2] if len(radii) else 0.0
 
-    def ratios(pose: Pose) -> F64:
+    def visibility(pose: Pose) -> F64:
         depth = np.maximum(centre_depths(boxes, pose), _MIN_DEPTH)
         is_visible = screen_coverage(boxes, pose) > 0.0
-        return visibility_ratios(
-            np.where(is_visible, contribution * (usual + radii) / (depth * depth + radii), 0.0),
-            contribution,
-        )
+        return np.where(is_visible, contribution * (usual + radii) / (depth * depth + radii), 0.0)
 
-    return ratios
+    return visibility
 
 
-def ratios_from_view_table(table: ViewTable, boxes: F64, contribution: F64) -> PoseRatios:
-    """Return the ratio function that interpolates a view table (docs/streaming.md, 4).
+def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) -> PoseRatios:
+    """Return the visibility function that interpolates a view table (docs/streaming.md, 4).
 
     Parameters
     ----------
@@ -133,17 +148,21 @@ def ratios_from_view_table(table: ViewTable, boxes: F64, contribution: F64) -> P
     positions = np.stack([view.position for view in viewpoints])
     forwards = np.stack([view.rotation[2] for view in viewpoints])
     spread = _spread(positions)
-    average = contribution / (ordered_sum(contribution) or 1.0)
+    whole = ordered_sum(contribution)
+    average = contribution / (whole or 1.0)
+    seen = ordered_sum(shares.ravel())
+    # A share of a picture, in the unit of contributions.
+    unit = whole * len(viewpoints) / seen if seen > 0.0 else whole
 
-    def ratios(pose: Pose) -> F64:
+    def visibility(pose: Pose) -> F64:
         weights = _weights(pose, positions, forwards, spread)[:, None]
         # Sums over the viewpoints from the first to the last (docs/streaming.md, 1).
         visible, covered = (np.cumsum(of * weights, axis=0)[-1] for of in (shares, coverages))
         # Chunks outside the frustum of every viewpoint fall back to their average contribution.
         filled = np.where(covered > 0.0, visible / np.where(covered > 0.0, covered, 1.0), average)
-        return visibility_ratios(screen_coverage(boxes, pose) * filled, contribution)
+        return screen_coverage(boxes, pose) * filled * unit
 
-    return ratios
+    return visibility
 
 
 def sgss_priorities(boxes: F64, splats: F64) -> PoseRatios:

@@ -12,7 +12,14 @@ from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.page_tree import Index
 
-from .chunk_ratios import MIN_RATIO, PoseRatios, ratios_from_boxes, ratios_from_view_table
+from .chunk_ratios import (
+    MIN_RATIO,
+    PoseRatios,
+    ordered_sum,
+    ratios_of_sums,
+    visibility_of_boxes,
+    visibility_of_view_table,
+)
 from .poses import Pose
 
 F64 = NDArray[np.float64]
@@ -46,48 +53,65 @@ class IndexRatios:
     ) -> F64:
         """Return the ratio of each row of `scene_rows.SceneRows` at a pose, (r,) float64.
 
-        Each is relative to all chunks and pages of its index, times the ratio of the index' page.
+        It is relative to all chunks of the indices that are read, and to the pages that are not.
 
         Parameters
         ----------
         pose : Pose
         arrived : collection of tuple of int, optional
-            Indices whose tables have arrived; boxes give the ratios of others. By default all.
+            Indices whose tables have arrived; boxes tell what is visible of others. By default
+            all.
         read : collection of tuple of int, optional
             Indices that the client has read; rows that others list have `MIN_RATIO`. By default
             all.
         """
+        visible: list[F64 | None] = []
+        all_visible, whole = 0.0, 0.0
+        for index in self._indices:
+            if read is not None and index.path not in read:
+                visible.append(None)
+                continue
+            has_table = index.path in self._tables and (arrived is None or index.path in arrived)
+            values, contribution = self._visibility(index, has_table)(pose), _contribution(index)
+            is_known = np.ones(len(values), np.bool_)
+            for row in range(len(index.tables.pages)):
+                is_read = read is None or (*index.path, row) in read
+                is_known[len(index.tables.chunks) + row] = not is_read
+            all_visible += ordered_sum(values[is_known])
+            whole += ordered_sum(contribution[is_known])
+            visible.append(values)
         chunks: list[F64] = []
         pages: list[F64] = []
-        of_pages: dict[Path, float] = {}
-        for index in self._indices:
-            has_table = index.path in self._tables and (arrived is None or index.path in arrived)
-            count = len(index.tables.chunks)
-            if read is not None and index.path not in read:
-                chunks.append(np.full(count, MIN_RATIO))
-                pages.append(np.full(len(index.tables.pages), MIN_RATIO))
-                continue
-            values = self._ratios(index, has_table)(pose)
-            if index.path:
-                values = np.maximum(of_pages[index.path] * values, MIN_RATIO)
-            chunks.append(values[:count])
-            pages.append(values[count:])
-            of_pages |= {(*index.path, row): value for row, value in enumerate(values[count:])}
+        for index, seen in zip(self._indices, visible, strict=True):
+            contribution = _contribution(index)
+            ratios = (
+                np.full(len(contribution), MIN_RATIO)
+                if seen is None
+                else ratios_of_sums(seen, contribution, all_visible, whole)
+            )
+            chunks.append(ratios[: len(index.tables.chunks)])
+            pages.append(ratios[len(index.tables.chunks) :])
         return np.concatenate([*chunks, *pages])
 
-    def _ratios(self, index: Index, has_table: bool) -> PoseRatios:
-        """Return the ratio function of the chunks and then the pages that an index lists."""
+    def _visibility(self, index: Index, has_table: bool) -> PoseRatios:
+        """Return the visibility function of the chunks and then the pages that an index lists."""
         key = index.path, has_table
         if key not in self._known:
             chunks, pages = index.tables.chunks, index.tables.pages
             boxes = np.concatenate([chunks.box, pages.box]).astype(np.float64)
-            contribution = np.concatenate([chunks.contribution, pages.contribution])
+            contribution = _contribution(index)
             self._known[key] = (
-                ratios_from_view_table(self._tables[index.path], boxes, contribution)
+                visibility_of_view_table(self._tables[index.path], boxes, contribution)
                 if has_table
-                else ratios_from_boxes(boxes, contribution)
+                else visibility_of_boxes(boxes, contribution)
             )
         return self._known[key]
+
+
+def _contribution(index: Index) -> F64:
+    """Return the contributions of the chunks and then the pages that an index lists."""
+    tables = index.tables
+    return np.concatenate([tables.chunks.contribution, tables.pages.contribution])
 
 
 def unit_places(indices: Sequence[Index]) -> tuple[F64, F64]:

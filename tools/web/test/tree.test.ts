@@ -10,7 +10,7 @@ import { StreamedScene } from "../src/loader/streamed_scene.js";
 import { Visit } from "../src/loader/visit.js";
 import { SceneFile } from "../src/scene/scene_file.js";
 import type { Splats } from "../src/scene/splats.js";
-import { byBoxes } from "../src/schedule/chunk_ratios.js";
+import { visibleInBoxes } from "../src/schedule/chunk_ratios.js";
 import { IndexRatios } from "../src/schedule/index_ratios.js";
 import type { Pose } from "../src/schedule/poses.js";
 import { RangeServer } from "./range_server.js";
@@ -311,17 +311,23 @@ test("parents are in the index of a chunk or above it, and an unread page counts
   assert.equal(setStates([0, 1, 4], rows, 6)[0]!.prefix, 3);
 });
 
-test("ratios below a page are those of its index times that of the page", () => {
+test("ratios are those of one index with all chunks of the indexes read, and with the pages that are not", () => {
   const flat = vectorBytes("valid", "chunks");
   const bytes = treeFile(flat, { chunks: 1, pages: [{ chunks: 2 }, { chunks: 1 }] });
   const { index } = new SceneFile(bytes, kernels());
-  const found = new IndexRatios(index.indexes).of(POSE);
-  const [root, first] = index.indexes as [Index, Index];
-  const ofRoot = byBoxes(root.boxes, root.contribution)(POSE);
-  const ofFirst = byBoxes(first.boxes, first.contribution)(POSE);
-  assert.deepEqual([...found.subarray(0, 3)], [...ofRoot]);
-  assert.deepEqual(
-    [...found.subarray(first.firstRow, first.firstRow + 2)],
-    [...ofFirst].map((ratio) => Math.max(ratio * ofRoot[1]!, 1 / 512)),
-  );
+  const [root, first, second] = index.indexes as [Index, Index, Index];
+  const found = new IndexRatios([root, first]).of(POSE);
+  const visible = [root, first].map(({ boxes, contribution }) => [...visibleInBoxes(boxes, contribution)(POSE)]);
+  const contributions = [root, first].map(({ contribution }) => [...contribution]);
+  // Row 1 of the root is the page that is read.
+  const known = (of: number[][]): number => of[0]![0]! + of[0]![2]! + of[1]![0]! + of[1]![1]!;
+  const ratio = (index: number, row: number): number => {
+    const share = visible[index]![row]! / known(visible);
+    return Math.max(share / (contributions[index]![row]! / known(contributions)), 1 / 512);
+  };
+  const expected = [ratio(0, 0), ratio(0, 2), ratio(1, 0), ratio(1, 1)];
+  const rows = [0, 2, first.firstRow, first.firstRow + 1];
+  for (const [k, row] of rows.entries()) assert.ok(Math.abs(found[row]! - expected[k]!) <= 1e-12 * expected[k]!);
+  const all = new IndexRatios([root, first, second]).of(POSE);
+  assert.equal(all.length, second.firstRow + 1);
 });

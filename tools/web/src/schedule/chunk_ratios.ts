@@ -18,7 +18,7 @@ const SPARSE = 10;
 const EPSILON = 1e-6;
 
 /**
- * Return for each chunk the ratio of its share in the picture of a pose to its share of contribution
+ * Return for each chunk its visibility from a pose, or the ratio of its share of visibility to its share of contribution
  * (docs/streaming.md, 3 to 6).
  */
 export type PoseRatios = (pose: Pose) => Float64Array;
@@ -41,33 +41,46 @@ export function sumAlongPath(ratios: PoseRatios, path: readonly WeightedPose[]):
   return sum;
 }
 
+/** Ratios of the chunks of one index, from bounding boxes (docs/streaming.md, 5). */
+export function byBoxes(boxes: Boxes, contribution: Float64Array): PoseRatios {
+  const visible = visibleInBoxes(boxes, contribution);
+  return (pose) => ratiosOf(visible(pose), contribution);
+}
+
+/** Ratios of the chunks of one index, from the viewpoints of its view table (docs/streaming.md, 4). */
+export function byViewTable(table: ViewTable, boxes: Boxes, contribution: Float64Array): PoseRatios {
+  const visible = visibleInTable(table, boxes, contribution);
+  return (pose) => ratiosOf(visible(pose), contribution);
+}
+
 /**
- * Estimate ratios from bounding boxes: contribution over squared depth for each visible box, where the squared half
+ * Estimate visibility from bounding boxes: contribution over squared depth for each visible box, where the squared half
  * diagonal of the box counts as depth.
  */
-export function byBoxes(boxes: Boxes, contribution: Float64Array): PoseRatios {
+export function visibleInBoxes(boxes: Boxes, contribution: Float64Array): PoseRatios {
   const radii = contribution.map((_, chunk) => squaredRadius(boxes, chunk));
   const usual = Float64Array.from(radii).sort()[(radii.length - 1) >> 1] ?? 0;
-  return (pose) => {
-    const shown = contribution.map((value, chunk) => {
+  return (pose) =>
+    contribution.map((value, chunk) => {
       const depth = Math.max(middleDepth(boxes, chunk, pose), NEAREST_DEPTH);
       const radius = radii[chunk]!;
       return pictureShare(boxes, chunk, pose) > 0 ? (value * (usual + radius)) / (depth * depth + radius) : 0;
     });
-    return overUsual(shown, contribution);
-  };
 }
 
-/** Estimate ratios from the viewpoints of a view table near the pose (docs/streaming.md, 4). */
-export function byViewTable(table: ViewTable, boxes: Boxes, contribution: Float64Array): PoseRatios {
-  const { chunks, shares } = table;
+/** Estimate visibility from the viewpoints of a view table near the pose, in the unit of contributions. */
+export function visibleInTable(table: ViewTable, boxes: Boxes, contribution: Float64Array): PoseRatios {
+  const { chunks } = table;
+  const shares = Float64Array.from(table.shares);
   const viewpoints = viewpointsOf(table);
   // A box covers at least the share that a viewpoint shows of its chunk, whatever its angle of view was.
-  const taken = Float64Array.from(shares, (share, i) =>
+  const taken = shares.map((share, i) =>
     Math.max(pictureShare(boxes, i % chunks, viewpoints[Math.floor(i / chunks)]!), share),
   );
   const spread = spreadOf(viewpoints);
-  const whole = total(contribution) || 1;
+  const whole = total(contribution);
+  const seen = total(shares);
+  const unit = seen > 0 ? (whole * viewpoints.length) / seen : whole;
   return (pose) => {
     const visible = new Float64Array(chunks);
     const covered = new Float64Array(chunks);
@@ -78,12 +91,11 @@ export function byViewTable(table: ViewTable, boxes: Boxes, contribution: Float6
         covered[chunk]! += taken[i]! * weight;
       }
     });
-    const shown = contribution.map((value, chunk) => {
+    return contribution.map((value, chunk) => {
       const most = covered[chunk]!;
       // Chunks outside the view of all viewpoints count by their average contribution.
-      return pictureShare(boxes, chunk, pose) * (most > 0 ? visible[chunk]! / most : value / whole);
+      return pictureShare(boxes, chunk, pose) * (most > 0 ? visible[chunk]! / most : value / (whole || 1)) * unit;
     });
-    return overUsual(shown, contribution);
   };
 }
 
@@ -101,13 +113,21 @@ export function bySgss(boxes: Boxes, splats: ArrayLike<number>): PoseRatios {
     });
 }
 
-/** Divide each chunk's share of the picture by its share of contribution. */
-function overUsual(shown: Float64Array, contribution: Float64Array): Float64Array {
-  const everything = total(shown);
-  const whole = total(contribution);
-  if (!(everything > 0) || !(whole > 0)) return shown.map(() => 1);
-  return shown.map((value, chunk) =>
-    Math.max(value / everything / Math.max(contribution[chunk]! / whole, LEAST_USUAL), LEAST_RATIO),
+/** Divide each chunk's share of the visibility of one index by its share of contribution. */
+function ratiosOf(visible: Float64Array, contribution: Float64Array): Float64Array {
+  return overUsual(visible, contribution, total(visible), total(contribution));
+}
+
+/** Divide each chunk's share of all visibility by its share of all contribution. */
+export function overUsual(
+  visible: Float64Array,
+  contribution: Float64Array,
+  allVisible: number,
+  whole: number,
+): Float64Array {
+  if (!(allVisible > 0) || !(whole > 0)) return visible.map(() => 1);
+  return visible.map((value, chunk) =>
+    Math.max(value / allVisible / Math.max(contribution[chunk]! / whole, LEAST_USUAL), LEAST_RATIO),
   );
 }
 

@@ -1,13 +1,12 @@
 import type { Index } from "../container/scene_index.js";
 import type { ViewTable } from "../container/view_table.js";
-import { byBoxes, byViewTable, LEAST_RATIO, type PoseRatios } from "./chunk_ratios.js";
+import { overUsual, type PoseRatios, visibleInBoxes, visibleInTable } from "./chunk_ratios.js";
 import type { Pose } from "./poses.js";
 
 /**
  * Ratios of the chunks and pages of all indexes read, one for each row of `SceneRows` (docs/streaming.md, 4 and 5).
  *
- * In an index, ratios are relative to all that it lists, by its view table or by boxes; below a page they are multiplied
- * by the ratio of the page.
+ * They are relative to all chunks of these indexes, and to the pages that are not read.
  */
 export class IndexRatios {
   private readonly tables = new Map<Index, ViewTable>();
@@ -25,22 +24,38 @@ export class IndexRatios {
   readonly of = (pose: Pose): Float64Array => {
     const last = this.indexes.at(-1)!;
     const found = new Float64Array(last.firstRow + last.contribution.length);
-    for (const index of this.indexes) {
-      const { page, firstRow } = index;
-      const own = this.ratiosOf(index)(pose);
-      const ofPage = page && found[page.row]!;
-      found.set(ofPage === undefined ? own : own.map((ratio) => Math.max(ofPage * ratio, LEAST_RATIO)), firstRow);
+    const readPages = new Set(this.indexes.map(({ page }) => page?.row));
+    const visible = new Map<Index, Float64Array>();
+    let allVisible = 0;
+    let whole = 0;
+    // In file order, in which Python adds as well.
+    for (const index of [...this.indexes].sort((a, b) => a.start - b.start)) {
+      const { contribution, firstRow } = index;
+      const own = this.visibilityOf(index)(pose);
+      visible.set(index, own);
+      let [shown, usual] = [0, 0];
+      own.forEach((value, i) => {
+        if (readPages.has(firstRow + i)) return;
+        shown += value;
+        usual += contribution[i]!;
+      });
+      allVisible += shown;
+      whole += usual;
+    }
+    for (const [{ contribution, firstRow }, own] of visible) {
+      found.set(overUsual(own, contribution, allVisible, whole), firstRow);
     }
     return found;
   };
 
-  private ratiosOf(index: Index): PoseRatios {
+  private visibilityOf(index: Index): PoseRatios {
     const known = this.known.get(index);
     if (known !== undefined) return known;
     const table = this.tables.get(index);
     const { boxes, contribution } = index;
-    const ratios = table === undefined ? byBoxes(boxes, contribution) : byViewTable(table, boxes, contribution);
-    this.known.set(index, ratios);
-    return ratios;
+    const visible =
+      table === undefined ? visibleInBoxes(boxes, contribution) : visibleInTable(table, boxes, contribution);
+    this.known.set(index, visible);
+    return visible;
   }
 }
