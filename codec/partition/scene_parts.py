@@ -23,7 +23,7 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 FAR_CAMERAS: Final = 16
-"""Most cameras of a part from outside its surroundings. With street cameras alone, a city of ten
+"""Most cameras of a part that stand far from it. With street cameras alone, a city of ten
 million splats in eight parts showed 18 to 25 dB from far away, where its streets had 40 to 50
 dB."""
 
@@ -42,9 +42,9 @@ _SEEN_CENTRES: Final = 1024
 
 
 def part_regions(sample: F64, shares: float, most: float) -> Region:
-    """Cut space into parts: planes halve it, but for the surroundings, which are a part.
+    """Cut space into parts: planes halve the scene, and surroundings get parts of their own.
 
-    In one part with splats of the scene, surroundings (`box_of_most`) would give it a box of
+    A part that also held surroundings (`box_of_most`), such as the sky, would have a box of
     kilometres, which does not tell where a visitor needs it.
 
     Parameters

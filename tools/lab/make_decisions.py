@@ -70,7 +70,7 @@ class State(TypedDict):
     worths: list[float]
 
 
-def ratios_of(scene: Scene, rule: str) -> chunk_ratios.PoseRatios:
+def ratios_of(scene: Scene, rule: str) -> chunk_ratios.PoseValues:
     """Return the ratio function of a scene for a rule of `RULES`."""
     boxes = np.array(scene["boxes"], np.float64)
     contribution = np.array(scene["contribution"], np.float64)

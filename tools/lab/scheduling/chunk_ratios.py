@@ -36,7 +36,7 @@ _MIN_DEPTH: Final = 0.2
 _MIN_DENSITY: Final = 10.0
 _EPSILON: Final = 1e-6
 
-PoseRatios = Callable[[Pose], F64]
+PoseValues = Callable[[Pose], F64]
 """Function from a pose to a number for each chunk, (c,) float64: visibility, or its ratio."""
 
 
@@ -45,12 +45,12 @@ def ordered_sum(values: F64) -> float:
     return float(np.cumsum(values)[-1]) if len(values) else 0.0
 
 
-def weighted_ratios(ratios: PoseRatios, poses: Sequence[tuple[Pose, float]]) -> F64:
+def weighted_ratios(ratios: PoseValues, poses: Sequence[tuple[Pose, float]]) -> F64:
     """Return the weighted sum of the ratios at several poses (docs/streaming.md, 7).
 
     Parameters
     ----------
-    ratios : PoseRatios
+    ratios : PoseValues
     poses : sequence of (Pose, float)
         Poses with their weights (`poses.predicted_poses`); added in this order.
 
@@ -85,31 +85,33 @@ def visibility_ratios(visibility: F64, contribution: F64) -> F64:
     )
 
 
-def ratios_of_sums(visibility: F64, contribution: F64, all_visible: float, whole: float) -> F64:
+def ratios_of_sums(
+    visibility: F64, contribution: F64, total_visibility: float, total_contribution: float
+) -> F64:
     """Return ratios for known sums of visibility and contribution (docs/streaming.md, 4)."""
-    if not all_visible > 0.0 or not whole > 0.0:
+    if not total_visibility > 0.0 or not total_contribution > 0.0:
         return np.ones(len(visibility))
-    average = np.maximum(contribution / whole, _MIN_AVERAGE_SHARE)
-    return np.maximum(visibility / all_visible / average, MIN_RATIO)
+    average = np.maximum(contribution / total_contribution, _MIN_AVERAGE_SHARE)
+    return np.maximum(visibility / total_visibility / average, MIN_RATIO)
 
 
-def ratios_from_boxes(boxes: F64, contribution: F64) -> PoseRatios:
+def ratios_from_boxes(boxes: F64, contribution: F64) -> PoseValues:
     """Return the ratio function of one index without a view table (`visibility_of_boxes`)."""
     visibility = visibility_of_boxes(boxes, contribution)
     return lambda pose: visibility_ratios(visibility(pose), contribution)
 
 
-def ratios_from_view_table(table: ViewTable, boxes: F64, contribution: F64) -> PoseRatios:
+def ratios_from_view_table(table: ViewTable, boxes: F64, contribution: F64) -> PoseValues:
     """Return the ratio function of one index with a view table (`visibility_of_view_table`)."""
     visibility = visibility_of_view_table(table, boxes, contribution)
     return lambda pose: visibility_ratios(visibility(pose), contribution)
 
 
-def visibility_of_boxes(boxes: F64, contribution: F64) -> PoseRatios:
+def visibility_of_boxes(boxes: F64, contribution: F64) -> PoseValues:
     """Return the visibility function for an index without a view table (docs/streaming.md, 5).
 
-    A box in the frustum counts its contribution over its squared depth, of which the squared
-    half diagonal of the box is a part: views cannot be nearer to all of a large box.
+    A box in the frustum has contribution × (μ + ρ) ÷ (depth² + ρ): ρ is its squared half diagonal,
+    μ the median of ρ.
 
     Parameters
     ----------
@@ -130,7 +132,7 @@ def visibility_of_boxes(boxes: F64, contribution: F64) -> PoseRatios:
     return visibility
 
 
-def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) -> PoseRatios:
+def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) -> PoseValues:
     """Return the visibility function that interpolates a view table (docs/streaming.md, 4).
 
     Parameters
@@ -165,7 +167,7 @@ def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) ->
     return visibility
 
 
-def sgss_priorities(boxes: F64, splats: F64) -> PoseRatios:
+def sgss_priorities(boxes: F64, splats: F64) -> PoseValues:
     """Return the function for SGSS' priorities PW, used in place of ratios (docs/streaming.md, 6).
 
     Parameters

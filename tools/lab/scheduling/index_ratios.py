@@ -14,7 +14,7 @@ from cogsplat.formats.cogs.page_tree import Index
 
 from .chunk_ratios import (
     MIN_RATIO,
-    PoseRatios,
+    PoseValues,
     ordered_sum,
     ratios_of_sums,
     visibility_of_boxes,
@@ -43,7 +43,7 @@ class IndexRatios:
 
     def __init__(self, indices: Sequence[Index], tables: Mapping[Path, ViewTable]) -> None:
         self._indices, self._tables = indices, tables
-        self._known: dict[tuple[Path, bool], PoseRatios] = {}
+        self._known: dict[tuple[Path, bool], PoseValues] = {}
 
     def at(
         self,
@@ -53,14 +53,13 @@ class IndexRatios:
     ) -> F64:
         """Return the ratio of each row of `scene_rows.SceneRows` at a pose, (r,) float64.
 
-        It is relative to all chunks of the indices that are read, and to the pages that are not.
+        Shares are among the chunks of the indices that are read and the pages that are not.
 
         Parameters
         ----------
         pose : Pose
         arrived : collection of tuple of int, optional
-            Indices whose tables have arrived; boxes tell what is visible of others. By default
-            all.
+            Indices whose tables have arrived; for others, boxes are used. By default all.
         read : collection of tuple of int, optional
             Indices that the client has read; rows that others list have `MIN_RATIO`. By default
             all.
@@ -93,7 +92,7 @@ class IndexRatios:
             pages.append(ratios[len(index.tables.chunks) :])
         return np.concatenate([*chunks, *pages])
 
-    def _visibility(self, index: Index, has_table: bool) -> PoseRatios:
+    def _visibility(self, index: Index, has_table: bool) -> PoseValues:
         """Return the visibility function of the chunks and then the pages that an index lists."""
         key = index.path, has_table
         if key not in self._known:

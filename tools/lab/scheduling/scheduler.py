@@ -205,7 +205,7 @@ def _chain(
 
 
 class _Links:
-    """What follows from the units alone.
+    """Units of each chunk, its parent, and what depends on each unit, looked up once.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ import pytest
 from cogsplat.codec.cameras import Camera
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.tools.lab.scheduling.chunk_ratios import (
-    PoseRatios,
+    PoseValues,
     ratios_from_boxes,
     ratios_from_view_table,
 )
@@ -72,7 +72,7 @@ ROWS = SceneRows(
 )
 
 
-def of_client(ratios: PoseRatios) -> ClientRatios:
+def of_client(ratios: PoseValues) -> ClientRatios:
     """Return ratios that do not depend on what is present."""
     return lambda pose, _: ratios(pose)
 

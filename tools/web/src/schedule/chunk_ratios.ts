@@ -8,7 +8,7 @@ export const LEAST_RATIO = 1 / 512;
 const TABLE_TANGENT = 1;
 /** Weight of the viewing direction: half a turn counts as much as 0.6 times the spread of the viewpoints. */
 const TURN = 0.3;
-/** Smallest distance of a viewpoint, which keeps its weight finite. */
+/** Added to the distance of a viewpoint, so that its weight stays finite. */
 const NEAREST = 0.01;
 /** Smallest share of contribution, which keeps ratios finite. */
 const LEAST_USUAL = 1e-12;
@@ -54,8 +54,8 @@ export function byViewTable(table: ViewTable, boxes: Boxes, contribution: Float6
 }
 
 /**
- * Estimate visibility from bounding boxes: contribution over squared depth for each visible box, where the squared half
- * diagonal of the box counts as depth.
+ * Estimate visibility from bounding boxes: contribution × (μ + ρ) ÷ (depth² + ρ) for each visible box, where ρ is its
+ * squared half diagonal and μ the median of ρ.
  */
 export function visibleInBoxes(boxes: Boxes, contribution: Float64Array): PoseRatios {
   const radii = contribution.map((_, chunk) => squaredRadius(boxes, chunk));
@@ -68,7 +68,7 @@ export function visibleInBoxes(boxes: Boxes, contribution: Float64Array): PoseRa
     });
 }
 
-/** Estimate visibility from the viewpoints of a view table near the pose, in the unit of contributions. */
+/** Estimate visibility from the viewpoints of a view table, of which nearer ones count more, in the unit of contributions. */
 export function visibleInTable(table: ViewTable, boxes: Boxes, contribution: Float64Array): PoseRatios {
   const { chunks } = table;
   const shares = Float64Array.from(table.shares);

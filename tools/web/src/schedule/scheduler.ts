@@ -8,7 +8,7 @@ const AHEAD_SECONDS = 0.25;
 const HELD_FACTOR = 2;
 /** Least ratio between the urgency of the best missing unit and of a unit stopped for it. */
 const ABORT_FACTOR = 16;
-/** Time after its eviction for which a chunk is fetched again only if it has become worth more, seconds. */
+/** Time after its eviction for which a chunk is fetched again only if its worth has doubled, seconds. */
 export const EVICTED_SECONDS = 1;
 
 /** State of a client: units, memory and connection. */
@@ -231,7 +231,7 @@ class Round {
     if (this.stopped.length > 0) this.candidates = this.wanted();
   }
 
-  /** Return the worth of each unit in flight: the urgency of the most urgent missing unit that depends on it. */
+  /** Return for each unit in flight the largest urgency of itself and of the missing units that depend on it. */
   private worthsInFlight(): Map<number, number> {
     const known = new Map<number, number>();
     const ofDependents = (unit: number): number => {

@@ -11,7 +11,7 @@ export interface Unit {
   readonly dependencies: readonly number[];
 }
 
-/** What follows from the units alone: the units of each chunk, its parent, and what depends on each unit. */
+/** Looked up once for all decisions: the units of each chunk, its parent, and what depends on each unit. */
 export class UnitLinks {
   /** Rows of chunks and unread pages, ascending: parents precede their children. */
   readonly rows: readonly number[];
