@@ -43,7 +43,7 @@ _CELL_DIVISOR: Final = 8
 # two chunks.
 _LEAST_SAVING_CHUNKS: Final = 2
 
-# Splats that decide on the box of surroundings: a share of 2 % of them is known to a tenth.
+# Most splats that decide on the box of surroundings, sampled evenly.
 _BOX_SPLATS: Final = 1 << 16
 
 # Rows that are checked at a time; comparing all at once would copy the scene.

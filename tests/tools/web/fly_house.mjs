@@ -77,8 +77,15 @@ const { Scheduler, Visit } = await load("visit.js");
 const found = { decisions: 0, most: 0, mostDrawn: 0, evictions: 0, refetched: 0, soonAgain: 0, unneeded: 0, heapMb: [] };
 const evicted = new Map();
 
-/** Return the unit that is the head of each chunk or unread page. */
-const headsOf = ({ units }) => new Map(units.flatMap(({ row, isHead }, unit) => (isHead ? [[row, unit]] : [])));
+const known = new WeakMap();
+
+/** Return the unit that is the head of each chunk or unread page, looked up once for each scheduler. */
+function headsOf(scheduler) {
+  if (!known.has(scheduler)) {
+    known.set(scheduler, new Map(scheduler.units.flatMap(({ row, isHead }, unit) => (isHead ? [[row, unit]] : []))));
+  }
+  return known.get(scheduler);
+}
 
 /** Return the worth of each chunk that is not held: the largest of itself and its descendants (docs/streaming.md, 9). */
 function worthsOf({ units }, heads, ratios) {

@@ -43,6 +43,11 @@ class IndexRatios:
 
     def __init__(self, indices: Sequence[Index], tables: Mapping[Path, ViewTable]) -> None:
         self._indices, self._tables = indices, tables
+        # Contributions of the chunks and then the pages that each index lists.
+        self._contributions: list[F64] = [
+            np.concatenate([index.tables.chunks.contribution, index.tables.pages.contribution])
+            for index in indices
+        ]
         self._known: dict[tuple[Path, bool], PoseValues] = {}
 
     def at(
@@ -66,12 +71,12 @@ class IndexRatios:
         """
         visible: list[F64 | None] = []
         all_visible, whole = 0.0, 0.0
-        for index in self._indices:
+        for index, contribution in zip(self._indices, self._contributions, strict=True):
             if read is not None and index.path not in read:
                 visible.append(None)
                 continue
             has_table = index.path in self._tables and (arrived is None or index.path in arrived)
-            values, contribution = self._visibility(index, has_table)(pose), _contribution(index)
+            values = self._visibility(index, contribution, has_table)(pose)
             is_known = np.ones(len(values), np.bool_)
             for row in range(len(index.tables.pages)):
                 is_read = read is None or (*index.path, row) in read
@@ -81,8 +86,9 @@ class IndexRatios:
             visible.append(values)
         chunks: list[F64] = []
         pages: list[F64] = []
-        for index, seen in zip(self._indices, visible, strict=True):
-            contribution = _contribution(index)
+        for index, contribution, seen in zip(
+            self._indices, self._contributions, visible, strict=True
+        ):
             ratios = (
                 np.full(len(contribution), MIN_RATIO)
                 if seen is None
@@ -92,25 +98,18 @@ class IndexRatios:
             pages.append(ratios[len(index.tables.chunks) :])
         return np.concatenate([*chunks, *pages])
 
-    def _visibility(self, index: Index, has_table: bool) -> PoseValues:
+    def _visibility(self, index: Index, contribution: F64, has_table: bool) -> PoseValues:
         """Return the visibility function of the chunks and then the pages that an index lists."""
         key = index.path, has_table
         if key not in self._known:
             chunks, pages = index.tables.chunks, index.tables.pages
             boxes = np.concatenate([chunks.box, pages.box]).astype(np.float64)
-            contribution = _contribution(index)
             self._known[key] = (
                 visibility_of_view_table(self._tables[index.path], boxes, contribution)
                 if has_table
                 else visibility_of_boxes(boxes, contribution)
             )
         return self._known[key]
-
-
-def _contribution(index: Index) -> F64:
-    """Return the contributions of the chunks and then the pages that an index lists."""
-    tables = index.tables
-    return np.concatenate([tables.chunks.contribution, tables.pages.contribution])
 
 
 def unit_places(indices: Sequence[Index]) -> tuple[F64, F64]:
@@ -124,8 +123,9 @@ def unit_places(indices: Sequence[Index]) -> tuple[F64, F64]:
     Returns
     -------
     segments, pages : (s,) float64, (p,) float64
-        Bytes; of segments that the root lists, the offset behind the segment. A view table counts
-        as if it stood at the start of its index. Both in file order.
+        Place of each segment and of each page, bytes, in the order of the file. The place of a
+        segment that the root lists is the offset behind it. The place of a view table is computed
+        as if the table began where its index begins.
     """
     segments: list[F64] = []
     pages: list[float] = []

@@ -215,18 +215,24 @@ class _Links:
     ----------
     rows : list of int
         Rows of chunks and unread pages, ascending: parents precede their children.
-    head_of, parent_of : dict of int to int
-        By row: unit of its head; row of the chunk on whose head its head depends, -1 for none.
+    head_of : dict of int to int
+        Number of the unit that is the head of each row.
+    parent_of : dict of int to int
+        Row of the parent of each row, on whose head its head depends; -1 for none.
     units_of : dict of int to list of int
-        By row: its units.
-    dependents : list of list of int
-        By unit: the units that directly depend on it.
+        Numbers of all units of each row.
+    sizes : list of int
+        Size of each unit, bytes.
+    dependencies, dependents : list of sequence of int
+        Units that each unit depends on, and units that depend on it, directly.
     """
 
     def __init__(self, units: Sequence[Unit]) -> None:
         self.head_of = {unit.row: at for at, unit in enumerate(units) if unit.is_head}
         self.rows = sorted(self.head_of)
         self.units_of: dict[int, list[int]] = {row: [] for row in self.rows}
+        self.sizes = [unit.size_bytes for unit in units]
+        self.dependencies = [unit.dependencies for unit in units]
         self.dependents: list[list[int]] = [[] for _ in units]
         for at, unit in enumerate(units):
             if unit.row >= 0:
@@ -310,8 +316,6 @@ class _Round:
         self._in_flight = set(state.in_flight)
         self._received = dict(state.received)
         self._window = window_bytes(state.bytes_per_second, state.latency)
-        self._sizes = [unit.size_bytes for unit in units]
-        self._dependencies = [unit.dependencies for unit in units]
         self._skipped: set[int] = set()
         self._worth: dict[int, float] = {}
         self._target, self._evictable = self._choose_target()
@@ -372,7 +376,8 @@ class _Round:
         units = (
             unit for unit in self._candidates if not self._held[unit] and unit not in self._skipped
         )
-        return best_chain(units, self._urgency, self._sizes, self._dependencies, self._is_missing)
+        links = self._links
+        return best_chain(units, self._urgency, links.sizes, links.dependencies, self._is_missing)
 
     def abort_outranked(self) -> None:
         """Abort units in flight whose value is far below that of the best missing unit."""

@@ -245,7 +245,6 @@ class Simulation:
             unit: starts[unit_starts[unit]]
             for unit in np.flatnonzero(units.kind == SegmentKind.VIEW_TABLE).tolist()
         }
-
         paths = {index.start: index.path for index in file.indices}
         pages = {
             unit: paths[unit_starts[unit]] for unit in np.flatnonzero(units.kind == PAGE).tolist()

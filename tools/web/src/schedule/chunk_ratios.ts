@@ -70,8 +70,7 @@ export function visibleInBoxes(boxes: Boxes, contribution: Float64Array): PoseRa
 
 /** Estimate visibility from the viewpoints of a view table, of which nearer ones count more, in the unit of contributions. */
 export function visibleInTable(table: ViewTable, boxes: Boxes, contribution: Float64Array): PoseRatios {
-  const { chunks } = table;
-  const shares = Float64Array.from(table.shares);
+  const { chunks, shares } = table;
   const viewpoints = viewpointsOf(table);
   // A box covers at least the share that a viewpoint shows of its chunk, whatever its angle of view was.
   const taken = shares.map((share, i) =>
