@@ -23,10 +23,12 @@ MIN_RATIO: Final = 1.0 / 512.0
 
 # Tangent of the half field of view that is assumed for viewpoints of the table, both axes.
 _VIEWPOINT_TANGENT: Final = 1.0
-# Weight of rotation against distance: half a turn equals 0.6 times the viewpoints' spread.
+# Weight of rotation: half a turn counts 0.6, a viewpoint on the other side of a chunk 1 at most.
 _ROTATION_WEIGHT: Final = 0.3
-# Added to the distance of a viewpoint, so that its weight stays finite.
-_DISTANCE_OFFSET: Final = 0.01
+# Added to the difference of a viewpoint, so that its weight stays finite.
+_LEAST_DIFFERENCE: Final = 0.01
+# Lower bound of half the diagonal of a box, scene units.
+_MIN_RADIUS: Final = 1e-9
 # Lower bound of a chunk's share of the total contribution; avoids division by 0.
 _MIN_AVERAGE_SHARE: Final = 1e-12
 # Lower bound of depths, the near plane of 3DGS, scene units.
@@ -135,6 +137,9 @@ def visibility_of_boxes(boxes: F64, contribution: F64) -> PoseValues:
 def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) -> PoseValues:
     """Return the visibility function that interpolates a view table (docs/streaming.md, 4).
 
+    For each chunk, a viewpoint counts the more, the less the chunk's surroundings shift between
+    the viewpoint and the pose, as seen from the chunk.
+
     Parameters
     ----------
     table : ViewTable
@@ -149,7 +154,10 @@ def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) ->
     coverages = np.maximum([screen_coverage(boxes, view) for view in viewpoints], shares)
     positions = np.stack([view.position for view in viewpoints])
     forwards = np.stack([view.rotation[2] for view in viewpoints])
-    spread = _spread(positions)
+    centres = 0.5 * (boxes[:, :3] + boxes[:, 3:])
+    sides = boxes[:, 3:] - boxes[:, :3]
+    radii = np.maximum(np.sqrt(0.25 * _dots(sides, sides)), _MIN_RADIUS)
+    reach = np.stack([_distances(position, centres) + radii for position in positions])
     whole = ordered_sum(contribution)
     average = contribution / (whole or 1.0)
     seen = ordered_sum(shares.ravel())
@@ -157,7 +165,11 @@ def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) ->
     unit = whole * len(viewpoints) / seen if seen > 0.0 else whole
 
     def visibility(pose: Pose) -> F64:
-        weights = _weights(pose, positions, forwards, spread)[:, None]
+        moved = _distances(pose.position, positions)[:, None]
+        turned = 1.0 - _dots(pose.rotation[2:], forwards)[:, None]
+        away = _distances(pose.position, centres) + reach
+        closeness = 1.0 / (moved / away + _ROTATION_WEIGHT * turned + _LEAST_DIFFERENCE)
+        weights = (closeness * closeness) * (closeness * closeness)
         # Sums over the viewpoints from the first to the last (docs/streaming.md, 1).
         visible, covered = (np.cumsum(of * weights, axis=0)[-1] for of in (shares, coverages))
         # Chunks outside the frustum of every viewpoint fall back to their average contribution.
@@ -226,23 +238,10 @@ def _viewpoints(table: ViewTable) -> list[Pose]:
     return poses
 
 
-def _spread(positions: F64) -> float:
-    """Return the root mean square distance of positions, (v, 3), from their mean."""
-    count = float(len(positions))
-    centre = np.array([ordered_sum(positions[:, axis]) / count for axis in range(3)])
-    away = positions - centre
-    return max(float(np.sqrt(ordered_sum(_dots(away, away)) / count)), 1e-9)
-
-
-def _weights(pose: Pose, positions: F64, forwards: F64, spread: float) -> F64:
-    """Return the interpolation weight, (v,), of viewpoints with (v, 3) positions and directions."""
-    offset = pose.position - positions
-    rotation = 1.0 - _dots(pose.rotation[2:], forwards)
-    closeness = 1.0 / (
-        np.sqrt(_dots(offset, offset)) / spread + _ROTATION_WEIGHT * rotation + _DISTANCE_OFFSET
-    )
-    weights: F64 = (closeness * closeness) * (closeness * closeness)
-    return weights
+def _distances(point: F64, points: F64) -> F64:
+    """Return the distances of (v, 3) points from one, (v,)."""
+    away = point - points
+    return np.sqrt(_dots(away, away))
 
 
 def _dots(one: F64, other: F64) -> F64:

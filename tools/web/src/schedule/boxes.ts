@@ -49,13 +49,19 @@ export function pictureShare(boxes: Boxes, box: number, { position, rotation, ta
   return wide * high;
 }
 
-/** Return the depth of a box's centre, scene units. */
-export function middleDepth(boxes: Boxes, box: number, { position, rotation }: Pose): number {
+/** Return the centre of a box. */
+export function centre(boxes: Boxes, box: number): [number, number, number] {
   const at = 6 * box;
-  const dx = 0.5 * (boxes[at]! + boxes[at + 3]!) - position[0]!;
-  const dy = 0.5 * (boxes[at + 1]! + boxes[at + 4]!) - position[1]!;
-  const dz = 0.5 * (boxes[at + 2]! + boxes[at + 5]!) - position[2]!;
-  return rotation[6]! * dx + rotation[7]! * dy + rotation[8]! * dz;
+  return [
+    0.5 * (boxes[at]! + boxes[at + 3]!),
+    0.5 * (boxes[at + 1]! + boxes[at + 4]!),
+    0.5 * (boxes[at + 2]! + boxes[at + 5]!),
+  ];
+}
+
+/** Return the depth of a box's centre, scene units. */
+export function middleDepth(boxes: Boxes, box: number, pose: Pose): number {
+  return local(pose, ...centre(boxes, box))[2];
 }
 
 /** Return the square of half the diagonal of a box. */

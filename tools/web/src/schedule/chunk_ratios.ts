@@ -1,15 +1,17 @@
 import type { ViewTable } from "../container/view_table.js";
-import { type Boxes, inPyramid, middleDepth, pictureShare, squaredRadius } from "./boxes.js";
+import { type Boxes, centre, inPyramid, middleDepth, pictureShare, squaredRadius } from "./boxes.js";
 import { cross, dot, type Pose, type WeightedPose } from "./poses.js";
 
 /** Smallest ratio of a chunk; a chunk that the pose does not show follows the chunks that it shows. */
 export const LEAST_RATIO = 1 / 512;
 /** Tangent of half the angle of view assumed for viewpoints, in both directions. */
 const TABLE_TANGENT = 1;
-/** Weight of the viewing direction: half a turn counts as much as 0.6 times the spread of the viewpoints. */
+/** Weight of the viewing direction: half a turn counts 0.6, a viewpoint on the other side of a chunk 1 at most. */
 const TURN = 0.3;
-/** Added to the distance of a viewpoint, so that its weight stays finite. */
-const NEAREST = 0.01;
+/** Added to the difference of a viewpoint, so that its weight stays finite. */
+const LEAST_DIFFERENCE = 0.01;
+/** Smallest half diagonal of a box, scene units. */
+const LEAST_RADIUS = 1e-9;
 /** Smallest share of contribution, which keeps ratios finite. */
 const LEAST_USUAL = 1e-12;
 const NEAREST_DEPTH = 0.2;
@@ -68,7 +70,12 @@ export function visibleInBoxes(boxes: Boxes, contribution: Float64Array): PoseRa
     });
 }
 
-/** Estimate visibility from the viewpoints of a view table, of which nearer ones count more, in the unit of contributions. */
+/**
+ * Estimate visibility from the viewpoints of a view table, in the unit of contributions.
+ *
+ * For each chunk, a viewpoint counts the more, the less the chunk's surroundings shift between the viewpoint and the
+ * pose, as seen from the chunk.
+ */
 export function visibleInTable(table: ViewTable, boxes: Boxes, contribution: Float64Array): PoseRatios {
   const { chunks, shares } = table;
   const viewpoints = viewpointsOf(table);
@@ -76,25 +83,39 @@ export function visibleInTable(table: ViewTable, boxes: Boxes, contribution: Flo
   const taken = shares.map((share, i) =>
     Math.max(pictureShare(boxes, i % chunks, viewpoints[Math.floor(i / chunks)]!), share),
   );
-  const spread = spreadOf(viewpoints);
+  const centres = Array.from({ length: chunks }, (_, chunk) => centre(boxes, chunk));
+  const radii = centres.map((_, chunk) => Math.max(Math.sqrt(squaredRadius(boxes, chunk)), LEAST_RADIUS));
+  const reach = Float64Array.from(
+    viewpoints.flatMap((view) => centres.map((at, i) => distance(view.position, at) + radii[i]!)),
+  );
   const whole = total(contribution);
   const seen = total(shares);
   const unit = seen > 0 ? (whole * viewpoints.length) / seen : whole;
   return (pose) => {
-    const visible = new Float64Array(chunks);
-    const covered = new Float64Array(chunks);
+    const found = contribution.map((_, chunk) => pictureShare(boxes, chunk, pose));
+    // The visibility of the others is 0.
+    const inPicture = Array.from(found.keys()).filter((chunk) => found[chunk]! > 0);
+    const away = inPicture.map((chunk) => distance(pose.position, centres[chunk]!));
+    const visible = new Float64Array(inPicture.length);
+    const covered = new Float64Array(inPicture.length);
     viewpoints.forEach((view, at) => {
-      const weight = weightOf(pose, view, spread);
-      for (let chunk = 0, i = at * chunks; chunk < chunks; chunk++, i++) {
-        visible[chunk]! += shares[i]! * weight;
-        covered[chunk]! += taken[i]! * weight;
-      }
+      const moved = distance(pose.position, view.position);
+      const turned = TURN * (1 - dot(pose.rotation.slice(6), view.rotation.slice(6)));
+      inPicture.forEach((chunk, row) => {
+        const i = at * chunks + chunk;
+        const near = 1 / (moved / (away[row]! + reach[i]!) + turned + LEAST_DIFFERENCE);
+        const weight = near * near * (near * near);
+        visible[row]! += shares[i]! * weight;
+        covered[row]! += taken[i]! * weight;
+      });
     });
-    return contribution.map((value, chunk) => {
-      const most = covered[chunk]!;
+    inPicture.forEach((chunk, row) => {
+      const most = covered[row]!;
       // Chunks outside the view of all viewpoints count by their average contribution.
-      return pictureShare(boxes, chunk, pose) * (most > 0 ? visible[chunk]! / most : value / (whole || 1)) * unit;
+      found[chunk]! *= most > 0 ? visible[row]! / most : contribution[chunk]! / (whole || 1);
+      found[chunk]! *= unit;
     });
+    return found;
   };
 }
 
@@ -159,23 +180,10 @@ function viewpointsOf({ views, positions, directions }: ViewTable): Pose[] {
   });
 }
 
-/** Return the root mean square distance of viewpoints from their mean. */
-function spreadOf(viewpoints: readonly Pose[]): number {
-  const count = viewpoints.length;
-  const middle = [0, 1, 2].map(
-    (axis) => total(Float64Array.from(viewpoints, ({ position }) => position[axis]!)) / count,
-  );
-  const squares = Float64Array.from(viewpoints, ({ position }) => {
-    const away = position.map((x, axis) => x - middle[axis]!);
-    return dot(away, away);
-  });
-  return Math.max(Math.sqrt(total(squares) / count), 1e-9);
-}
-
-/** Return the weight of a viewpoint for a pose. */
-function weightOf(pose: Pose, view: Pose, spread: number): number {
-  const away = pose.position.map((x, axis) => x - view.position[axis]!);
-  const turned = 1 - dot(pose.rotation.slice(6), view.rotation.slice(6));
-  const near = 1 / (Math.sqrt(dot(away, away)) / spread + TURN * turned + NEAREST);
-  return near * near * (near * near);
+/** Return the distance of two points. */
+function distance(one: readonly number[], other: readonly number[]): number {
+  const dx = one[0]! - other[0]!;
+  const dy = one[1]! - other[1]!;
+  const dz = one[2]! - other[2]!;
+  return Math.sqrt(dx * dx + dy * dy + dz * dz);
 }
