@@ -1,4 +1,4 @@
-"""Join the files of neighbouring parts of a scene into one, without decoding: `cogsplat.join`."""
+"""Join the files of neighbouring parts of a scene into one: `cogsplat.join`."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ from cogsplat.codec.partition.nested_cells import WHOLE
 from cogsplat.codec.partition.part_cells import cell_within, part_cells
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.segments.joined_compensation import join_compensations, layers_of_chunks
-from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.formats.storage.atomic import StrPath, atomic_write, check_output
 from cogsplat.formats.storage.limits import Limits
 from cogsplat.formats.storage.pieced_source import Piece, whole_piece
@@ -32,6 +31,7 @@ from .compensation_segment import pack_layer
 from .description_segment import pack_segments
 from .folder_writer import copy_cogs
 from .index_tables import ChunkTable, SegmentTable
+from .joined_view_tables import measure_whole_table, part_view_table
 from .layout import SegmentKind
 from .open_file import open_source
 from .packing import folder_files
@@ -91,12 +91,16 @@ def join(
     limits: Limits | None = None,
     progress: Progress = silent,
 ) -> Joined:
-    """Join COGS files of neighbouring parts of a scene into one file, without decoding.
+    """Join COGS files of neighbouring parts of a scene into one file with a new index.
 
     Heads, refinements, tails and codebooks keep their bytes; the index is made anew, so that a
     client at one place reads the pages of what is around it. Left out are predicted qualities, and
     layers of compensation that are too long or that not all parts have. To replace a part, encode
     it again and join all files again.
+
+    What hides what is measured: up to 64 viewpoints of all parts are drawn with the first chunks of
+    every part, half a million splats. From them come the view tables of indices that list several
+    parts (SPEC 5.12).
 
     Parameters
     ----------
@@ -110,7 +114,8 @@ def join(
     limits : Limits, optional
         Memory and size limits.
     progress : Progress
-        Callback, called with ``("pack", segments done, segments)``.
+        Callback, called with ``("view table", views done, views)`` and ``("pack", segments done,
+        segments)``.
 
     Raises
     ------
@@ -138,7 +143,7 @@ def join(
         files = [
             stack.enter_context(open_cogs(open_source(Path(path)), limits=limits)) for path in paths
         ]
-        source = joined_source(files, target.name)
+        source = joined_source(files, target.name, progress=progress)
         with open_cogs(source, limits=limits) as whole:
             chunks, splats = whole.num_chunks, int(whole.root.splats)
             with atomic_write(target, force=force) as out:
@@ -148,7 +153,7 @@ def join(
     return Joined(target, source.size, len(files), files[0].root.sh_degree, splats, chunks)
 
 
-def joined_source(files: Sequence[CogsFile], name: str) -> Source:
+def joined_source(files: Sequence[CogsFile], name: str, *, progress: Progress = silent) -> Source:
     """Return the joined file as a source.
 
     Parameters
@@ -157,6 +162,8 @@ def joined_source(files: Sequence[CogsFile], name: str) -> Source:
         Open files of the parts; keep them open as long as the source.
     name : str
         Name of the source in messages.
+    progress : Progress
+        Called with the stage ``view table``.
 
     Raises
     ------
@@ -166,7 +173,7 @@ def joined_source(files: Sequence[CogsFile], name: str) -> Source:
     joint = _Joint(files)
     plan = plan_index(joint.root, joint.table, joint.parts)
     joint.sort_rows(plan)
-    added = [*joint.added, *_add_view_tables(joint, plan)]
+    added = [*joint.added, *_add_view_tables(joint, plan, progress)]
     table = SegmentTable.concatenate([joint.table, segment_table(added[len(joint.added) :])])
     kept = len(joint.rows)
 
@@ -229,28 +236,6 @@ class _Joint:
             core_box=box_around(np.array(known)) if known and len(known) == len(cores) else None,
             chunks=self.chunks,
         )
-
-    def view_table(self, part: int) -> ViewTable | None:
-        """Return the view table of a part, with all of its chunks as columns; None without one."""
-        file = self.files[part]
-        whole = file.view_table()
-        if whole is None:
-            return None
-        views = {self._viewpoint(whole, row): row for row in range(len(whole.positions))}
-        codes = np.zeros((len(whole.positions), file.num_chunks), np.uint8)
-        for index in file.indices:
-            table = file.view_table(index.path)
-            if table is None:
-                continue
-            rows = [views[self._viewpoint(table, row)] for row in range(len(table.positions))]
-            count = len(index.tables.chunks)
-            codes[rows, index.first_chunk : index.first_chunk + count] = table.codes[:, :count]
-        return ViewTable(whole.positions, whole.directions, codes)
-
-    @staticmethod
-    def _viewpoint(table: ViewTable, row: int) -> bytes:
-        """Return the bytes of a viewpoint, by which it is found again in the tables of pages."""
-        return bytes(table.positions[row].tobytes() + table.directions[row].tobytes())
 
     def _cells(self) -> I64:
         """Return the cell of each part's chunks in the joined file."""
@@ -343,25 +328,34 @@ class _Joint:
         return [*added, *pack_segments(self.files[0].description(pictures=True))]
 
 
-def _add_view_tables(joint: _Joint, plan: IndexPlan) -> list[Segment]:
-    """Add a view table to each index with a single part below; return the tables.
+def _add_view_tables(joint: _Joint, plan: IndexPlan, progress: Progress) -> list[Segment]:
+    """Add a view table to each index; return the tables.
 
-    What the viewpoints of a part see of another is not known.
+    An index with a single part below has the viewpoints of that part, as far as they see it. Others
+    have viewpoints of all parts, from which every part is drawn.
     """
-    tables = [joint.view_table(part) for part in range(len(joint.files))]
-    local = np.empty(len(joint.parts), np.int64)
+    tables = [part_view_table(file) for file in joint.files]
+    below = [(index, np.unique(joint.parts[index.chunks_below()])) for index in plan.every()]
+    whole = None
+    if any(len(parts) > 1 for _, parts in below):
+        contribution = joint.chunks.contribution.astype(np.float64)
+        whole = measure_whole_table(
+            joint.files, tables, joint.parts, contribution, progress=progress
+        )
+    every = np.arange(len(joint.parts))
+    in_part = np.empty_like(every)
     for numbers in joint.numbers:
-        local[numbers] = np.arange(len(numbers))
+        in_part[numbers] = np.arange(len(numbers))
     segments: list[Segment] = []
-    for index in plan.every():
-        below = index.chunks_below()
-        parts = np.unique(joint.parts[below])
-        table = tables[parts[0]] if len(parts) == 1 else None
+    for index, parts in below:
+        is_single = len(parts) == 1
+        table = tables[parts[0]] if is_single else whole
         if table is None:
             continue
         index.rows.insert(0, len(joint.table) + len(segments))
-        pages = [local[page.chunks_below()] for page in index.pages]
-        own = table_of_index(table, local[index.chunks], pages, every_viewpoint=index is plan)
+        columns = in_part if is_single else every
+        pages = [columns[page.chunks_below()] for page in index.pages]
+        own = table_of_index(table, columns[index.chunks], pages, every_viewpoint=index is plan)
         segments.append(Segment(SegmentKind.VIEW_TABLE, 0, pack_view_table(own)))
     return segments
 

@@ -80,7 +80,7 @@ def _of_scene(parse: Callable[[str], Value]) -> Callable[[str], tuple[int, Value
     "are_parts",
     is_flag=True,
     help="Join COGS files of the parts of a scene, such as `split` and `batch` make, without "
-    "decoding. They need the same SH degree, axes, origin, colours, attributes and basis "
+    "encoding again. They need the same SH degree, axes, origin, colours, attributes and basis "
     "(encode --basis-of). First view, up and description are those of the first one.",
 )
 @click.option(

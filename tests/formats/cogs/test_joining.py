@@ -10,7 +10,9 @@ import cogsplat
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.errors import DataError, StorageError
+from cogsplat.codec.scoring.chunk_contributions import chunk_contributions
 from cogsplat.codec.scoring.contribution import zero_scores
+from cogsplat.codec.views.pose import Lens, Pose
 from cogsplat.formats.cogs.segment_rows import CHUNK_KINDS
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
@@ -123,27 +125,57 @@ def test_first_layers_shift_the_chunks_of_each_part_as_before(parts, joined):
                 np.testing.assert_array_equal(found, expected)
 
 
-def test_an_index_of_one_part_has_its_view_table_and_no_other(parts, joined):
+def viewpoints(table):
+    return {
+        place.tobytes() + direction.tobytes()
+        for place, direction in zip(table.positions, table.directions, strict=True)
+    }
+
+
+def test_an_index_has_viewpoints_of_its_part_and_one_with_several_parts_of_all(parts, joined):
     numbers = numbers_of(parts, joined)
-    tables = 0
+    with opened(parts) as files:
+        own = [viewpoints(file.view_table()) for file in files]
+    single = 0
     with cogsplat.open(joined) as whole:
-        assert whole.view_table() is None
         for node in whole.indices:
             last = node.first_chunk + node.tables.extent.chunks
             below = set(range(node.first_chunk, last))
-            table = whole.view_table(node.path)
-            inside = [number for number, own in enumerate(numbers) if below <= set(own)]
-            assert (table is not None) == bool(inside and node.path)
-            if table is None:
-                continue
-            tables += 1
-            with cogsplat.open(parts[inside[0]]) as file:
-                before = file.view_table()
-                for row, place in enumerate(table.positions):
-                    same = np.flatnonzero((before.positions == place).all(axis=1))
-                    assert len(same)
-                    assert (table.directions[row] == before.directions[same]).all(axis=1).any()
-    assert tables
+            inside = [number for number, chunks in enumerate(numbers) if below <= set(chunks)]
+            found = viewpoints(whole.view_table(node.path))
+            if inside:
+                single += 1
+                assert found <= own[inside[0]]
+            else:
+                assert found <= set().union(*own)
+                if not node.path:
+                    assert all(found & of_part for of_part in own)
+    assert single
+
+
+def test_the_root_knows_what_parts_hide_of_each_other(parts, joined):
+    part_of = np.empty(sum(map(len, numbers_of(parts, joined))), np.int64)
+    for part_number, chunks in enumerate(numbers_of(parts, joined)):
+        part_of[chunks] = part_number
+    with cogsplat.open(joined) as whole:
+        table, root = whole.view_table(), whole.indices[0]
+        splats = whole.decode(extras=False)
+        owners = np.repeat(part_of, whole.chunks.splats)
+        pages = [node.first_chunk for node in whole.indices if len(node.path) == 1]
+        columns = part_of[[*range(len(root.tables.chunks)), *pages]]
+    cameras = [
+        Pose(place.astype(float), direction / np.linalg.norm(direction.astype(float)), 1.0).camera(
+            Lens(96, 96, 1.0), np.zeros(3)
+        )
+        for place, direction in zip(table.positions, table.directions, strict=True)
+    ]
+    true = chunk_contributions(splats, owners, len(parts), cameras)
+    found = np.stack(
+        [table.shares[:, columns == part].sum(axis=1) for part in range(len(parts))], axis=1
+    )
+    # Only the first chunks are drawn, and codes are coarse.
+    assert np.abs(found - true).max() < 0.06
+    assert true.std(axis=0).min() > 0.06, "what the viewpoints see differs"
 
 
 def test_a_part_is_replaced_without_the_others(parts, joined, tmp_path):

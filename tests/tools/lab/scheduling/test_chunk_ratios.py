@@ -7,6 +7,7 @@ from cogsplat.tools.lab.scheduling.chunk_ratios import (
     ratios_from_boxes,
     ratios_from_view_table,
     sgss_priorities,
+    visibility_of_view_table,
     visible_splat_counts,
     weighted_ratios,
 )
@@ -60,6 +61,29 @@ def test_chunks_seen_from_no_viewpoint_fall_back_to_their_contribution():
         pose_at([0.0, 0.0, 0.0], np.pi)
     )
     assert ratios[4] == max(ratios) > 1.0
+
+
+def test_the_viewpoint_counts_that_sees_a_chunk_from_the_same_side():
+    # Seen from a chunk far away, the near viewpoint in the street is on another side than the pose
+    # over the roofs; the viewpoint twice as high is on the same side.
+    boxes = np.array([[-5.0, -5.0, 95.0, 5.0, 5.0, 105.0], [-5.0, -5.0, 15.0, 5.0, 5.0, 25.0]])
+    table = ViewTable(
+        np.array([[0.0, 0.0, 60.0], [0.0, -80.0, 20.0]], np.float32),
+        np.array([[0, 0, 127], [0, 90, 90]], np.int8),
+        encode_shares(np.array([[0.0, 0.0], [0.01, 0.0]])),
+    )
+    down = np.sqrt(0.5)
+    rotation = np.array([[1.0, 0.0, 0.0], [0.0, down, -down], [0.0, down, down]])
+    pose = Pose(np.array([0.0, -40.0, 60.0]), rotation, 1.0, 0.7)
+    street = np.linalg.norm(pose.position - table.positions[0])
+    roofs = np.linalg.norm(pose.position - table.positions[1])
+    assert street < roofs
+    contribution = np.array([100.0, 100.0])
+    found = visibility_of_view_table(table, boxes, contribution)(pose)[0]
+    seen = ViewTable(table.positions[1:], table.directions[1:], table.codes[1:])
+    # With half of the viewpoints, shares count half in the unit of contributions.
+    most = 2.0 * visibility_of_view_table(seen, boxes, contribution)(pose)[0]
+    assert 0.5 * most < found < most
 
 
 def test_ratios_weighted_by_contribution_sum_to_one():
