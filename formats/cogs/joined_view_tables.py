@@ -1,4 +1,4 @@
-"""View tables of a joined file: what viewpoints in every part see of each part (SPEC 5.12)."""
+"""View tables of a joined file: that of one part, and what parts hide of each other (SPEC 5.12)."""
 
 from __future__ import annotations
 
@@ -20,36 +20,46 @@ from .reader import CogsFile
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-# Splats that are drawn at most, but for the first chunk of each part. With 83,000, a walk through a
+# Splats drawn at most; more if the first chunk of each part has more. With 83,000, a walk through a
 # city of ten million splats shows 2 dB less after two seconds at 5 Mbit/s.
 _DRAWN_SPLATS: Final = 500_000
-# Pictures from viewpoints, whose angle of view is not stored: 90 degrees.
+# The angle of view of viewpoints is not stored; 90 degrees, as docs/streaming.md, 4 takes it.
 _LENS: Final = Lens(128, 128, 1.0)
 
 
 def part_view_table(file: CogsFile) -> ViewTable | None:
-    """Return the view table of a file, with all of its chunks as columns; None without one."""
-    whole = file.view_table()
-    if whole is None:
+    """Return the view table of a part, with all chunks of its file as columns.
+
+    It is None where the root has no table, or a page has viewpoints that the root has not: such a
+    file was joined itself, and what its viewpoints see of all chunks is not known.
+    """
+    of_root = file.view_table()
+    if of_root is None:
         return None
-    views = {_viewpoint(whole, row): row for row in range(len(whole.positions))}
-    codes = np.zeros((len(whole.positions), file.num_chunks), np.uint8)
+    rows_of = {viewpoint: row for row, viewpoint in enumerate(_viewpoints(of_root))}
+    codes = np.zeros((len(of_root.positions), file.num_chunks), np.uint8)
     for index in file.indices:
         table = file.view_table(index.path)
         if table is None:
             continue
-        rows = [views[_viewpoint(table, row)] for row in range(len(table.positions))]
+        found = _viewpoints(table)
+        if not rows_of.keys() >= set(found):
+            return None
+        rows = [rows_of[viewpoint] for viewpoint in found]
         count = len(index.tables.chunks)
         codes[rows, index.first_chunk : index.first_chunk + count] = table.codes[:, :count]
-    return ViewTable(whole.positions, whole.directions, codes)
+    return ViewTable(of_root.positions, of_root.directions, codes)
 
 
-def _viewpoint(table: ViewTable, row: int) -> bytes:
-    """Return the bytes of a viewpoint, by which it is found again in the tables of pages."""
-    return bytes(table.positions[row].tobytes() + table.directions[row].tobytes())
+def _viewpoints(table: ViewTable) -> list[bytes]:
+    """Return the bytes of each viewpoint, by which it is found again in the tables of pages."""
+    return [
+        position.tobytes() + direction.tobytes()
+        for position, direction in zip(table.positions, table.directions, strict=True)
+    ]
 
 
-def measure_whole_table(
+def measure_joined_table(
     files: Sequence[CogsFile],
     tables: Sequence[ViewTable | None],
     parts: I64,
@@ -57,53 +67,62 @@ def measure_whole_table(
     *,
     progress: Progress = silent,
 ) -> ViewTable | None:
-    """Measure what viewpoints of all parts see of each part, in pictures of their first chunks.
+    """Measure what viewpoints of all parts see of each part.
+
+    The first chunks of all parts are drawn together. A part's share of a picture is shared out
+    among its chunks in proportion to their contributions.
 
     Parameters
     ----------
     files : sequence of CogsFile
         Open files of the parts.
     tables : sequence of ViewTable or None
-        View table of each part, from which the viewpoints are taken; 64 at most.
+        View table of each part. Of all their viewpoints, 64 are taken at most.
     parts : (c,) int64
         Part of each chunk of the joined file.
     contribution : (c,) float64
-        Contribution of each chunk. The chunks of a part divide its share of a picture by it.
+        Contribution of each chunk, at least 0.
     progress : Progress
         Called with ``("view table", views done, views)``.
 
     Returns
     -------
     ViewTable or None
-        Table with all chunks of the joined file as columns; None if no part has one.
+        Table with all chunks of the joined file as columns; None if no part has a table.
     """
-    found = [table for table in tables if table is not None]
+    found = {
+        viewpoint: (table.positions[row], table.directions[row])
+        for table in tables
+        if table is not None
+        for row, viewpoint in enumerate(_viewpoints(table))
+    }
     if not found:
         return None
     # Imported late: commands that only decode need no compiler.
     from cogsplat.codec.scoring.chunk_contributions import chunk_contributions
 
-    positions = np.concatenate([table.positions for table in found])
-    directions = np.concatenate([table.directions for table in found])
-    rows = sample_evenly(range(len(positions)), MAX_VIEWS)
-    cameras = [_camera(positions[row], directions[row]) for row in rows]
+    taken = sample_evenly(list(found.values()), MAX_VIEWS)
     share = _DRAWN_SPLATS / max(sum(int(file.root.splats) for file in files), 1)
-    first = [_first_chunks(file, share) for file in files]
     drawn = [
-        file.decode(range(count), sh_degree=0, extras=False, compensate=True)
-        for file, count in zip(files, first, strict=True)
+        file.decode(range(_first_chunks(file, share)), sh_degree=0, extras=False, compensate=True)
+        for file in files
     ]
     owners = np.repeat(np.arange(len(files)), [len(splats) for splats in drawn])
+    cameras = [_camera(position, direction) for position, direction in taken]
     shares = chunk_contributions(concatenate(drawn), owners, len(files), cameras, progress=progress)
-    whole = np.bincount(parts, contribution, minlength=len(files))
-    of_part = contribution / np.where(whole > 0.0, whole, 1.0)[parts]
-    return ViewTable(positions[rows], directions[rows], encode_shares(shares[:, parts] * of_part))
+    sums = np.bincount(parts, contribution, minlength=len(files))
+    of_chunk = contribution / np.where(sums > 0.0, sums, 1.0)[parts]
+    return ViewTable(
+        np.array([position for position, _ in taken]),
+        np.array([direction for _, direction in taken]),
+        encode_shares(shares[:, parts] * of_chunk),
+    )
 
 
 def _first_chunks(file: CogsFile, share: float) -> int:
-    """Return how many first chunks have a share of a file's splats: 1 up to those of the root.
+    """Return how many first chunks have at most a share of a file's splats together.
 
-    The root's chunks show the whole of the part, those of a page only one place.
+    At least one, and at most those of the root: these show the whole part, others one place.
     """
     ends = np.cumsum(file.chunks.splats[: len(file.indices[0].tables.chunks)], dtype=np.int64)
     count = int(np.searchsorted(ends, share * float(file.root.splats), side="right"))

@@ -31,7 +31,7 @@ from .compensation_segment import pack_layer
 from .description_segment import pack_segments
 from .folder_writer import copy_cogs
 from .index_tables import ChunkTable, SegmentTable
-from .joined_view_tables import measure_whole_table, part_view_table
+from .joined_view_tables import measure_joined_table, part_view_table
 from .layout import SegmentKind
 from .open_file import open_source
 from .packing import folder_files
@@ -98,9 +98,9 @@ def join(
     layers of compensation that are too long or that not all parts have. To replace a part, encode
     it again and join all files again.
 
-    What hides what is measured: up to 64 viewpoints of all parts are drawn with the first chunks of
-    every part, half a million splats. From them come the view tables of indices that list several
-    parts (SPEC 5.12).
+    What parts hide of each other is measured in pictures from up to 64 viewpoints of their view
+    tables, of the first chunks of all parts, about half a million splats together. From these come
+    the view tables of the root and of pages with chunks of several parts below (SPEC 5.12).
 
     Parameters
     ----------
@@ -329,17 +329,17 @@ class _Joint:
 
 
 def _add_view_tables(joint: _Joint, plan: IndexPlan, progress: Progress) -> list[Segment]:
-    """Add a view table to each index; return the tables.
+    """Add a view table to each index, where the parts below it have any; return the tables.
 
-    An index with a single part below has the viewpoints of that part, as far as they see it. Others
-    have viewpoints of all parts, from which every part is drawn.
+    An index with a single part below has the viewpoints of that part, others have viewpoints of all
+    parts. Viewpoints that see nothing of an index are left out, except in the root.
     """
     tables = [part_view_table(file) for file in joint.files]
     below = [(index, np.unique(joint.parts[index.chunks_below()])) for index in plan.every()]
-    whole = None
+    of_all = None
     if any(len(parts) > 1 for _, parts in below):
         contribution = joint.chunks.contribution.astype(np.float64)
-        whole = measure_whole_table(
+        of_all = measure_joined_table(
             joint.files, tables, joint.parts, contribution, progress=progress
         )
     every = np.arange(len(joint.parts))
@@ -349,7 +349,7 @@ def _add_view_tables(joint: _Joint, plan: IndexPlan, progress: Progress) -> list
     segments: list[Segment] = []
     for index, parts in below:
         is_single = len(parts) == 1
-        table = tables[parts[0]] if is_single else whole
+        table = tables[parts[0]] if is_single else of_all
         if table is None:
             continue
         index.rows.insert(0, len(joint.table) + len(segments))

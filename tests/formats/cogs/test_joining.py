@@ -13,6 +13,7 @@ from cogsplat.codec.errors import DataError, StorageError
 from cogsplat.codec.scoring.chunk_contributions import chunk_contributions
 from cogsplat.codec.scoring.contribution import zero_scores
 from cogsplat.codec.views.pose import Lens, Pose
+from cogsplat.formats.cogs import joined_view_tables
 from cogsplat.formats.cogs.segment_rows import CHUNK_KINDS
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
@@ -176,6 +177,33 @@ def test_the_root_knows_what_parts_hide_of_each_other(parts, joined):
     # Only the first chunks are drawn, and codes are coarse.
     assert np.abs(found - true).max() < 0.06
     assert true.std(axis=0).min() > 0.06, "what the viewpoints see differs"
+
+
+def test_a_joined_file_is_joined_again(parts, tmp_path, monkeypatch):
+    # In a large scene, the root of a joined file has not all viewpoints of its pages.
+    with monkeypatch.context() as patch:
+        patch.setattr(joined_view_tables, "MAX_VIEWS", 3)
+        cogsplat.join(parts, tmp_path / "three.cogs")
+    made = cogsplat.join([tmp_path / "three.cogs", parts[2]], tmp_path / "four.cogs")
+    with (
+        cogsplat.open(tmp_path / "three.cogs") as three,
+        cogsplat.open(parts[2]) as last,
+        cogsplat.open(made.path) as four,
+    ):
+        root = viewpoints(three.view_table())
+        pages = [viewpoints(three.view_table(page.path)) for page in three.indices[1:]]
+        assert any(not found <= root for found in pages)
+        four.verify()
+        assert four.root.splats == three.root.splats + last.root.splats
+        assert viewpoints(four.view_table()) <= viewpoints(last.view_table())
+
+
+def test_the_same_part_twice_has_each_viewpoint_once(parts, tmp_path):
+    cogsplat.join([parts[0], parts[0]], tmp_path / "twice.cogs")
+    with cogsplat.open(parts[0]) as file, cogsplat.open(tmp_path / "twice.cogs") as twice:
+        table = twice.view_table()
+        assert len(viewpoints(table)) == len(table.positions)
+        assert viewpoints(table) <= viewpoints(file.view_table())
 
 
 def test_a_part_is_replaced_without_the_others(parts, joined, tmp_path):

@@ -23,7 +23,7 @@ MIN_RATIO: Final = 1.0 / 512.0
 
 # Tangent of the half field of view that is assumed for viewpoints of the table, both axes.
 _VIEWPOINT_TANGENT: Final = 1.0
-# Weight of rotation: half a turn counts 0.6, a viewpoint on the other side of a chunk 1 at most.
+# Weight of rotation: half a turn counts 0.6, a viewpoint opposite the pose up to 1.
 _ROTATION_WEIGHT: Final = 0.3
 # Added to the difference of a viewpoint, so that its weight stays finite.
 _LEAST_DIFFERENCE: Final = 0.01
@@ -137,8 +137,8 @@ def visibility_of_boxes(boxes: F64, contribution: F64) -> PoseValues:
 def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) -> PoseValues:
     """Return the visibility function that interpolates a view table (docs/streaming.md, 4).
 
-    For each chunk, a viewpoint counts the more, the less the chunk's surroundings shift between
-    the viewpoint and the pose, as seen from the chunk.
+    A viewpoint counts the more, the nearer it is to the pose as seen from the chunk (their distance
+    ÷ the sum of their distances from it), and the more alike they look.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) ->
     """
     viewpoints = _viewpoints(table)
     shares = table.shares.astype(np.float64)
-    # The view of the table may be wider than assumed here, so coverage is at least the share.
+    # A box covers at least the share that a viewpoint shows, whatever its field of view was.
     coverages = np.maximum([screen_coverage(boxes, view) for view in viewpoints], shares)
     positions = np.stack([view.position for view in viewpoints])
     forwards = np.stack([view.rotation[2] for view in viewpoints])

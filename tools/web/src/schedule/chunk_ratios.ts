@@ -6,7 +6,7 @@ import { cross, dot, type Pose, type WeightedPose } from "./poses.js";
 export const LEAST_RATIO = 1 / 512;
 /** Tangent of half the angle of view assumed for viewpoints, in both directions. */
 const TABLE_TANGENT = 1;
-/** Weight of the viewing direction: half a turn counts 0.6, a viewpoint on the other side of a chunk 1 at most. */
+/** Weight of the viewing direction: half a turn counts 0.6, a viewpoint opposite the pose up to 1. */
 const TURN = 0.3;
 /** Added to the difference of a viewpoint, so that its weight stays finite. */
 const LEAST_DIFFERENCE = 0.01;
@@ -73,8 +73,8 @@ export function visibleInBoxes(boxes: Boxes, contribution: Float64Array): PoseRa
 /**
  * Estimate visibility from the viewpoints of a view table, in the unit of contributions.
  *
- * For each chunk, a viewpoint counts the more, the less the chunk's surroundings shift between the viewpoint and the
- * pose, as seen from the chunk.
+ * A viewpoint counts the more, the nearer it is to the pose as seen from the chunk (their distance ÷ the sum of their
+ * distances from it), and the more alike they look.
  */
 export function visibleInTable(table: ViewTable, boxes: Boxes, contribution: Float64Array): PoseRatios {
   const { chunks, shares } = table;
