@@ -124,8 +124,8 @@ def unit_places(indices: Sequence[Index]) -> tuple[F64, F64]:
     -------
     segments, pages : (s,) float64, (p,) float64
         Place of each segment and of each page, bytes, in the order of the file. The place of a
-        segment that the root lists is the offset behind it. The place of a view table is computed
-        as if the table began where its index begins.
+        segment that the root lists is the offset behind it. The place of a view table is its
+        length, so that it is fetched first.
     """
     segments: list[F64] = []
     pages: list[float] = []
@@ -136,7 +136,7 @@ def unit_places(indices: Sequence[Index]) -> tuple[F64, F64]:
         lengths = index.tables.segments.length.astype(np.float64)
         ends = float(index.end - index.start) + np.cumsum(lengths)
         is_table = index.tables.segments.kind == SegmentKind.VIEW_TABLE
-        segments.append(place + weight * np.where(is_table, lengths, ends))
+        segments.append(np.where(is_table, lengths, place + weight * ends))
         behind = place + weight * float(index.segments_end - index.start)
         table = index.tables.pages
         contributions = table.contribution.tolist()

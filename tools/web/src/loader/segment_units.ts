@@ -115,10 +115,11 @@ export class SegmentUnits {
       const books = row < 0 ? [] : this.index.codebookSegmentsOf(segment, this.degree);
       const before = this.heads.get(isHead ? rows.parents[row]! : row);
       const dependencies = [...books.map((book) => this.unitOf.get(book)), before].filter((unit) => unit !== undefined);
-      // The view table decides the order, so it counts as the beginning of its index.
-      const begin = kind[segment] === SegmentKind.viewTable ? 0 : offset[segment]! - index.start;
       const size = length[segment]!;
-      this.push({ segment, row, isHead, place: place + weight * (begin + size), size, dependencies });
+      const end = offset[segment]! - index.start + size;
+      // The view table decides the order of all others, so it comes first.
+      const ownPlace = kind[segment] === SegmentKind.viewTable ? size : place + weight * end;
+      this.push({ segment, row, isHead, place: ownPlace, size, dependencies });
     }
     for (let i = 0; i < index.chunkCount; i++) this.splats.push(rows.splats[index.firstRow + i]!);
   }
