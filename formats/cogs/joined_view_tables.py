@@ -1,4 +1,4 @@
-"""View tables of a joined file: that of one part, and what parts hide of each other (SPEC 5.12)."""
+"""View tables of a joined file, which also tell what one part hides of another (SPEC 5.12)."""
 
 from __future__ import annotations
 
@@ -120,9 +120,10 @@ def measure_joined_table(
 
 
 def _first_chunks(file: CogsFile, share: float) -> int:
-    """Return how many first chunks have at most a share of a file's splats together.
+    """Return the number of a file's first chunks that are drawn, within a share of its splats.
 
-    At least one, and at most those of the root: these show the whole part, others one place.
+    It is at least 1, and at most the number that the root lists: these show the whole part, others
+    one place.
     """
     ends = np.cumsum(file.chunks.splats[: len(file.indices[0].tables.chunks)], dtype=np.int64)
     count = int(np.searchsorted(ends, share * float(file.root.splats), side="right"))

@@ -155,8 +155,9 @@ def test_an_index_has_viewpoints_of_its_part_and_one_with_several_parts_of_all(p
 
 
 def test_the_root_knows_what_parts_hide_of_each_other(parts, joined):
-    part_of = np.empty(sum(map(len, numbers_of(parts, joined))), np.int64)
-    for part_number, chunks in enumerate(numbers_of(parts, joined)):
+    numbers = numbers_of(parts, joined)
+    part_of = np.empty(sum(map(len, numbers)), np.int64)
+    for part_number, chunks in enumerate(numbers):
         part_of[chunks] = part_number
     with cogsplat.open(joined) as whole:
         table, root = whole.view_table(), whole.indices[0]

@@ -55,10 +55,22 @@ def screen_coverage(boxes: F64, pose: Pose) -> F64:
     return share
 
 
+def centres(boxes: F64) -> F64:
+    """Return the centre of each box, (c, 3) float64."""
+    return 0.5 * (boxes[:, :3] + boxes[:, 3:])
+
+
+def squared_radii(boxes: F64) -> F64:
+    """Return the square of half the diagonal of each box, (c,) float64."""
+    x, y, z = (boxes[:, 3:] - boxes[:, :3]).T
+    squares: F64 = 0.25 * (x * x + y * y + z * z)
+    return squares
+
+
 def centre_depths(boxes: F64, pose: Pose) -> F64:
     """Return the camera-space depth of each box centre, (c,) float64, scene units."""
-    centre = 0.5 * (boxes[:, :3] + boxes[:, 3:])
-    depth: F64 = _camera_space(pose, centre[:, 0], centre[:, 1], centre[:, 2])[2]
+    x, y, z = centres(boxes).T
+    depth: F64 = _camera_space(pose, x, y, z)[2]
     return depth
 
 

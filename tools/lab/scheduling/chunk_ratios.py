@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.segments.view_shares import ViewTable
 
-from .box_projections import centre_depths, intersects_frustum, screen_coverage
+from .box_projections import (
+    centre_depths,
+    centres,
+    intersects_frustum,
+    screen_coverage,
+    squared_radii,
+)
 from .poses import Pose, cross, dot
 
 F64 = NDArray[np.float64]
@@ -122,8 +128,7 @@ def visibility_of_boxes(boxes: F64, contribution: F64) -> PoseValues:
     contribution : (c,) float64
         Stored contribution of each chunk.
     """
-    sides = boxes[:, 3:] - boxes[:, :3]
-    radii = 0.25 * _dots(sides, sides)
+    radii = squared_radii(boxes)
     usual = np.sort(radii)[(len(radii) - 1) // 2] if len(radii) else 0.0
 
     def visibility(pose: Pose) -> F64:
@@ -154,10 +159,9 @@ def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) ->
     coverages = np.maximum([screen_coverage(boxes, view) for view in viewpoints], shares)
     positions = np.stack([view.position for view in viewpoints])
     forwards = np.stack([view.rotation[2] for view in viewpoints])
-    centres = 0.5 * (boxes[:, :3] + boxes[:, 3:])
-    sides = boxes[:, 3:] - boxes[:, :3]
-    radii = np.maximum(np.sqrt(0.25 * _dots(sides, sides)), _MIN_RADIUS)
-    reach = np.stack([_distances(position, centres) + radii for position in positions])
+    middles = centres(boxes)
+    radii = np.maximum(np.sqrt(squared_radii(boxes)), _MIN_RADIUS)
+    reach = np.stack([_distances(position, middles) + radii for position in positions])
     whole = ordered_sum(contribution)
     average = contribution / (whole or 1.0)
     seen = ordered_sum(shares.ravel())
@@ -165,16 +169,26 @@ def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) ->
     unit = whole * len(viewpoints) / seen if seen > 0.0 else whole
 
     def visibility(pose: Pose) -> F64:
+        found = screen_coverage(boxes, pose)
+        # The visibility of the others is 0.
+        chunks = np.flatnonzero(found > 0.0)
         moved = _distances(pose.position, positions)[:, None]
         turned = 1.0 - _dots(pose.rotation[2:], forwards)[:, None]
-        away = _distances(pose.position, centres) + reach
-        closeness = 1.0 / (moved / away + _ROTATION_WEIGHT * turned + _LEAST_DIFFERENCE)
+        away = _distances(pose.position, middles[chunks])
+        closeness = 1.0 / (
+            moved / (away + reach[:, chunks]) + _ROTATION_WEIGHT * turned + _LEAST_DIFFERENCE
+        )
         weights = (closeness * closeness) * (closeness * closeness)
         # Sums over the viewpoints from the first to the last (docs/streaming.md, 1).
-        visible, covered = (np.cumsum(of * weights, axis=0)[-1] for of in (shares, coverages))
+        visible, covered = (
+            np.cumsum(of[:, chunks] * weights, axis=0)[-1] for of in (shares, coverages)
+        )
         # Chunks outside the frustum of every viewpoint fall back to their average contribution.
-        filled = np.where(covered > 0.0, visible / np.where(covered > 0.0, covered, 1.0), average)
-        return screen_coverage(boxes, pose) * filled * unit
+        filled = np.where(
+            covered > 0.0, visible / np.where(covered > 0.0, covered, 1.0), average[chunks]
+        )
+        found[chunks] = found[chunks] * filled * unit
+        return found
 
     return visibility
 

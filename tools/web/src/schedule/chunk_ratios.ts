@@ -64,9 +64,10 @@ export function visibleInBoxes(boxes: Boxes, contribution: Float64Array): PoseRa
   const usual = Float64Array.from(radii).sort()[(radii.length - 1) >> 1] ?? 0;
   return (pose) =>
     contribution.map((value, chunk) => {
+      if (!(pictureShare(boxes, chunk, pose) > 0)) return 0;
       const depth = Math.max(middleDepth(boxes, chunk, pose), NEAREST_DEPTH);
       const radius = radii[chunk]!;
-      return pictureShare(boxes, chunk, pose) > 0 ? (value * (usual + radius)) / (depth * depth + radius) : 0;
+      return (value * (usual + radius)) / (depth * depth + radius);
     });
 }
 
@@ -180,7 +181,7 @@ function viewpointsOf({ views, positions, directions }: ViewTable): Pose[] {
   });
 }
 
-/** Return the distance of two points. */
+/** Return the distance of two points, rounded alike on all machines, which `Math.hypot` is not. */
 function distance(one: readonly number[], other: readonly number[]): number {
   const dx = one[0]! - other[0]!;
   const dy = one[1]! - other[1]!;
