@@ -36,6 +36,9 @@ _LEAST_VIEWS: Final = 4
 _VIEW_BYTES: Final = 15
 _MAP_BYTES: Final = 48
 
+# Centres from which the middle and the extent of a scene follow, about.
+_SAMPLED_MEANS: Final = 10_000
+
 MOST_CAMERAS: Final = 4 * MAX_VIEWS
 """Cameras rendered for a view table at most."""
 
@@ -109,7 +112,8 @@ def add_view_table(
         executor=executor,
         progress=progress,
     )
-    clusters = view_clusters(cameras, views)
+    means = encoded.decoded.means[:: -(-len(encoded.decoded) // _SAMPLED_MEANS)]
+    clusters = view_clusters(cameras, means, views)
     positions = np.stack([camera.position for camera in cameras])
     forward = np.stack([camera.rotation[2] for camera in cameras])
     directions = np.stack([forward[cluster].mean(axis=0) for cluster in clusters])

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.farthest_first import farthest_first
 from cogsplat.codec.geometry.frustum import NEAR, in_picture
+from cogsplat.codec.geometry.places_as_seen import places_as_seen
 
 from .nested_cells import WHOLE_SCENE, Region, box_of_most, dividing_plane, inner_box
 
@@ -30,8 +31,8 @@ dB."""
 # Least share of a part's centres in the picture of such a camera. Chosen, not measured.
 _SEEN_SHARE: Final = 0.25
 
-# Extension of a part's box at each side, as a share of its extent: cameras in the next street show
-# the part as well. Chosen, not measured.
+# Extension of a part's box at each side, as a share of its longest side: cameras in the next street
+# and over the roofs show the part as well. Chosen, not measured.
 _MARGIN: Final = 0.25
 
 # Least centres of a sample that are worth a part of surroundings. Chosen, not measured.
@@ -171,9 +172,10 @@ def count_parts(regions: Region) -> int:
 def part_cameras(sample: F64, cameras: Sequence[Camera]) -> list[Camera]:
     """Return the cameras that show a part, in their order.
 
-    These are the cameras inside the part's box, enlarged by a quarter of its extent at each side,
-    and at most `FAR_CAMERAS` others with at least a quarter of the part in their picture, occluded
-    or not: the nearest, then always the one farthest from those chosen.
+    These are the cameras inside the part's box, enlarged by a quarter of its longest side, that
+    have any of its centres in their picture, occluded or not; and at most `FAR_CAMERAS` others that
+    have a quarter of them: the nearest, then always the one that sees the part from the most
+    different place (`places_as_seen`).
 
     Parameters
     ----------
@@ -187,14 +189,16 @@ def part_cameras(sample: F64, cameras: Sequence[Camera]) -> list[Camera]:
     if not len(sample) or not cameras:
         return []
     low, high = inner_box(sample)
-    margin = _MARGIN * (high - low)
+    margin = _MARGIN * float((high - low).max())
     positions = np.array([camera.position for camera in cameras])
     outside = np.maximum(np.maximum(low - positions, positions - high), 0.0)
-    is_chosen = (outside <= margin).all(axis=1)
+    is_near = (outside <= margin).all(axis=1)
     seen = sample[:: -(-len(sample) // _SEEN_CENTRES)]
     with np.errstate(all="ignore"):
         shares = np.array([in_picture(seen, camera, NEAR).mean() for camera in cameras])
-    far = np.flatnonzero(~is_chosen & (shares >= _SEEN_SHARE))
+    is_chosen = is_near & (shares > 0.0)
+    far = np.flatnonzero(~is_near & (shares >= _SEEN_SHARE))
     nearest = int(np.argmin(np.linalg.norm(outside[far], axis=1))) if len(far) else 0
-    is_chosen[far[farthest_first(positions[far], FAR_CAMERAS, nearest)]] = True
+    places = places_as_seen(positions[far], sample)
+    is_chosen[far[farthest_first(places, FAR_CAMERAS, nearest)]] = True
     return [cameras[number] for number in np.flatnonzero(is_chosen).tolist()]

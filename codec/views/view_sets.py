@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Final, TypeVar
 
 from cogsplat.codec.cameras import Camera
@@ -38,9 +39,9 @@ Item = TypeVar("Item")
 def sample_evenly(cameras: Sequence[Item], count: int) -> list[Item]:
     """Return at most `count` cameras spread evenly over a sequence.
 
-    The sequence is cut into `count` equal runs, and one camera is taken from each. Its position in
-    the run varies: a camera rig alternates between kinds of views, and a fixed position would
-    always meet the same kind.
+    The sequence is cut into `count` runs of about equal length, and one camera is taken from each.
+    Its position in the run varies: a camera rig alternates between kinds of views, and a fixed
+    position would always meet the same kind.
 
     Parameters
     ----------
@@ -56,8 +57,9 @@ def sample_evenly(cameras: Sequence[Item], count: int) -> list[Item]:
     """
     if len(cameras) <= count:
         return list(cameras)
-    run = len(cameras) / count
-    return [cameras[int((k + (k + 0.5) * STEP_1D % 1.0) * run)] for k in range(count)]
+    starts = [k * len(cameras) // count for k in range(count + 1)]
+    runs = enumerate(pairwise(starts))
+    return [cameras[low + int((k + 0.5) * STEP_1D % 1.0 * (high - low))] for k, (low, high) in runs]
 
 
 def at_width(cameras: Sequence[Camera], width: int | None) -> list[Camera]:
