@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.farthest_first import farthest_first
 from cogsplat.codec.geometry.frustum import NEAR, in_picture
-from cogsplat.codec.geometry.places_as_seen import places_as_seen
+from cogsplat.codec.geometry.unit_ball import into_unit_ball
 
 from .nested_cells import WHOLE_SCENE, Region, box_of_most, dividing_plane, inner_box
 
@@ -24,9 +24,9 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 FAR_CAMERAS: Final = 16
-"""Most cameras of a part that stand far from it. With street cameras alone, a city of ten
-million splats in eight parts showed 18 to 25 dB from far away, where its streets had 40 to 50
-dB."""
+"""Largest number of cameras that a part gets from outside its enlarged box. When parts only had
+cameras of their own streets, a city of ten million splats in eight parts had a PSNR of 18 to 25 dB
+from far away, and of 40 to 50 dB in its streets."""
 
 # Least share of a part's centres in the picture of such a camera. Chosen, not measured.
 _SEEN_SHARE: Final = 0.25
@@ -170,20 +170,26 @@ def count_parts(regions: Region) -> int:
 
 
 def part_cameras(sample: F64, cameras: Sequence[Camera]) -> list[Camera]:
-    """Return the cameras that show a part, in their order.
+    """Choose the cameras with which a part is encoded.
 
-    These are the cameras inside the part's box, enlarged by a quarter of its longest side, that
-    have any of its centres in their picture, occluded or not; and at most `FAR_CAMERAS` others that
-    have a quarter of them: the nearest, then always the one that sees the part from the most
-    different place (`places_as_seen`).
+    A camera shows as much of a part as it has of the sample in its picture, occluded or not. Inside
+    the enlarged box of the part, all cameras are taken that show any of it. Outside, of the cameras
+    that show at least a quarter of it, at most `FAR_CAMERAS` are taken: first the one nearest to
+    the box, then each time the one farthest from those taken, with positions mapped by
+    `into_unit_ball`.
 
     Parameters
     ----------
     sample : (n, 3) float64
-        Centres that are drawn evenly from the part, scene units. Its box leaves out 2 % of them at
-        each end.
+        Random sample of the part's centres, scene units. The box of the part leaves out 2 % of them
+        at each end of an axis, and is enlarged at each side by a quarter of its longest side.
     cameras : sequence of Camera
         Cameras of the scene, in the frame of the centres.
+
+    Returns
+    -------
+    list of Camera
+        Some of the cameras, in the order in which they were given; none for an empty sample.
     """
     sample = sample[np.isfinite(sample).all(axis=1)]
     if not len(sample) or not cameras:
@@ -199,6 +205,6 @@ def part_cameras(sample: F64, cameras: Sequence[Camera]) -> list[Camera]:
     is_chosen = is_near & (shares > 0.0)
     far = np.flatnonzero(~is_near & (shares >= _SEEN_SHARE))
     nearest = int(np.argmin(np.linalg.norm(outside[far], axis=1))) if len(far) else 0
-    places = places_as_seen(positions[far], sample)
-    is_chosen[far[farthest_first(places, FAR_CAMERAS, nearest)]] = True
+    mapped = into_unit_ball(positions[far], sample)
+    is_chosen[far[farthest_first(mapped, FAR_CAMERAS, nearest)]] = True
     return [cameras[number] for number in np.flatnonzero(is_chosen).tolist()]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.farthest_first import farthest_first
-from cogsplat.codec.geometry.places_as_seen import places_as_seen
+from cogsplat.codec.geometry.unit_ball import into_unit_ball
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -18,28 +18,31 @@ I64 = NDArray[np.int64]
 def view_clusters(cameras: Sequence[Camera], means: NDArray[np.floating], count: int) -> list[I64]:
     """Cluster cameras by position and viewing direction.
 
-    The squared distance between two cameras is that of their places as the scene sees them
-    (`places_as_seen`), + 1 - cos of the angle between their viewing directions.
+    The distance between two cameras is √(d² + 1 - cos α): d is the distance between their positions
+    in the unit ball around the scene (`into_unit_ball`), and α is the angle between their viewing
+    directions.
 
     Parameters
     ----------
     cameras : sequence of Camera
         Cameras to cluster, at least one.
     means : (m, 3)
-        Finite centres that are drawn evenly from the scene, at least one, scene units.
+        Finite centres of splats, at least one, scene units; a random sample is enough.
     count : int
-        Number of clusters at most, at least 1.
+        Largest number of clusters, at least 1; there are fewer only if there are fewer cameras.
 
     Returns
     -------
-    list of (m,) int64
-        Ascending camera numbers of each cluster, none empty. Each cluster is close to the one
-        before it.
+    list of (k,) int64
+        Rows of each cluster's cameras, ascending, at least one. The first cluster contains the
+        first camera. Each cluster is followed by the nearest of those left, so that neighbours in
+        the list are alike and compress well.
 
     Notes
     -----
-    Centres are chosen farthest first. Every camera joins its nearest centre, of equally near ones
-    the first that was chosen.
+    Some cameras become the middles of clusters: the first camera, then each time the one farthest
+    from all middles (`farthest_first`). Every other camera joins the nearest middle; of equally
+    near middles, the one chosen first.
 
     Examples
     --------
@@ -53,27 +56,27 @@ def view_clusters(cameras: Sequence[Camera], means: NDArray[np.floating], count:
     positions = np.stack([camera.position for camera in cameras])
     forward = np.stack([camera.rotation[2] for camera in cameras])
     # Half the squared distance of two unit vectors is 1 - cos of their angle.
-    points = np.hstack([places_as_seen(positions, means), forward / np.sqrt(2.0)])
-    centres = farthest_first(points, count)
-    distances = np.stack([_distances(points, centre) for centre in centres])
-    # Equal cameras may all be centres: each stays with itself.
-    distances[np.arange(len(centres)), centres] = -1.0
+    points = np.hstack([into_unit_ball(positions, means), forward / np.sqrt(2.0)])
+    middles = farthest_first(points, count)
+    distances = np.stack([_distances(points, middle) for middle in middles])
+    # Equal cameras may all be middles: each stays with itself.
+    distances[np.arange(len(middles)), middles] = -1.0
     owners = distances.argmin(axis=0)
-    path = _greedy_path(points[centres])
+    path = _greedy_path(points[middles])
     return [np.flatnonzero(owners == cluster) for cluster in path]
 
 
 def _distances(points: F64, row: int) -> F64:
-    """Return the distances of all points to one of them."""
+    """Return the distance of each point from the point in a row."""
     distances: F64 = np.linalg.norm(points - points[row], axis=1)
     return distances
 
 
-def _greedy_path(centres: F64) -> list[int]:
-    """Return the rows of centres, from 0 on: each is followed by the nearest remaining one."""
-    left = list(range(1, len(centres)))
+def _greedy_path(points: F64) -> list[int]:
+    """Return the rows of points as a path: from row 0 always to the nearest point that is left."""
+    left = list(range(1, len(points)))
     path = [0]
     while left:
-        distances = _distances(centres, path[-1])
+        distances = _distances(points, path[-1])
         path.append(left.pop(int(distances[left].argmin())))
     return path

@@ -37,29 +37,31 @@ Item = TypeVar("Item")
 
 
 def sample_evenly(cameras: Sequence[Item], count: int) -> list[Item]:
-    """Return at most `count` cameras spread evenly over a sequence.
+    """Choose cameras at about equal distances in a sequence, such as the order of capture.
 
-    The sequence is cut into `count` runs of about equal length, and one camera is taken from each.
-    Its position in the run varies: a camera rig alternates between kinds of views, and a fixed
-    position would always meet the same kind.
+    The sequence is cut into `count` stretches of about equal length, and one camera is taken from
+    each: not always the first, but by a fixed low-discrepancy sequence. Where left and right views
+    alternate, the first of each stretch could all be left ones.
 
     Parameters
     ----------
     cameras : sequence
         Cameras or camera numbers.
     count : int
-        Number of cameras at most, at least 1.
+        Number of cameras wanted, at least 1. A sequence that is not longer is returned whole.
 
     Returns
     -------
     list
-        Cameras in the order of the sequence.
+        Different items of the sequence, in its order.
     """
     if len(cameras) <= count:
         return list(cameras)
     starts = [k * len(cameras) // count for k in range(count + 1)]
-    runs = enumerate(pairwise(starts))
-    return [cameras[low + int((k + 0.5) * STEP_1D % 1.0 * (high - low))] for k, (low, high) in runs]
+    stretches = enumerate(pairwise(starts))
+    return [
+        cameras[low + int((k + 0.5) * STEP_1D % 1.0 * (end - low))] for k, (low, end) in stretches
+    ]
 
 
 def at_width(cameras: Sequence[Camera], width: int | None) -> list[Camera]:
