@@ -118,6 +118,7 @@ def ratios_from_view_table(table: ViewTable, boxes: F64, contribution: F64) -> P
 def visibility_of_boxes(boxes: F64, contribution: F64) -> PoseValues:
     """Return the visibility function for an index without a view table (docs/streaming.md, 5).
 
+    Visibility is in the unit of contributions; `IndexRatios` converts it to shares of a picture.
     A box in the frustum has contribution × (μ + ρ) ÷ (depth² + ρ): ρ is its squared half diagonal,
     μ the median of ρ.
 
@@ -142,8 +143,9 @@ def visibility_of_boxes(boxes: F64, contribution: F64) -> PoseValues:
 def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) -> PoseValues:
     """Return the visibility function that interpolates a view table (docs/streaming.md, 4).
 
-    A viewpoint counts the more, the nearer it is to the pose as seen from the chunk (their distance
-    ÷ the sum of their distances from it), and the more alike they look.
+    Visibility is an estimated share of the picture. A viewpoint counts the more, the nearer it is
+    to the pose as seen from the chunk (their distance ÷ the sum of their distances from it), and
+    the more alike they look.
 
     Parameters
     ----------
@@ -162,11 +164,7 @@ def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) ->
     middles = centres(boxes)
     radii = np.maximum(np.sqrt(squared_radii(boxes)), _MIN_RADIUS)
     reach = np.stack([_distances(position, middles) + radii for position in positions])
-    whole = ordered_sum(contribution)
-    average = contribution / (whole or 1.0)
-    seen = ordered_sum(shares.ravel())
-    # A share of a picture, in the unit of contributions.
-    unit = whole * len(viewpoints) / seen if seen > 0.0 else whole
+    average = contribution / (ordered_sum(contribution) or 1.0)
 
     def visibility(pose: Pose) -> F64:
         found = screen_coverage(boxes, pose)
@@ -187,7 +185,7 @@ def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) ->
         filled = np.where(
             covered > 0.0, visible / np.where(covered > 0.0, covered, 1.0), average[chunks]
         )
-        found[chunks] = found[chunks] * filled * unit
+        found[chunks] = found[chunks] * filled
         return found
 
     return visibility

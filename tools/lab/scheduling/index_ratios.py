@@ -69,20 +69,25 @@ class IndexRatios:
             Indices that the client has read; rows that others list have `MIN_RATIO`. By default
             all.
         """
+        known_rows = [self._known_rows(index, read) for index in self._indices]
+        whole = 0.0
+        for contribution, known in zip(self._contributions, known_rows, strict=True):
+            if known is not None:
+                whole += ordered_sum(contribution[known])
         visible: list[F64 | None] = []
-        all_visible, whole = 0.0, 0.0
-        for index, contribution in zip(self._indices, self._contributions, strict=True):
-            if read is not None and index.path not in read:
+        all_visible = 0.0
+        for index, contribution, known in zip(
+            self._indices, self._contributions, known_rows, strict=True
+        ):
+            if known is None:
                 visible.append(None)
                 continue
             has_table = index.path in self._tables and (arrived is None or index.path in arrived)
             values = self._visibility(index, contribution, has_table)(pose)
-            is_known = np.ones(len(values), np.bool_)
-            for row in range(len(index.tables.pages)):
-                is_read = read is None or (*index.path, row) in read
-                is_known[len(index.tables.chunks) + row] = not is_read
-            all_visible += ordered_sum(values[is_known])
-            whole += ordered_sum(contribution[is_known])
+            if not has_table:
+                # Contributions, as shares like those of view tables.
+                values = values / (whole or 1.0)
+            all_visible += ordered_sum(values[known])
             visible.append(values)
         chunks: list[F64] = []
         pages: list[F64] = []
@@ -97,6 +102,21 @@ class IndexRatios:
             chunks.append(ratios[: len(index.tables.chunks)])
             pages.append(ratios[len(index.tables.chunks) :])
         return np.concatenate([*chunks, *pages])
+
+    @staticmethod
+    def _known_rows(index: Index, read: Collection[Path] | None) -> NDArray[np.bool_] | None:
+        """Return which rows of an index stand for themselves: chunks, and pages that are not read.
+
+        It is None for an index that is not read itself.
+        """
+        if read is not None and index.path not in read:
+            return None
+        known = np.ones(len(index.tables.chunks) + len(index.tables.pages), np.bool_)
+        for row in range(len(index.tables.pages)):
+            known[len(index.tables.chunks) + row] = (
+                read is not None and (*index.path, row) not in read
+            )
+        return known
 
     def _visibility(self, index: Index, contribution: F64, has_table: bool) -> PoseValues:
         """Return the visibility function of the chunks and then the pages that an index lists."""
@@ -125,7 +145,8 @@ def unit_places(indices: Sequence[Index]) -> tuple[F64, F64]:
     segments, pages : (s,) float64, (p,) float64
         Place of each segment and of each page, bytes, in the order of the file. The place of a
         segment that the root lists is the offset behind it. The place of a view table is its
-        length, so that it is fetched first.
+        length, so that it is fetched first. Pages come before the segments of the index that lists
+        them, because they may list most of what a picture shows.
     """
     segments: list[F64] = []
     pages: list[float] = []
@@ -146,5 +167,5 @@ def unit_places(indices: Sequence[Index]) -> tuple[F64, F64]:
             share = max(contribution, _LEAST_SHARE * whole)
             times = whole / share if whole > 0.0 else float(len(contributions))
             frames[(*index.path, row)] = behind, weight * times
-            pages.append(behind + weight * times * float(table.length[row]))
+            pages.append(place + weight * times * float(table.length[row]))
     return np.concatenate(segments), np.array(pages, np.float64)

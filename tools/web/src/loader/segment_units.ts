@@ -125,7 +125,7 @@ export class SegmentUnits {
   }
 
   private enterPage(page: Page): void {
-    const { place, weight } = this.frameOf(page);
+    const { weight } = this.frameOf(page);
     const parent = this.heads.get(this.index.rows.parents[page.row]!);
     const segment = -1 - page.number;
     this.unitOf.set(segment, this.units.length);
@@ -134,7 +134,8 @@ export class SegmentUnits {
       segment,
       row: page.row,
       isHead: true,
-      place: place + weight * page.length,
+      // As if pages came before the segments of the index: they may list most of what a picture shows.
+      place: this.frames.get(page.listedBy)!.place + weight * page.length,
       size: page.length,
       dependencies: parent === undefined ? [] : [parent],
     });

@@ -56,8 +56,8 @@ export function byViewTable(table: ViewTable, boxes: Boxes, contribution: Float6
 }
 
 /**
- * Estimate visibility from bounding boxes: contribution × (μ + ρ) ÷ (depth² + ρ) for each visible box, where ρ is its
- * squared half diagonal and μ the median of ρ.
+ * Estimate visibility from bounding boxes, in the unit of contributions: contribution × (μ + ρ) ÷ (depth² + ρ) for each
+ * visible box, where ρ is its squared half diagonal and μ the median of ρ.
  */
 export function visibleInBoxes(boxes: Boxes, contribution: Float64Array): PoseRatios {
   const radii = contribution.map((_, chunk) => squaredRadius(boxes, chunk));
@@ -72,7 +72,7 @@ export function visibleInBoxes(boxes: Boxes, contribution: Float64Array): PoseRa
 }
 
 /**
- * Estimate visibility from the viewpoints of a view table, in the unit of contributions.
+ * Estimate visibility from the viewpoints of a view table, as shares of the picture.
  *
  * A viewpoint counts the more, the nearer it is to the pose as seen from the chunk (their distance ÷ the sum of their
  * distances from it), and the more alike they look.
@@ -90,8 +90,6 @@ export function visibleInTable(table: ViewTable, boxes: Boxes, contribution: Flo
     viewpoints.flatMap((view) => centres.map((at, i) => distance(view.position, at) + radii[i]!)),
   );
   const whole = total(contribution);
-  const seen = total(shares);
-  const unit = seen > 0 ? (whole * viewpoints.length) / seen : whole;
   return (pose) => {
     const found = contribution.map((_, chunk) => pictureShare(boxes, chunk, pose));
     // The visibility of the others is 0.
@@ -114,7 +112,6 @@ export function visibleInTable(table: ViewTable, boxes: Boxes, contribution: Flo
       const most = covered[row]!;
       // Chunks outside the view of all viewpoints count by their average contribution.
       found[chunk]! *= most > 0 ? visible[row]! / most : contribution[chunk]! / (whole || 1);
-      found[chunk]! *= unit;
     });
     return found;
   };

@@ -25,23 +25,26 @@ export class IndexRatios {
     const last = this.indexes.at(-1)!;
     const found = new Float64Array(last.firstRow + last.contribution.length);
     const readPages = new Set(this.indexes.map(({ page }) => page?.row));
-    const visible = new Map<Index, Float64Array>();
-    let allVisible = 0;
-    let whole = 0;
     // In file order, in which Python adds as well.
-    for (const index of [...this.indexes].sort((a, b) => a.start - b.start)) {
-      const { contribution, firstRow } = index;
-      const own = this.visibilityOf(index)(pose);
-      visible.set(index, own);
-      let [shown, usual] = [0, 0];
-      own.forEach((value, i) => {
-        if (readPages.has(firstRow + i)) return;
-        shown += value;
-        usual += contribution[i]!;
-      });
-      allVisible += shown;
-      whole += usual;
-    }
+    const indexes = [...this.indexes].sort((a, b) => a.start - b.start);
+    /** Sum over the chunks, and the pages that are not read. */
+    const sumOf = (valuesOf: (index: Index) => Float64Array): number =>
+      indexes.reduce((sum, index) => {
+        const own = valuesOf(index).reduce(
+          (ofIndex, value, i) => (readPages.has(index.firstRow + i) ? ofIndex : ofIndex + value),
+          0,
+        );
+        return sum + own;
+      }, 0);
+    const whole = sumOf(({ contribution }) => contribution);
+    const visible = new Map(
+      indexes.map((index) => {
+        const own = this.visibilityOf(index)(pose);
+        // Contributions, as shares like those of view tables.
+        return [index, this.tables.has(index) ? own : own.map((value) => value / (whole || 1))];
+      }),
+    );
+    const allVisible = sumOf((index) => visible.get(index)!);
     for (const [{ contribution, firstRow }, own] of visible) {
       found.set(overUsual(own, contribution, allVisible, whole), firstRow);
     }
