@@ -161,7 +161,8 @@ def unit_places(indices: Sequence[Index]) -> tuple[F64, F64]:
         behind = place + weight * float(index.segments_end - index.start)
         table = index.tables.pages
         contributions = table.contribution.tolist()
-        whole = sum(contributions)
+        # Not `sum`, which compensates for rounding since Python 3.12.
+        whole = ordered_sum(table.contribution.astype(np.float64))
         for row, contribution in enumerate(contributions):
             # Pages without contributions share alike.
             share = max(contribution, _LEAST_SHARE * whole)
