@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Final, TypeVar
 
 from cogsplat.codec.cameras import Camera
@@ -57,11 +56,13 @@ def sample_evenly(cameras: Sequence[Item], count: int) -> list[Item]:
     """
     if len(cameras) <= count:
         return list(cameras)
-    starts = [k * len(cameras) // count for k in range(count + 1)]
-    stretches = enumerate(pairwise(starts))
-    return [
-        cameras[low + int((k + 0.5) * STEP_1D % 1.0 * (end - low))] for k, (low, end) in stretches
-    ]
+    run = len(cameras) / count
+    rows: list[int] = []
+    for k in range(count):
+        row = int((k + (k + 0.5) * STEP_1D % 1.0) * run)
+        # Stretches of less than two cameras share some: none is taken twice.
+        rows.append(max(row, rows[-1] + 1) if rows else row)
+    return [cameras[row] for row in rows]
 
 
 def at_width(cameras: Sequence[Camera], width: int | None) -> list[Camera]:
