@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 
 # Lower bound of the median distance of the centres, scene units.
-_MIN_RADIUS = 1e-9
+_MIN_RADIUS: Final = 1e-9
 
 
 def into_unit_ball(positions: F64, means: NDArray[np.floating]) -> F64:

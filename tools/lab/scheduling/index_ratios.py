@@ -105,9 +105,9 @@ class IndexRatios:
 
     @staticmethod
     def _known_rows(index: Index, read: Collection[Path] | None) -> NDArray[np.bool_] | None:
-        """Return which rows of an index stand for themselves: chunks, and pages that are not read.
+        """Return the mask of the chunks and unread pages of an index; None for an unread index.
 
-        It is None for an index that is not read itself.
+        The rows of read pages are left out of sums: what such a page lists is counted instead.
         """
         if read is not None and index.path not in read:
             return None

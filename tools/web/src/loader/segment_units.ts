@@ -67,7 +67,7 @@ export class SegmentUnits {
       const frame = this.frameOf(page);
       this.frames.set(index, frame);
       this.enterSegments(index, frame);
-      for (const listed of index.pages) this.enterPage(listed);
+      for (const listed of index.pages) this.enterPage(listed, frame);
       if (page === undefined) continue;
       // The rows of a page replace it.
       const unit = this.of(-1 - page.number);
@@ -124,7 +124,7 @@ export class SegmentUnits {
     for (let i = 0; i < index.chunkCount; i++) this.splats.push(rows.splats[index.firstRow + i]!);
   }
 
-  private enterPage(page: Page): void {
+  private enterPage(page: Page, listedBy: Frame): void {
     const { weight } = this.frameOf(page);
     const parent = this.heads.get(this.index.rows.parents[page.row]!);
     const segment = -1 - page.number;
@@ -135,7 +135,7 @@ export class SegmentUnits {
       row: page.row,
       isHead: true,
       // As if pages came before the segments of the index: they may list most of what a picture shows.
-      place: this.frames.get(page.listedBy)!.place + weight * page.length,
+      place: listedBy.place + weight * page.length,
       size: page.length,
       dependencies: parent === undefined ? [] : [parent],
     });
