@@ -35,13 +35,13 @@ _STATES: Final = 40
 class Scene(TypedDict):
     """Scene of the test vectors.
 
-    A unit is a tuple of chunk, head flag, end offset, size in bytes and dependencies.
+    A unit is a tuple of chunk, head flag, gain, size in bytes and dependencies.
     """
 
     boxes: list[list[float]]
     contribution: list[float]
     splats: list[int]
-    units: list[tuple[int, int, int, int, list[int]]]
+    units: list[tuple[int, int, float, int, list[int]]]
     positions: list[list[float]]
     directions: list[list[int]]
     codes: list[list[int]]
@@ -88,7 +88,7 @@ def ratios_of(scene: Scene, rule: str) -> chunk_ratios.PoseValues:
 
 def decide(scene: Scene, state: State) -> Decision:
     """Return the scheduler's decision in a state."""
-    units = [Unit(c, bool(head), end, size, tuple(a)) for c, head, end, size, a in scene["units"]]
+    units = [Unit(c, bool(head), gain, size, tuple(a)) for c, head, gain, size, a in scene["units"]]
     client = ClientState(
         frozenset(state["there"]),
         frozenset(state["under_way"]),
@@ -144,16 +144,16 @@ def _scene(rng: np.random.Generator) -> Scene:
     boxes = np.concatenate([low, low + rng.uniform(0.0, 6.0, (chunks, 3))], axis=1)
     cells = np.concatenate([[1], rng.integers(1, 8, chunks - 1)])
     above = parents(cells)
-    contribution = rng.uniform(0.0, 9.0, chunks) * (rng.random(chunks) > 0.1)
+    shares = _rounded(rng.uniform(0.0, 9.0, chunks) * (rng.random(chunks) > 0.1), 2)
     views = int(rng.integers(1, 6))
     codes = rng.integers(225, 255, (views, chunks)) * (rng.random((views, chunks)) > 0.3)
     directions = rng.integers(-127, 128, (views, 3))
     directions[~directions.any(axis=1)] = 1
     return {
         "boxes": [_rounded(box, 2) for box in boxes],
-        "contribution": _rounded(contribution, 2),
+        "contribution": shares,
         "splats": rng.integers(10, 400, chunks).tolist(),
-        "units": _units(rng, above.tolist()),
+        "units": _units(rng, above.tolist(), shares),
         "positions": [_rounded(position, 2) for position in rng.uniform(-6.0, 6.0, (views, 3))],
         "directions": directions.tolist(),
         "codes": codes.tolist(),
@@ -161,8 +161,8 @@ def _scene(rng: np.random.Generator) -> Scene:
 
 
 def _units(
-    rng: np.random.Generator, above: list[int]
-) -> list[tuple[int, int, int, int, list[int]]]:
+    rng: np.random.Generator, above: list[int], contribution: list[float]
+) -> list[tuple[int, int, float, int, list[int]]]:
     """Return units of a file: a codebook, then heads, each followed by refinements of chunks."""
     rows: list[tuple[int, int, list[int]]] = [(-1, 0, [])]
     heads: dict[int, int] = {}
@@ -174,12 +174,15 @@ def _units(
         while later and rng.random() < 0.5:
             owner = later.pop(int(rng.integers(len(later))))
             rows.append((owner, 0, [heads[owner], *([0] if rng.random() < 0.4 else [])]))
-    end = int(rng.integers(500, 3000))
+    gains: dict[int, float] = {}
     units = []
     for chunk, head, dependencies in rows:
         size = int(rng.integers(100, 5000))
-        end += size
-        units.append((chunk, head, end, size, dependencies))
+        if head:
+            gain = gains[chunk] = contribution[chunk]
+        else:
+            gain = gains.get(chunk, 0.0) * round(float(rng.random()), 3)
+        units.append((chunk, head, gain, size, dependencies))
     return units
 
 
@@ -206,7 +209,7 @@ def _state(rng: np.random.Generator, number: int, scene: Scene, rule: str) -> St
     used = sum(scene["splats"][chunk] for chunk in heads)
     budget = 0 if rng.random() < 0.4 else int(used * rng.uniform(0.9, 1.3)) + 1
     evicted = [
-        (row[0], float(rng.uniform(0.0, 2.0)) / row[2])
+        (row[0], float(rng.uniform(0.0, 8.0)) / scene["splats"][row[0]])
         for row in units
         if row[1] and row[0] not in heads and rng.random() < 0.5
     ]

@@ -88,8 +88,9 @@ function headsOf(scheduler) {
 }
 
 /** Return the worth of each chunk that is not held: the largest of itself and its descendants (docs/streaming.md, 9). */
-function worthsOf({ units }, heads, ratios) {
-  const worths = new Map([...heads].map(([chunk, head]) => [chunk, ratios[chunk] / units[head].place]));
+function worthsOf({ units, splats }, heads, ratios) {
+  const worthOf = ([chunk, head]) => [chunk, (ratios[chunk] * units[head].gain) / splats[chunk]];
+  const worths = new Map([...heads].map(worthOf));
   for (const chunk of [...heads.keys()].sort((a, b) => b - a)) {
     const parent = units[heads.get(chunk)].dependencies.map((unit) => units[unit].row).find((other) => other >= 0);
     if (parent !== undefined) worths.set(parent, Math.max(worths.get(parent), worths.get(chunk)));
@@ -158,7 +159,7 @@ function recordDecision(scheduler, ratios, holdings, decision) {
   };
   if (scheduler !== lastScheduler) {
     entry.units = scheduler.units.map((unit) => ({
-      ...{ start: start(unit), place: unit.place, size: unit.size, row: row(unit.row), isHead: unit.isHead },
+      ...{ start: start(unit), gain: unit.gain, size: unit.size, row: row(unit.row), isHead: unit.isHead },
       dependencies: unit.dependencies.map((other) => starts[other]),
     }));
     entry.splats = scheduler.splats.map((splats, at) => [row(at), splats]);

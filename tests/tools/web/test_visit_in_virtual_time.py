@@ -133,7 +133,7 @@ class Reference:
             dependencies = [self._unit[start] for start in found[number]["dependencies"]]
             assert self.row(found[number]["row"]) == unit.row
             assert found[number]["isHead"] == unit.is_head
-            assert found[number]["place"] == unit.place
+            assert found[number]["gain"] == unit.gain
             assert found[number]["size"] == unit.size_bytes
             assert sorted(dependencies) == sorted(listed[k] for k in unit.dependencies)
         for place, splats in entry["splats"]:

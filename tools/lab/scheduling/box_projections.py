@@ -14,6 +14,9 @@ F64 = NDArray[np.float64]
 # Near plane of 3DGS (`in_frustum`): splats with a smaller depth are not drawn. Scene units.
 _NEAR: Final = 0.2
 
+# Corners of a box that an edge connects; bit k of a corner is set on the far side of axis k.
+_EDGES: Final = np.array([(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit])
+
 
 def _camera_space(pose: Pose, x: F64, y: F64, z: F64) -> tuple[F64, F64, F64]:
     """Transform points to camera space; each sum adds its terms from left to right."""
@@ -31,7 +34,7 @@ def _corners(boxes: F64, pose: Pose) -> tuple[F64, F64, F64]:
 
 
 def screen_coverage(boxes: F64, pose: Pose) -> F64:
-    """Return the share of the picture that the bounding rectangle of each projected box covers.
+    """Return the share of the picture within the rectangle around each projected box.
 
     Parameters
     ----------
@@ -44,14 +47,27 @@ def screen_coverage(boxes: F64, pose: Pose) -> F64:
     (c,) float64
         0 to 1; 0 for boxes behind the camera or outside the frustum.
     """
-    right, down, forward = _corners(boxes, pose)
-    share: F64 = (forward.max(axis=0) > _NEAR).astype(np.float64)
-    depth = np.maximum(forward, _NEAR)
-    for across, tan in ((right, pose.tan_x), (down, pose.tan_y)):
-        tangents = across / depth
-        low = np.maximum(tangents.min(axis=0), -tan)
-        high = np.minimum(tangents.max(axis=0), tan)
-        share = share * np.maximum((high - low) / (2.0 * tan), 0.0)
+    corners = _corners(boxes, pose)
+    forward = corners[2]
+    is_ahead = forward > _NEAR
+    # Where an edge passes the near plane, the part of the box that is ahead of it has a corner.
+    start, end = _EDGES.T
+    passes = is_ahead[start] != is_ahead[end]
+    along = (_NEAR - forward[start]) / np.where(passes, forward[end] - forward[start], 1.0)
+    share: F64 = np.where(is_ahead.any(axis=0), 1.0, 0.0)
+    for across, tan in ((corners[0], pose.tan_x), (corners[1], pose.tan_y)):
+        tangents = np.concatenate(
+            [
+                across / np.maximum(forward, _NEAR),
+                (across[start] + (across[end] - across[start]) * along) / _NEAR,
+            ]
+        )
+        counts = np.concatenate([is_ahead, passes])
+        low = np.where(counts, tangents, np.inf).min(axis=0)
+        high = np.where(counts, tangents, -np.inf).max(axis=0)
+        # A box that is not ahead has infinite ones, and a share of 0.
+        width = np.minimum(high, tan) - np.maximum(low, -tan)
+        share *= np.maximum(width / (2.0 * tan), 0.0)
     return share
 
 

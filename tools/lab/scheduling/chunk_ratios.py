@@ -27,6 +27,9 @@ F64 = NDArray[np.float64]
 MIN_RATIO: Final = 1.0 / 512.0
 """Lower bound of ratios: invisible chunks are fetched after visible ones, but are fetched."""
 
+MIN_AVERAGE_SHARE: Final = 1e-12
+"""Lower bound of a chunk's share of the total contribution; avoids division by 0."""
+
 # Tangent of the half field of view that is assumed for viewpoints of the table, both axes.
 _VIEWPOINT_TANGENT: Final = 1.0
 # Weight of rotation: half a turn counts 0.6, a viewpoint opposite the pose up to 1.
@@ -35,8 +38,6 @@ _ROTATION_WEIGHT: Final = 0.3
 _LEAST_DIFFERENCE: Final = 0.01
 # Lower bound of half the diagonal of a box, scene units.
 _MIN_RADIUS: Final = 1e-9
-# Lower bound of a chunk's share of the total contribution; avoids division by 0.
-_MIN_AVERAGE_SHARE: Final = 1e-12
 # Lower bound of depths, the near plane of 3DGS, scene units.
 _MIN_DEPTH: Final = 0.2
 # SGSS (Zhu et al., MMSys 2025): boxes of lower density always have low priority, splats per cubic
@@ -99,7 +100,7 @@ def ratios_of_sums(
     """Return ratios for known sums of visibility and contribution (docs/streaming.md, 4)."""
     if not total_visibility > 0.0 or not total_contribution > 0.0:
         return np.ones(len(visibility))
-    average = np.maximum(contribution / total_contribution, _MIN_AVERAGE_SHARE)
+    average = np.maximum(contribution / total_contribution, MIN_AVERAGE_SHARE)
     return np.maximum(visibility / total_visibility / average, MIN_RATIO)
 
 
@@ -159,6 +160,10 @@ def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) ->
     shares = table.shares.astype(np.float64)
     # A box covers at least the share that a viewpoint shows, whatever its field of view was.
     coverages = np.maximum([screen_coverage(boxes, view) for view in viewpoints], shares)
+    # Their roots: a viewpoint at the box would otherwise outweigh those that see it from the side
+    # of the pose.
+    extents = np.sqrt(coverages)
+    shown = shares / np.where(extents > 0.0, extents, 1.0)
     positions = np.stack([view.position for view in viewpoints])
     forwards = np.stack([view.rotation[2] for view in viewpoints])
     middles = centres(boxes)
@@ -176,10 +181,10 @@ def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) ->
         closeness = 1.0 / (
             moved / (away + reach[:, chunks]) + _ROTATION_WEIGHT * turned + _LEAST_DIFFERENCE
         )
-        weights = (closeness * closeness) * (closeness * closeness)
+        weights = closeness * closeness * closeness
         # Sums over the viewpoints from the first to the last (docs/streaming.md, 1).
         visible, covered = (
-            np.cumsum(of[:, chunks] * weights, axis=0)[-1] for of in (shares, coverages)
+            np.cumsum(of[:, chunks] * weights, axis=0)[-1] for of in (shown, extents)
         )
         # Chunks outside the frustum of every viewpoint fall back to their average contribution.
         filled = np.where(

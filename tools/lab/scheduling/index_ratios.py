@@ -1,9 +1,8 @@
-"""Ratios of rows and places of units below a tree of pages (docs/streaming.md, 4, 7)."""
+"""Ratios of rows and gains of units below a tree of pages (docs/streaming.md, 4, 7)."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.page_tree import Index
 
 from .chunk_ratios import (
+    MIN_AVERAGE_SHARE,
     MIN_RATIO,
     PoseValues,
     ordered_sum,
@@ -25,9 +25,6 @@ from .poses import Pose
 F64 = NDArray[np.float64]
 
 Path = tuple[int, ...]
-
-# Least share of a page in the contribution of all pages of its index.
-_LEAST_SHARE: Final = 1e-12
 
 
 class IndexRatios:
@@ -132,8 +129,8 @@ class IndexRatios:
         return self._known[key]
 
 
-def unit_places(indices: Sequence[Index]) -> tuple[F64, F64]:
-    """Return the places of all segments and pages: where they would end if pages came in parallel.
+def unit_gains(indices: Sequence[Index]) -> tuple[F64, F64]:
+    """Return what all segments and pages add to a picture where ratios are 1 (section 7).
 
     Parameters
     ----------
@@ -143,30 +140,41 @@ def unit_places(indices: Sequence[Index]) -> tuple[F64, F64]:
     Returns
     -------
     segments, pages : (s,) float64, (p,) float64
-        Place of each segment and of each page, bytes, in the order of the file. The place of a
-        segment that the root lists is the offset behind it. The place of a view table is its
-        length, so that it is fetched first. Pages come before the segments of the index that lists
-        them, because they may list most of what a picture shows.
+        Gain of each segment and of each page, in the order of the file, in the unit of
+        contributions.
     """
-    segments: list[F64] = []
-    pages: list[float] = []
-    # Place of each page's beginning, and the place that one of its bytes takes.
-    frames: dict[Path, tuple[float, float]] = {(): (0.0, 1.0)}
-    for index in indices:
-        place, weight = frames[index.path]
-        lengths = index.tables.segments.length.astype(np.float64)
-        ends = float(index.end - index.start) + np.cumsum(lengths)
-        is_table = index.tables.segments.kind == SegmentKind.VIEW_TABLE
-        segments.append(np.where(is_table, lengths, place + weight * ends))
-        behind = place + weight * float(index.segments_end - index.start)
-        table = index.tables.pages
-        contributions = table.contribution.tolist()
-        # Not `sum`, which compensates for rounding since Python 3.12.
-        whole = ordered_sum(table.contribution.astype(np.float64))
-        for row, contribution in enumerate(contributions):
-            # Pages without contributions share alike.
-            share = max(contribution, _LEAST_SHARE * whole)
-            times = whole / share if whole > 0.0 else float(len(contributions))
-            frames[(*index.path, row)] = behind, weight * times
-            pages.append(place + weight * times * float(table.length[row]))
-    return np.concatenate(segments), np.array(pages, np.float64)
+    root = indices[0].tables
+    picture = ordered_sum(np.concatenate([root.chunks.contribution, root.pages.contribution]))
+    picture = picture or 1.0
+    segments = [_segment_gains(index, picture) for index in indices]
+    pages = [
+        np.maximum(index.tables.pages.contribution, MIN_AVERAGE_SHARE * picture)
+        for index in indices
+    ]
+    return np.concatenate(segments), np.concatenate(pages)
+
+
+def _segment_gains(index: Index, picture: float) -> F64:
+    """Return the gains of the segments of an index; `picture` is the contribution of the root."""
+    contribution = np.maximum(index.tables.chunks.contribution, MIN_AVERAGE_SHARE * picture)
+    table = index.tables.segments
+    lengths = table.length.astype(np.float64)
+    ends = float(index.end - index.start) + np.cumsum(lengths)
+    numbers = np.arange(len(table))
+    is_head = table.kind == SegmentKind.HEAD
+    heads = np.flatnonzero(is_head)
+    chunk = table.owner.astype(np.int64) - index.first_chunk
+    head_of = np.full(len(index.tables.chunks), -1)
+    head_of[chunk[heads]] = heads
+    of_chunk = np.isin(table.kind, (SegmentKind.REFINEMENT, SegmentKind.TAIL))
+    # Segments of no chunk count like the chunk whose head precedes them.
+    head = np.maximum.accumulate(np.where(is_head, numbers, -1))
+    head[of_chunk] = head_of[chunk[of_chunk]]
+    followers = np.flatnonzero(head >= 0)
+    head = head[followers]
+    closeness = ends[head] / ends[followers]
+    sizes = lengths[followers] / lengths[head]
+    gains = np.zeros(len(table))
+    gains[followers] = contribution[chunk[head]] * sizes * (closeness * closeness)
+    gains[table.kind == SegmentKind.VIEW_TABLE] = picture
+    return gains

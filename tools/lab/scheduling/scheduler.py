@@ -36,8 +36,8 @@ class Unit:
         codebook.
     is_head : bool
         Whether it is the head of the chunk, or the page.
-    place : float
-        Place of the segment, bytes: in the root its end in the file (docs/streaming.md, 7).
+    gain : float
+        What it adds to a picture where the ratio of the row is 1 (docs/streaming.md, 7).
     size_bytes : int
         Length of the segment.
     dependencies : tuple of int
@@ -46,7 +46,7 @@ class Unit:
 
     row: int
     is_head: bool
-    place: float
+    gain: float
     size_bytes: int
     dependencies: tuple[int, ...]
 
@@ -101,24 +101,24 @@ class Decision:
     fetch: list[int]
 
 
-def urgencies(ratios: F64, chunk: I64, place: F64) -> F64:
+def urgencies(ratios: F64, row: I64, gain_per_byte: F64) -> F64:
     """Estimate the gain per byte of each unit at the current pose (docs/streaming.md, 7).
 
     Parameters
     ----------
-    ratios : (c,) float64
-        Visibility ratio of each chunk (`chunk_ratios.weighted_ratios`).
-    chunk : (u,) int64
-        Chunk of each unit; -1 for none.
-    place : (u,) float64
-        Place of each unit (`Unit`), bytes.
+    ratios : (r,) float64
+        Visibility ratio of each row (`chunk_ratios.weighted_ratios`).
+    row : (u,) int64
+        Row of each unit; -1 for none.
+    gain_per_byte : (u,) float64
+        Gain of each unit ÷ its bytes (`Unit`).
 
     Returns
     -------
     (u,) float64
     """
-    of_units = np.where(chunk >= 0, ratios[np.maximum(chunk, 0)], 1.0)
-    result: F64 = of_units * np.minimum(of_units, 1.0) / (place * place)
+    of_units = np.where(row >= 0, ratios[np.maximum(row, 0)], 1.0)
+    result: F64 = of_units * np.minimum(of_units, 1.0) * gain_per_byte
     return result
 
 
@@ -154,7 +154,7 @@ def best_chain(
     order : iterable of int
         Candidate units, by falling urgency.
     urgency : (u,) float
-        Urgency of every unit, above 0.
+        Urgency of every unit, at least 0.
     size_bytes : (u,) int
         Size of every unit.
     dependencies : sequence of sequence of int
@@ -259,7 +259,7 @@ class Scheduler:
     --------
     >>> import numpy as np
     >>> from cogsplat.tools.lab.scheduling.scheduler import ClientState, Scheduler, Unit
-    >>> units = [Unit(k, True, 100 * k + 100, 100, (0,) * (k > 0)) for k in range(3)]
+    >>> units = [Unit(k, True, 3.0 - k, 100, (0,) * (k > 0)) for k in range(3)]
     >>> empty = ClientState(frozenset(), frozenset(), {}, 0, 400.0, 0.25, {})
     >>> Scheduler(units, [10, 10, 10]).decide(np.array([1.0, 0.1, 1.0]), empty).fetch
     [0, 2]
@@ -270,7 +270,8 @@ class Scheduler:
         self._splats = splats
         self._links = _Links(units)
         self._row = np.array([unit.row for unit in units], np.int64)
-        self._place = np.array([unit.place for unit in units], np.float64)
+        gains = [unit.gain / float(unit.size_bytes) for unit in units]
+        self._gain_per_byte = np.array(gains, np.float64)
 
     def decide(self, ratios: F64, state: ClientState) -> Decision:
         """Decide which units to abort, evict and fetch.
@@ -281,8 +282,8 @@ class Scheduler:
             Visibility ratio of each chunk (`chunk_ratios.weighted_ratios`).
         state : ClientState
         """
-        urgency = urgencies(ratios, self._row, self._place)
-        round_ = _Round(self._units, self._splats, self._links, self._row, urgency, state)
+        urgency = urgencies(ratios, self._row, self._gain_per_byte)
+        round_ = _Round(self._units, self._splats, self._links, self._row, ratios, urgency, state)
         round_.make_room(0)
         round_.abort_outranked()
         while not round_.is_window_full():
@@ -302,10 +303,12 @@ class _Round:
         splats: Sequence[int],
         links: _Links,
         row: I64,
+        ratios: F64,
         urgency: F64,
         state: ClientState,
     ) -> None:
         self._units, self._splats, self._links, self._row = units, splats, links, row
+        self._ratios = ratios
         self._order = np.argsort(-urgency, kind="stable")
         self._urgency: list[float] = urgency.tolist()
         self._state = state
@@ -339,8 +342,9 @@ class _Round:
         worth, links = self._worth, self._links
         for chunk in links.rows:
             head = links.head_of[chunk]
+            gain = float(self._ratios[chunk]) * self._units[head].gain
             factor = _HELD_FACTOR if self._held[head] else 1.0
-            worth[chunk] = self._urgency[head] * self._units[head].place * factor
+            worth[chunk] = gain / float(max(self._splats[chunk], 1)) * factor
         for chunk in reversed(links.rows):
             parent = links.parent_of[chunk]
             if parent >= 0:

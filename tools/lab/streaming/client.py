@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.formats.cogs.layout import COLOUR_BANDS, SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
-from cogsplat.tools.lab.scheduling.index_ratios import unit_places
+from cogsplat.tools.lab.scheduling.index_ratios import unit_gains
 from cogsplat.tools.lab.scheduling.scene_rows import pages_in_file_order, scene_rows
 from cogsplat.tools.lab.scheduling.scheduler import best_chain
 
@@ -56,8 +56,9 @@ class Units:
         Units required to decode or draw each unit: head, head of the parent chunk, codebooks.
     index_bytes : int
         Size of preamble and root, which are fetched before any unit.
-    places : (u,) float64, optional
-        Place of each unit, bytes (docs/streaming.md, 7); by default its end.
+    gains : (u,) float64, optional
+        What each unit adds to a picture where ratios are 1 (docs/streaming.md, 7); by default 0,
+        for clients that do not use it.
     page_of : (u,) int64, optional
         Unit of the page that lists each unit, -1 for the root; by default the root lists all.
     """
@@ -68,7 +69,7 @@ class Units:
     size_bytes: I64
     dependencies: list[tuple[int, ...]]
     index_bytes: int
-    places: F64 | None = None
+    gains: F64 | None = None
     page_of: I64 | None = None
 
     def listed(self, present: Collection[int]) -> NDArray[np.bool_]:
@@ -86,9 +87,9 @@ class Units:
         return bool(self.kind[unit] in (PAGE, SegmentKind.VIEW_TABLE))
 
     @property
-    def place(self) -> F64:
-        """Place of each unit, (u,) float64, bytes."""
-        return self.end.astype(np.float64) if self.places is None else self.places
+    def gain(self) -> F64:
+        """What each unit adds to a picture, (u,) float64."""
+        return np.zeros(len(self)) if self.gains is None else self.gains
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -167,7 +168,7 @@ def units_of(file: CogsFile) -> Units:
     is_fetchable &= np.array([file.is_present(row) for row in range(len(kinds))], np.bool_)
     rows = np.flatnonzero(np.isin(kinds, fetched_kinds) & is_fetchable)
     nodes, scene = file.indices, scene_rows(file.indices, file.parents())
-    segment_place, page_place = unit_places(nodes)
+    of_segments, of_pages = unit_gains(nodes)
     lengths = file.segments.length.astype(np.int64)
     node_of = np.repeat(np.arange(len(nodes)), [len(node.tables.segments) for node in nodes])
     paths = [node.path for node in nodes]
@@ -184,7 +185,7 @@ def units_of(file: CogsFile) -> Units:
     size = np.concatenate([lengths[rows], [place.length for *_, place in listed]]).astype(np.int64)
     starts = np.concatenate([file.offsets[rows], [place.start for *_, place in listed]])
     end = starts.astype(np.int64) + size
-    places = np.concatenate([segment_place[rows], page_place[page_rows]])
+    gains = np.concatenate([of_segments[rows], of_pages[page_rows]])
     listing = np.concatenate([node_of[rows], [paths.index(node.path) for _, node, _ in listed]])
     order = np.argsort(end, kind="stable")
     kind, chunk, end, size = kind[order], chunk[order], end[order], size[order]
@@ -194,7 +195,7 @@ def units_of(file: CogsFile) -> Units:
     dependencies = _dependencies(kind, chunk, scene.parent)
     # The first segment of the file follows the root.
     index = int(file.offsets[0]) if len(file.offsets) else file.file_length
-    return Units(kind, chunk, end, size, dependencies, index, places[order], page_of)
+    return Units(kind, chunk, end, size, dependencies, index, gains[order], page_of)
 
 
 def _dependencies(kind: I64, chunk: I64, parent: I64) -> list[tuple[int, ...]]:

@@ -60,7 +60,9 @@ def by_urgency(units: Units, ratios: ClientRatios) -> Priorities:
     """Return the policy that fetches by the urgency of docs/streaming.md, 7."""
 
     def priorities(camera: Camera, present: Collection[int]) -> F64:
-        return urgencies(ratios(Pose.from_camera(camera), present), units.row, units.place)
+        return urgencies(
+            ratios(Pose.from_camera(camera), present), units.row, units.gain / units.size_bytes
+        )
 
     return priorities
 
@@ -102,7 +104,7 @@ def by_true_contribution(
     def priorities(camera: Camera, _: Collection[int]) -> F64:
         if not last or last[0][0] is not camera:
             last[:] = [(camera, _true_ratios(contributions(camera), rows))]
-        return urgencies(last[0][1], units.row, units.place)
+        return urgencies(last[0][1], units.row, units.gain / units.size_bytes)
 
     return priorities
 

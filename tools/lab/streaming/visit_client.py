@@ -77,8 +77,8 @@ class _State:
 
     Units within the first bytes of the file are read from that buffer, again after an eviction.
     `first_request` fetches the buffer, `buffered` are its units received, and `awaited` those
-    chosen before they were received. `evicted` has the time and the worth of the last eviction of
-    each chunk.
+    chosen before they were received: from the beginning, all that the budget has room for.
+    `evicted` has the time and the worth of the last eviction of each chunk.
     """
 
     present: set[int] = field(default_factory=set)
@@ -158,10 +158,10 @@ def scheduled_units(units: Units, present: Collection[int]) -> tuple[list[int], 
     listed = np.flatnonzero(units.listed(present) & ~is_read).tolist()
     number = {unit: k for k, unit in enumerate(listed)}
     is_head = np.isin(units.kind, [SegmentKind.HEAD, PAGE])
-    columns = (units.row, is_head, units.place, units.size_bytes)
+    columns = (units.row, is_head, units.gain, units.size_bytes)
     rows = [
-        Unit(row, head, place, size, tuple(number[other] for other in units.dependencies[unit]))
-        for unit, row, head, place, size in zip(
+        Unit(row, head, gain, size, tuple(number[other] for other in units.dependencies[unit]))
+        for unit, row, head, gain, size in zip(
             listed, *(column[listed].tolist() for column in columns), strict=True
         )
     ]
@@ -254,6 +254,13 @@ class _Run:
         if len(buffered):
             # The index precedes the first unit.
             self._state.first_request = _Request(buffered.tolist(), index_at)
+        room = float(self._budget or np.inf)
+        is_head = np.isin(units.kind, [SegmentKind.HEAD, PAGE])
+        for unit in buffered[units.listed(())[buffered]].tolist():
+            splats = self._splats[units.row[unit]] if is_head[unit] else 0
+            if splats <= room and self._state.awaited.issuperset(units.dependencies[unit]):
+                self._state.awaited.add(unit)
+                room -= splats
         return index_at
 
     def _pose(self, seconds: float) -> Pose:

@@ -74,10 +74,10 @@ test("the scheduler decides as the reference does in every state", () => {
   assert.ok(states.length >= 1000);
   for (const [number, state] of states.entries()) {
     const scene = scenes[state.scene]!;
-    const units: Unit[] = scene.units.map(([row, isHead, place, size, after]) => ({
+    const units: Unit[] = scene.units.map(([row, isHead, gain, size, after]) => ({
       row,
       isHead: isHead === 1,
-      place,
+      gain,
       size,
       dependencies: after,
     }));

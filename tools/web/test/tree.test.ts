@@ -216,30 +216,39 @@ test("pages nest three deep", () => {
   assert.throws(() => new SceneFile(treeFile(flat, chain(5, 4)), kernels()), refusedWith("root-value"));
 });
 
-test("places below a page are stretched by the share of the page", () => {
-  const flat = vectorBytes("valid", "chunks");
-  const bytes = treeFile(flat, { chunks: 1, pages: [{ chunks: 1, pages: [{ chunks: 1 }] }, { chunks: 1 }] });
-  const { index } = new SceneFile(bytes, kernels());
-  const units = new SegmentUnits(index, 0, false);
+test("a head and a page gain their contributions, and what follows a head the less the further", () => {
+  const flat = vectorBytes("valid", "compensation-cells");
+  const bytes = treeFile(flat, { chunks: 3, pages: [{ chunks: 4 }] });
+  const index = SceneIndex.open(bytes);
+  const units = new SegmentUnits(index, 3, true);
   units.enter();
-  const [root, first, nested, second] = index.indexes as [Index, Index, Index, Index];
-  const all = root.pages.reduce((sum, { contribution }) => sum + contribution, 0);
-  const weightOf = (page: Page): number => (all > 0 ? all / page.contribution : root.pages.length);
-  const endOf = (chunk: number): number => units.units[units.of(index.chunkSegments(chunk).head)]!.place;
-  const offsetEnd = (chunk: number): number => {
-    const { offset, length } = index.range(index.chunkSegments(chunk).head);
-    return offset + length;
-  };
-  assert.equal(endOf(0), offsetEnd(0));
-  const weight = weightOf(first.page!);
-  const near = (found: number, expected: number): void => assert.ok(Math.abs(found - expected) < 1e-9 * expected);
-  near(endOf(1), root.segmentsEnd + weight * (offsetEnd(1) - first.start));
-  // The only page of a page has all of its contribution.
-  near(
-    endOf(2),
-    root.segmentsEnd + weight * (first.segmentsEnd - first.start) + weight * (offsetEnd(2) - nested.start),
-  );
-  near(endOf(3), root.segmentsEnd + weightOf(second.page!) * (offsetEnd(3) - second.start));
+  const [page] = index.pages as [Page];
+  assert.equal(units.units[units.of(-1)]!.gain, page.contribution);
+  index.addPage(page, bytes.slice(page.offset, page.offset + page.length));
+  units.enter();
+  const { owner, length } = index.segments;
+  let others = 0;
+  for (const { firstSegment, segmentCount, firstChunk, contribution, start } of index.indexes) {
+    const endOf = (segment: number): number => index.range(segment).offset + length[segment]! - start;
+    const own = units.units.filter(({ segment }) => segment >= firstSegment && segment < firstSegment + segmentCount);
+    for (const [i, { segment, gain, row, isHead }] of own.entries()) {
+      const chunk = owner[segment]!;
+      if (isHead) {
+        assert.equal(gain, contribution[chunk - firstChunk]!);
+        continue;
+      }
+      others++;
+      const before = own
+        .slice(0, i)
+        .reverse()
+        .find((unit) => unit.isHead)?.segment;
+      const head = row < 0 ? before : index.chunkSegments(chunk).head;
+      const gainOfHead = own.find((unit) => unit.segment === head)?.gain ?? 0;
+      const share = head === undefined ? 0 : (length[segment]! / length[head]!) * (endOf(head) / endOf(segment)) ** 2;
+      assert.ok(Math.abs(gain - gainOfHead * share) <= 1e-12 * gain);
+    }
+  }
+  assert.ok(others > 0);
 });
 
 test("an unread page is a unit behind the head of its parent, and its rows replace it", () => {

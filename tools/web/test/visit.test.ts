@@ -84,8 +84,8 @@ function order(index: UnitIndex, pose: Pose): number[] {
 }
 
 test("what the pose shows comes first, behind its parents", () => {
-  // What lies around the eye shows most, then all of what is ahead; every head stands behind its parent's.
-  assert.deepEqual(order(smallIndex(), looking()), [0, 3, 1, 4, 2, 5]);
+  // What lies around the eye shows most, then what is ahead, before details of both; what is behind comes last.
+  assert.deepEqual(order(smallIndex(), looking()), [0, 1, 3, 4, 2, 5]);
   const turned = order(smallIndex(), looking(true));
   assert.ok(turned.indexOf(2) < turned.indexOf(1));
   assert.ok(turned.indexOf(5) < turned.indexOf(4));

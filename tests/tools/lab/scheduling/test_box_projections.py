@@ -28,6 +28,39 @@ def test_coverage_is_that_of_the_rectangle_around_the_corners():
     np.testing.assert_allclose(centre_depths(boxes, FORWARD), [3.0, 3.0, 2.5, -3.0, 0.0])
 
 
+def test_coverage_is_that_of_the_part_of_a_box_that_is_ahead() -> None:
+    boxes = np.array(
+        [
+            # Beside the eye and out of view, though some corners are ahead.
+            [-16.0, -2.0, -9.0, -3.0, 2.0, 1.9],
+            # Its side at x = 1 leaves the picture at depth 1, and its far end stands at depth 4.
+            [1.0, -1.0, -9.0, 3.0, 1.0, 4.0],
+        ]
+    )
+    found = screen_coverage(boxes, FORWARD)
+    np.testing.assert_allclose(found, [0.0, (1.0 - 0.25) / 2.0])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_coverage_is_at_least_the_share_of_rays_that_meet_the_box(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    low = rng.normal(size=(400, 3)) * 3.0
+    boxes = np.concatenate([low, low + rng.exponential(3.0, (400, 3))], axis=1)
+    quat = rng.normal(size=4)
+    rotation = matrices(quat[None] / np.linalg.norm(quat))[0]
+    pose = Pose(np.zeros(3), rotation, 0.7, 0.5)
+    across, down = (a.ravel() for a in np.meshgrid(*[(np.arange(60) + 0.5) / 30.0 - 1.0] * 2))
+    rays = np.stack([0.7 * across, 0.5 * down, np.ones(3600)], axis=1) @ rotation
+    one, other = boxes[:, None, :3] / rays, boxes[:, None, 3:] / rays
+    near, far = np.minimum(one, other).max(axis=2), np.maximum(one, other).min(axis=2)
+    rays_met = ((far >= near) & (far > 0.2)).mean(axis=1)
+    found = screen_coverage(boxes, pose)
+    assert (rays_met > 0.0).sum() > 40
+    # The rectangle is larger than what it surrounds, by less than a cell of the rays at each edge.
+    assert (found >= rays_met - 0.05).all()
+    assert ((rays_met == 0.0) & (found > 0.0)).mean() < 0.05
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_boxes_with_visible_points_pass_both_tests(seed):
     rng = np.random.default_rng(seed)

@@ -9,15 +9,21 @@ from cogsplat.tools.lab.scheduling.scheduler import ClientState, Scheduler, Unit
 
 VECTORS = json.loads((Path(__file__).parent / "decisions.json").read_text(encoding="utf-8"))
 
+
+def unit_at(end, row, is_head, dependencies):
+    """Return a unit of 100 bytes whose gain falls as the square of its end."""
+    return Unit(row, is_head, 100.0 / end**2, 100, dependencies)
+
+
 # Chunk 0 is the parent of 1 and 2, chunk 1 that of 3; each has a head and a refinement.
 UNITS = [
-    Unit(0, True, 100, 100, ()),
-    Unit(1, True, 200, 100, (0,)),
-    Unit(0, False, 300, 100, (0,)),
-    Unit(2, True, 400, 100, (0,)),
-    Unit(1, False, 500, 100, (1,)),
-    Unit(3, True, 600, 100, (1,)),
-    Unit(2, False, 700, 100, (3,)),
+    unit_at(100, 0, True, ()),
+    unit_at(200, 1, True, (0,)),
+    unit_at(300, 0, False, (0,)),
+    unit_at(400, 2, True, (0,)),
+    unit_at(500, 1, False, (1,)),
+    unit_at(600, 3, True, (1,)),
+    unit_at(700, 2, False, (3,)),
 ]
 SPLATS = [10, 10, 10, 10]
 EQUAL = np.ones(4)
@@ -76,8 +82,8 @@ def test_a_chain_is_requested_one_unit_at_a_time():
 
 
 def test_the_value_of_a_chain_is_the_mean_over_its_bytes():
-    units = [Unit(0, True, 100, 100, ()), *(Unit(k, True, 200, 100, (k - 1,)) for k in (1, 2, 3))]
-    units.append(Unit(4, True, 200, 100, (0,)))
+    units = [unit_at(100, 0, True, ()), *(unit_at(200, k, True, (k - 1,)) for k in (1, 2, 3))]
+    units.append(unit_at(200, 4, True, (0,)))
     scheduler = Scheduler(units, [10] * 5)
     state = client(present=[0], rate=1.0)
     # Unit 3 alone has a higher urgency than 4, but 1 and 2 have to be fetched with it.
@@ -123,7 +129,7 @@ def test_a_budget_is_kept_by_evicting_the_least_valuable_chunks():
 
 def test_an_evicted_chunk_is_fetched_again_once_it_is_worth_more():
     gone = decide([1.0, 1.0, 9.0, 0.001], present=[0, 1], budget=20).evict
-    assert gone == {1: 2 * 1.0 / 200}
+    assert gone == {1: pytest.approx(2 * 1.0 / 200**2 * 100 / 10)}
     # The pose turns back: without the eviction the chunk would be fetched at once.
     back = [1.0, 1.9, 0.001, 0.001]
     assert 1 in decide(back, present=[0, 3], budget=20).fetch
@@ -141,7 +147,7 @@ def test_a_lowered_budget_is_kept_by_evicting_the_least_valuable_chunks():
 
 
 def test_nothing_is_evicted_for_a_chunk_that_still_would_not_fit():
-    units = [*UNITS[:2], Unit(2, True, 400, 100, (0,))]
+    units = [*UNITS[:2], unit_at(400, 2, True, (0,))]
     scheduler = Scheduler(units, [10, 10, 50])
     decision = scheduler.decide(np.array([1.0, 0.001, 9.0]), client(present=[0, 1], budget=40))
     assert list(decision.evict) == []
@@ -152,7 +158,7 @@ def test_nothing_is_evicted_for_a_chunk_that_still_would_not_fit():
 @pytest.mark.parametrize("number", range(len(VECTORS["scenes"])))
 def test_fetching_at_a_fixed_pose_ends_under_any_budget(number, rate):
     scene = VECTORS["scenes"][number]
-    units = [Unit(c, bool(head), end, size, tuple(a)) for c, head, end, size, a in scene["units"]]
+    units = [Unit(c, bool(head), gain, size, tuple(a)) for c, head, gain, size, a in scene["units"]]
     scheduler = Scheduler(units, scene["splats"])
     rng = np.random.default_rng(number)
     for share in (0.3, 0.5, 0.7, 0.9):
@@ -174,7 +180,7 @@ def test_fetching_at_a_fixed_pose_ends_under_any_budget(number, rate):
 @pytest.mark.parametrize("number", range(len(VECTORS["scenes"])))
 def test_fetching_at_a_fixed_pose_ends_though_requests_wait(number):
     scene = VECTORS["scenes"][number]
-    units = [Unit(c, bool(head), end, size, tuple(a)) for c, head, end, size, a in scene["units"]]
+    units = [Unit(c, bool(head), gain, size, tuple(a)) for c, head, gain, size, a in scene["units"]]
     scheduler = Scheduler(units, scene["splats"])
     rng = np.random.default_rng(number)
     for share in np.linspace(0.2, 0.9, 15):

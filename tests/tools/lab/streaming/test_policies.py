@@ -57,6 +57,7 @@ UNITS = Units(
     size_bytes=np.full(3, 100),
     dependencies=[(), (), ()],
     index_bytes=0,
+    gains=np.array([100.0, 25.0, 10.0]),
 )
 EQUAL = np.ones(3)
 # The root lists the first chunk and a page, which lists the others.
@@ -128,12 +129,12 @@ def test_a_pose_without_visible_chunks_gives_the_order_of_the_file() -> None:
 @pytest.mark.parametrize("shown", [[1.0, 1.0, 1.0], [5.0, 5.0, 5.0]])
 def test_equal_ratios_give_the_order_of_the_file(shown: list[float]) -> None:
     priorities = by_true_contribution(UNITS, lambda _: np.array(shown), ROWS)
-    np.testing.assert_allclose(1.0 / priorities(FORWARD, []), [1e4, 4e4, 9e4])
+    np.testing.assert_allclose(priorities(FORWARD, []), [1.0, 0.25, 0.1])
 
 
 def test_a_page_has_the_ratio_of_the_chunks_below_it_together() -> None:
-    # As the units of these rows stand at bytes 1, 1 and 1, urgencies are ratios, squared below 1.
-    units = replace(UNITS, row=np.array([0, 2, 3]), end=np.ones(3, np.int64))
+    # With gains of 1 per byte, urgencies are ratios, squared below 1.
+    units = replace(UNITS, row=np.array([0, 2, 3]), gains=np.full(3, 100.0))
     priorities = by_true_contribution(units, lambda _: np.array([1.0, 1.0, 5.0]), ROWS)
     np.testing.assert_allclose(priorities(FORWARD, []), [9 / 49, 15 / 7, 9 / 7])
 

@@ -220,12 +220,17 @@ export abstract class SceneFetch<Change> {
   /** Accept the segments within the first bytes of the file; return the remaining segments. */
   protected acceptFromBeginning(segments: readonly number[]): number[] {
     const { beginning } = this.source;
-    const held = new Set(segments.filter((segment) => beginning.holds(this.endOf(segment))));
+    const held = new Set(segments.filter((segment) => this.isInBeginning(segment)));
     const isHere = (segment: number): boolean => this.endOf(segment) <= beginning.available.length;
     const here = [...held].filter(isHere);
     const coming = [...held].filter((segment) => !isHere(segment)).sort((a, b) => this.endOf(a) - this.endOf(b));
     void this.acceptInSlices([...here, ...coming]);
     return segments.filter((segment) => !held.has(segment));
+  }
+
+  /** Return whether a segment, or page −1 − n, comes with the first request. */
+  protected isInBeginning(segment: number): boolean {
+    return this.source.beginning.holds(this.endOf(segment));
   }
 
   private endOf(segment: number): number {

@@ -1,5 +1,6 @@
 import type { Index, Page, SceneIndex } from "../container/scene_index.js";
 import { SegmentKind } from "../container/tables.js";
+import { LEAST_USUAL } from "../schedule/chunk_ratios.js";
 import type { Unit } from "../schedule/unit_links.js";
 
 /** Part of an index that units are made from. */
@@ -11,16 +12,8 @@ export interface SegmentUnit extends Unit {
   readonly segment: number;
 }
 
-/** Place of an index for the urgency of its units (docs/streaming.md, 7). */
-interface Frame {
-  readonly place: number;
-  readonly weight: number;
-}
-
 const OF_CHUNKS: readonly number[] = [SegmentKind.head, SegmentKind.refinement, SegmentKind.tail];
 const BANDS: readonly number[] = [SegmentKind.colourBand1, SegmentKind.colourBand2, SegmentKind.colourBand3];
-/** Least share of a page in the contribution of all pages of its index, which keeps places finite. */
-const LEAST_SHARE = 1e-12;
 
 /**
  * Segments that pictures need and unread pages, as units of the scheduler (docs/streaming.md, 7): those of each index as
@@ -36,7 +29,8 @@ export class SegmentUnits {
   /** Units of each row. */
   private readonly ofRows: number[][] = [];
   private readonly heads = new Map<number, number>();
-  private readonly frames = new Map<Index, Frame>();
+  /** Contributions of all that the root lists, above 0. */
+  private readonly picture: number;
   private entered = 0;
 
   /**
@@ -47,7 +41,9 @@ export class SegmentUnits {
     private readonly index: UnitIndex,
     private readonly degree: number,
     private readonly compensates: boolean,
-  ) {}
+  ) {
+    this.picture = index.indexes[0]!.contribution.reduce((sum, value) => sum + value, 0) || 1;
+  }
 
   /** Whether an index was read that is not entered. */
   get isBehind(): boolean {
@@ -64,10 +60,8 @@ export class SegmentUnits {
     for (; this.entered < this.index.indexes.length; this.entered++) {
       const index = this.index.indexes[this.entered]!;
       const { page } = index;
-      const frame = this.frameOf(page);
-      this.frames.set(index, frame);
-      this.enterSegments(index, frame);
-      for (const listed of index.pages) this.enterPage(listed, frame);
+      this.enterSegments(index);
+      for (const listed of index.pages) this.enterPage(listed);
       if (page === undefined) continue;
       // The rows of a page replace it.
       const unit = this.of(-1 - page.number);
@@ -89,18 +83,8 @@ export class SegmentUnits {
     return this.ofRows[row] ?? [];
   }
 
-  private frameOf(page: Page | undefined): Frame {
-    if (page === undefined) return { place: 0, weight: 1 };
-    const { start, segmentsEnd, pages } = page.listedBy;
-    const { place, weight } = this.frames.get(page.listedBy)!;
-    const all = pages.reduce((sum, { contribution }) => sum + contribution, 0);
-    // Pages without contributions share alike.
-    const times = all > 0 ? all / Math.max(page.contribution, LEAST_SHARE * all) : pages.length;
-    return { place: place + weight * (segmentsEnd - start), weight: weight * times };
-  }
-
-  private enterSegments(index: Index, { place, weight }: Frame): void {
-    const { kind, owner, offset, length } = this.index.segments;
+  private enterSegments(index: Index): void {
+    const { kind, owner, length } = this.index.segments;
     const { rows } = this.index;
     const numbers = Array.from({ length: index.segmentCount }, (_, i) => index.firstSegment + i);
     const wanted = numbers.filter((segment) => this.isWanted(segment));
@@ -109,23 +93,54 @@ export class SegmentUnits {
       this.unitOf.set(segment, this.units.length + i);
       if (kind[segment] === SegmentKind.head) this.heads.set(rowOf(segment), this.units.length + i);
     }
+    const gains = this.gainsOf(index);
     for (const segment of wanted) {
       const row = rowOf(segment);
       const isHead = kind[segment] === SegmentKind.head;
       const books = row < 0 ? [] : this.index.codebookSegmentsOf(segment, this.degree);
       const before = this.heads.get(isHead ? rows.parents[row]! : row);
       const dependencies = [...books.map((book) => this.unitOf.get(book)), before].filter((unit) => unit !== undefined);
-      const size = length[segment]!;
-      const end = offset[segment]! - index.start + size;
-      // The view table decides the order of all others, so it comes first.
-      const ownPlace = kind[segment] === SegmentKind.viewTable ? size : place + weight * end;
-      this.push({ segment, row, isHead, place: ownPlace, size, dependencies });
+      const gain = gains[segment - index.firstSegment]!;
+      this.push({ segment, row, isHead, gain, size: length[segment]!, dependencies });
     }
     for (let i = 0; i < index.chunkCount; i++) this.splats.push(rows.splats[index.firstRow + i]!);
   }
 
-  private enterPage(page: Page, listedBy: Frame): void {
-    const { weight } = this.frameOf(page);
+  /** Return the gain of each segment of an index, in the unit of contributions (docs/streaming.md, 7). */
+  private gainsOf(index: Index): Float64Array {
+    const { kind, owner, offset, length } = this.index.segments;
+    const { firstSegment, segmentCount, firstChunk, contribution, start } = index;
+    const endOf = (segment: number): number => offset[segment]! - start + length[segment]!;
+    const headOf: number[] = [];
+    let last: number | undefined;
+    const gains = new Float64Array(segmentCount);
+    for (let segment = firstSegment; segment < firstSegment + segmentCount; segment++) {
+      if (kind[segment] === SegmentKind.head) headOf[owner[segment]! - firstChunk] = segment;
+    }
+    for (let segment = firstSegment; segment < firstSegment + segmentCount; segment++) {
+      const of = kind[segment]!;
+      if (of === SegmentKind.viewTable) {
+        // It decides the order of all others, so it counts as the whole picture.
+        gains[segment - firstSegment] = this.picture;
+        continue;
+      }
+      if (of === SegmentKind.head) last = segment;
+      // Segments of no chunk count like the chunk whose head precedes them.
+      const head = OF_CHUNKS.includes(of) ? headOf[owner[segment]! - firstChunk] : last;
+      if (head === undefined) continue;
+      const closeness = endOf(head) / endOf(segment);
+      const share = this.gained(contribution[owner[head]! - firstChunk]!);
+      gains[segment - firstSegment] = share * (length[segment]! / length[head]!) * (closeness * closeness);
+    }
+    return gains;
+  }
+
+  /** Return a contribution above 0. */
+  private gained(contribution: number): number {
+    return Math.max(contribution, LEAST_USUAL * this.picture);
+  }
+
+  private enterPage(page: Page): void {
     const parent = this.heads.get(this.index.rows.parents[page.row]!);
     const segment = -1 - page.number;
     this.unitOf.set(segment, this.units.length);
@@ -134,8 +149,7 @@ export class SegmentUnits {
       segment,
       row: page.row,
       isHead: true,
-      // As if pages came before the segments of the index: they may list most of what a picture shows.
-      place: listedBy.place + weight * page.length,
+      gain: this.gained(page.contribution),
       size: page.length,
       dependencies: parent === undefined ? [] : [parent],
     });

@@ -145,9 +145,11 @@ export class Visit extends SceneFetch<VisitChange> {
   }
 
   protected override choose(hasRoom: boolean): void {
+    const isFirst = this.scheduler === undefined;
     if (this.units.isBehind) this.onPage();
     const scheduler = this.scheduler!;
     const ratios = this.currentRatios();
+    if (isFirst) this.request(this.unitsInBeginning(), ratios);
     let decision = scheduler.decide(ratios, this.holdings());
     // A stopped request may contain units that the decision keeps. They are now missing: decide again.
     for (let isFinal = false; !isFinal; ) {
@@ -158,6 +160,20 @@ export class Visit extends SceneFetch<VisitChange> {
     if (hasRoom) this.request(decision.fetch, ratios);
     const isDone = hasRoom && decision.fetch.length === 0 && this.requests.inFlight.length === 0;
     this.reportSettled(isDone && this.isIdle && this.timer === undefined);
+  }
+
+  /** Return the units that come with the first request, as far as the budget has room (docs/streaming.md, 11). */
+  private unitsInBeginning(): number[] {
+    const { units, splats } = this.units;
+    const taken = new Set<number>();
+    let room = this.budget;
+    for (const [unit, { segment, row, isHead, dependencies }] of units.entries()) {
+      const needed = isHead ? splats[row]! : 0;
+      if (!this.isInBeginning(segment) || needed > room || !dependencies.every((before) => taken.has(before))) continue;
+      taken.add(unit);
+      room -= needed;
+    }
+    return [...taken];
   }
 
   private reportSettled(isSettled: boolean): void {

@@ -23,27 +23,51 @@ function corners(boxes: Boxes, box: number, pose: Pose): [number, number, number
   );
 }
 
-/** Return the share of the picture that a box's bounding rectangle covers; 0 for a box behind or outside the view. */
+/** Pairs of corners that an edge connects; bit k of a corner is set on the far side of axis k. */
+const EDGES = [1, 2, 4].flatMap((bit) =>
+  [0, 1, 2, 3, 4, 5, 6, 7].filter((corner) => !(corner & bit)).map((corner) => [corner, corner | bit] as const),
+);
+/** Corners of the box in hand in the space of the pose, kept because arrays of corners took most of the time. */
+const [xs, ys, depths] = [new Float64Array(8), new Float64Array(8), new Float64Array(8)];
+
+/** Return the share of the picture within the rectangle around a projected box; 0 for a box behind or outside the view. */
 export function pictureShare(boxes: Boxes, box: number, { position, rotation, tanX, tanY }: Pose): number {
   const at = 6 * box;
-  let far = -Infinity;
+  let ahead = 0;
   let [left, right, top, bottom] = [Infinity, -Infinity, Infinity, -Infinity];
-  // Written out: it runs for every chunk of every pose, where arrays of corners took most of the time.
   for (let corner = 0; corner < 8; corner++) {
     const dx = boxes[at + 3 * (corner & 1)]! - position[0]!;
     const dy = boxes[at + 1 + 3 * ((corner >> 1) & 1)]! - position[1]!;
     const dz = boxes[at + 2 + 3 * (corner >> 2)]! - position[2]!;
-    const z = rotation[6]! * dx + rotation[7]! * dy + rotation[8]! * dz;
-    const depth = Math.max(z, NEAR);
-    const x = (rotation[0]! * dx + rotation[1]! * dy + rotation[2]! * dz) / depth;
-    const y = (rotation[3]! * dx + rotation[4]! * dy + rotation[5]! * dz) / depth;
-    far = Math.max(far, z);
-    left = Math.min(left, x);
-    right = Math.max(right, x);
-    top = Math.min(top, y);
-    bottom = Math.max(bottom, y);
+    const depth = rotation[6]! * dx + rotation[7]! * dy + rotation[8]! * dz;
+    const x = rotation[0]! * dx + rotation[1]! * dy + rotation[2]! * dz;
+    const y = rotation[3]! * dx + rotation[4]! * dy + rotation[5]! * dz;
+    depths[corner] = depth;
+    xs[corner] = x;
+    ys[corner] = y;
+    if (!(depth > NEAR)) continue;
+    ahead++;
+    left = Math.min(left, x / depth);
+    right = Math.max(right, x / depth);
+    top = Math.min(top, y / depth);
+    bottom = Math.max(bottom, y / depth);
   }
-  if (!(far > NEAR)) return 0;
+  if (ahead === 0) return 0;
+  if (ahead < 8) {
+    // Where an edge passes the near plane, the part of the box that is ahead of it has a corner.
+    for (const [start, end] of EDGES) {
+      const from = depths[start]!;
+      const to = depths[end]!;
+      if (from > NEAR === to > NEAR) continue;
+      const along = (NEAR - from) / (to - from);
+      const x = (xs[start]! + (xs[end]! - xs[start]!) * along) / NEAR;
+      const y = (ys[start]! + (ys[end]! - ys[start]!) * along) / NEAR;
+      left = Math.min(left, x);
+      right = Math.max(right, x);
+      top = Math.min(top, y);
+      bottom = Math.max(bottom, y);
+    }
+  }
   const wide = Math.max((Math.min(right, tanX) - Math.max(left, -tanX)) / (2 * tanX), 0);
   const high = Math.max((Math.min(bottom, tanY) - Math.max(top, -tanY)) / (2 * tanY), 0);
   return wide * high;

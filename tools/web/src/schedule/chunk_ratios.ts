@@ -12,8 +12,8 @@ const TURN = 0.3;
 const LEAST_DIFFERENCE = 0.01;
 /** Smallest half diagonal of a box, scene units. */
 const LEAST_RADIUS = 1e-9;
-/** Smallest share of contribution, which keeps ratios finite. */
-const LEAST_USUAL = 1e-12;
+/** Smallest share of contribution, which keeps ratios finite and gains above 0. */
+export const LEAST_USUAL = 1e-12;
 const NEAREST_DEPTH = 0.2;
 /** SGSS: density below which a box has low priority, splats per cubic scene unit. */
 const SPARSE = 10;
@@ -80,10 +80,12 @@ export function visibleInBoxes(boxes: Boxes, contribution: Float64Array): PoseRa
 export function visibleInTable(table: ViewTable, boxes: Boxes, contribution: Float64Array): PoseRatios {
   const { chunks, shares } = table;
   const viewpoints = viewpointsOf(table);
-  // A box covers at least the share that a viewpoint shows of its chunk, whatever its angle of view was.
-  const taken = shares.map((share, i) =>
-    Math.max(pictureShare(boxes, i % chunks, viewpoints[Math.floor(i / chunks)]!), share),
+  // A box covers at least the share that a viewpoint shows of its chunk, whatever its angle of view was. Roots: a
+  // viewpoint at the box would otherwise outweigh those that see it from the side of the pose.
+  const extents = shares.map((share, i) =>
+    Math.sqrt(Math.max(pictureShare(boxes, i % chunks, viewpoints[Math.floor(i / chunks)]!), share)),
   );
+  const shown = shares.map((share, i) => (extents[i]! > 0 ? share / extents[i]! : 0));
   const centres = Array.from({ length: chunks }, (_, chunk) => centre(boxes, chunk));
   const radii = centres.map((_, chunk) => Math.max(Math.sqrt(squaredRadius(boxes, chunk)), LEAST_RADIUS));
   const reach = Float64Array.from(
@@ -103,9 +105,9 @@ export function visibleInTable(table: ViewTable, boxes: Boxes, contribution: Flo
       inPicture.forEach((chunk, row) => {
         const i = at * chunks + chunk;
         const near = 1 / (moved / (away[row]! + reach[i]!) + turned + LEAST_DIFFERENCE);
-        const weight = near * near * (near * near);
-        visible[row]! += shares[i]! * weight;
-        covered[row]! += taken[i]! * weight;
+        const weight = near * near * near;
+        visible[row]! += shown[i]! * weight;
+        covered[row]! += extents[i]! * weight;
       });
     });
     inPicture.forEach((chunk, row) => {

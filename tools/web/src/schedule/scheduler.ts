@@ -63,19 +63,19 @@ export class Scheduler {
   }
 
   /**
-   * Return the estimated gain per byte of each unit: its chunk's ratio, squared if it is below 1, over the square of
-   * its place.
+   * Return the estimated gain per byte of each unit at the poses of the ratios: its gain times its row's ratio, squared
+   * if it is below 1, over its bytes.
    */
   urgency(ratios: Float64Array): Float64Array {
-    return Float64Array.from(this.units, ({ row, place }) => {
+    return Float64Array.from(this.units, ({ row, gain, size }) => {
       const ratio = row >= 0 ? ratios[row]! : 1;
-      return (ratio * Math.min(ratio, 1)) / (place * place);
+      return ratio * Math.min(ratio, 1) * (gain / size);
     });
   }
 
   decide(ratios: Float64Array, holdings: Holdings): Decision {
     const { urgency, order } = this.ordered(ratios);
-    const round = new Round(this.units, this.splats, this.links, urgency, order, this.byWorth, holdings);
+    const round = new Round(this.units, this.splats, this.links, ratios, urgency, order, this.byWorth, holdings);
     round.makeRoom(0);
     round.stopLessUrgent();
     while (!round.isFull) {
@@ -130,6 +130,7 @@ class Round {
     private readonly units: readonly Unit[],
     private readonly splats: ArrayLike<number>,
     private readonly links: UnitLinks,
+    private readonly ratios: Float64Array,
     private readonly urgency: Float64Array,
     private readonly order: readonly number[],
     byWorth: number[],
@@ -155,7 +156,8 @@ class Round {
     for (const row of rows) {
       const head = headOf[row]!;
       if (this.held[head]) this.heldSplats += splats[row]!;
-      worths[row] = this.urgency[head]! * this.units[head]!.place * (this.held[head] ? HELD_FACTOR : 1);
+      const gain = this.ratios[row]! * this.units[head]!.gain;
+      worths[row] = (gain / Math.max(splats[row]!, 1)) * (this.held[head] ? HELD_FACTOR : 1);
     }
     for (let i = rows.length - 1; i >= 0; i--) {
       const parent = parentOf[rows[i]!]!;

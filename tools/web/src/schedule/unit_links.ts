@@ -4,8 +4,8 @@ export interface Unit {
   readonly row: number;
   /** Whether it is the head of the chunk, or the page. */
   readonly isHead: boolean;
-  /** Place of the unit: in the root the end of the segment in the file, bytes (docs/streaming.md, 7). */
-  readonly place: number;
+  /** What it adds to a picture where the ratio of the row is 1 (docs/streaming.md, 7). */
+  readonly gain: number;
   readonly size: number;
   /** Units without which this one is useless: codebooks, and for a head that of the parent chunk. */
   readonly dependencies: readonly number[];
