@@ -100,7 +100,7 @@ def decide(scene: Scene, state: State) -> Decision:
     )
     poses = predicted_poses(_pose(state["now"]), _pose(state["before"]), state["elapsed"])
     ratios = chunk_ratios.weighted_ratios(ratios_of(scene, state["rule"]), poses)
-    return Scheduler(units, scene["splats"]).decide(ratios, client)
+    return Scheduler(units, scene["splats"], scene["contribution"]).decide(ratios, client)
 
 
 def generate() -> tuple[list[Scene], list[State]]:

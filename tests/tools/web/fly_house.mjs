@@ -88,9 +88,8 @@ function headsOf(scheduler) {
 }
 
 /** Return the worth of each chunk that is not held: the largest of itself and its descendants (docs/streaming.md, 9). */
-function worthsOf({ units, splats }, heads, ratios) {
-  const worthOf = ([chunk, head]) => [chunk, (ratios[chunk] * units[head].gain) / splats[chunk]];
-  const worths = new Map([...heads].map(worthOf));
+function worthsOf({ units, splats, contribution }, heads, ratios) {
+  const worths = new Map([...heads.keys()].map((chunk) => [chunk, (ratios[chunk] * contribution[chunk]) / splats[chunk]]));
   for (const chunk of [...heads.keys()].sort((a, b) => b - a)) {
     const parent = units[heads.get(chunk)].dependencies.map((unit) => units[unit].row).find((other) => other >= 0);
     if (parent !== undefined) worths.set(parent, Math.max(worths.get(parent), worths.get(chunk)));

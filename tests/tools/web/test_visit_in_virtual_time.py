@@ -108,6 +108,7 @@ class Reference:
         self._unit = {start: unit for unit, start in enumerate(starts)}
         rows = scene_rows(file.indices, file.parents())
         self._splats = rows.budget_splats
+        self._contribution = rows.contribution.tolist()
         pages = [place.start for _, place in pages_in_file_order(file.indices)]
         self._row = {
             (start, int(rows.first_chunk[rows.chunks + k])): rows.chunks + k
@@ -162,7 +163,7 @@ class Reference:
             entry["latency"],
             {self.row(place): worth for place, worth in entry["evictedWorths"]},
         )
-        found = Scheduler(rows, self._splats).decide(ratios, state)
+        found = Scheduler(rows, self._splats, self._contribution).decide(ratios, state)
         stop, fetch = ([listed[k] for k in units] for units in (found.abort, found.fetch))
         return Decision(stop, found.evict, fetch)
 

@@ -156,10 +156,24 @@ def unit_gains(indices: Sequence[Index]) -> tuple[F64, F64]:
 
 def _segment_gains(index: Index, picture: float) -> F64:
     """Return the gains of the segments of an index; `picture` is the contribution of the root."""
+    table = index.tables.segments
+    lengths = table.length.astype(np.float64)
+    begin = float(index.end - index.start)
+    ends = begin + np.cumsum(lengths)
+    gains = (
+        _gains_in_page(index, ends, picture)
+        if index.path
+        else picture * (begin / ends) * (lengths / ends)
+    )
+    gains[table.kind == SegmentKind.VIEW_TABLE] = picture
+    return gains
+
+
+def _gains_in_page(index: Index, ends: F64, picture: float) -> F64:
+    """Return the gains of the segments of a page, which end at `ends`, but for view tables."""
     contribution = np.maximum(index.tables.chunks.contribution, MIN_AVERAGE_SHARE * picture)
     table = index.tables.segments
     lengths = table.length.astype(np.float64)
-    ends = float(index.end - index.start) + np.cumsum(lengths)
     numbers = np.arange(len(table))
     is_head = table.kind == SegmentKind.HEAD
     heads = np.flatnonzero(is_head)
@@ -176,5 +190,4 @@ def _segment_gains(index: Index, picture: float) -> F64:
     sizes = lengths[followers] / lengths[head]
     gains = np.zeros(len(table))
     gains[followers] = contribution[chunk[head]] * sizes * (closeness * closeness)
-    gains[table.kind == SegmentKind.VIEW_TABLE] = picture
     return gains

@@ -253,7 +253,9 @@ class Scheduler:
     units : sequence of Unit
         All units, in the order of the file.
     splats : sequence of int
-        Splat count of each chunk.
+        Splat count of each row.
+    contribution : sequence of float
+        Stored contribution of each row.
 
     Examples
     --------
@@ -261,13 +263,16 @@ class Scheduler:
     >>> from cogsplat.tools.lab.scheduling.scheduler import ClientState, Scheduler, Unit
     >>> units = [Unit(k, True, 3.0 - k, 100, (0,) * (k > 0)) for k in range(3)]
     >>> empty = ClientState(frozenset(), frozenset(), {}, 0, 400.0, 0.25, {})
-    >>> Scheduler(units, [10, 10, 10]).decide(np.array([1.0, 0.1, 1.0]), empty).fetch
+    >>> Scheduler(units, [10] * 3, [1.0] * 3).decide(np.array([1.0, 0.1, 1.0]), empty).fetch
     [0, 2]
     """
 
-    def __init__(self, units: Sequence[Unit], splats: Sequence[int]) -> None:
+    def __init__(
+        self, units: Sequence[Unit], splats: Sequence[int], contribution: Sequence[float]
+    ) -> None:
         self._units = units
         self._splats = splats
+        self._contribution = contribution
         self._links = _Links(units)
         self._row = np.array([unit.row for unit in units], np.int64)
         gains = [unit.gain / float(unit.size_bytes) for unit in units]
@@ -283,7 +288,8 @@ class Scheduler:
         state : ClientState
         """
         urgency = urgencies(ratios, self._row, self._gain_per_byte)
-        round_ = _Round(self._units, self._splats, self._links, self._row, ratios, urgency, state)
+        shares: list[float] = (ratios * np.array(self._contribution, np.float64)).tolist()
+        round_ = _Round(self._units, self._splats, self._links, self._row, shares, urgency, state)
         round_.make_room(0)
         round_.abort_outranked()
         while not round_.is_window_full():
@@ -303,12 +309,13 @@ class _Round:
         splats: Sequence[int],
         links: _Links,
         row: I64,
-        ratios: F64,
+        shares: Sequence[float],
         urgency: F64,
         state: ClientState,
     ) -> None:
         self._units, self._splats, self._links, self._row = units, splats, links, row
-        self._ratios = ratios
+        # By row: its share of the picture, in the unit of contributions.
+        self._shares = shares
         self._order = np.argsort(-urgency, kind="stable")
         self._urgency: list[float] = urgency.tolist()
         self._state = state
@@ -342,9 +349,8 @@ class _Round:
         worth, links = self._worth, self._links
         for chunk in links.rows:
             head = links.head_of[chunk]
-            gain = float(self._ratios[chunk]) * self._units[head].gain
             factor = _HELD_FACTOR if self._held[head] else 1.0
-            worth[chunk] = gain / float(max(self._splats[chunk], 1)) * factor
+            worth[chunk] = self._shares[chunk] / float(max(self._splats[chunk], 1)) * factor
         for chunk in reversed(links.rows):
             parent = links.parent_of[chunk]
             if parent >= 0:

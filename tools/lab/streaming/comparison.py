@@ -376,6 +376,7 @@ class Simulation:
         return simulate_visit(
             client.units,
             self._rows.budget_splats,
+            self._rows.contribution,
             self._visit_ratios,
             trace,
             link,

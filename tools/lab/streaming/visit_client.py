@@ -103,6 +103,7 @@ class _State:
 def simulate_visit(
     units: Units,
     splats: Sequence[int],
+    contribution: F64,
     ratios: ClientRatios,
     trace: Trace,
     link: Link,
@@ -118,6 +119,8 @@ def simulate_visit(
     units : Units
     splats : sequence of int
         Splat count of each chunk, and by which each page counts in a budget.
+    contribution : (r,) float64
+        Stored contribution of each chunk and page.
     ratios : ClientRatios
         Visibility ratios of the chunks and pages at a pose.
     trace : Trace
@@ -136,7 +139,9 @@ def simulate_visit(
     Arrivals
         Time at which each unit and its dependencies are decoded, and time of its eviction.
     """
-    run = _Run(units, splats, ratios, trace, link, budget_splats, browser or Browser())
+    run = _Run(
+        units, splats, contribution, ratios, trace, link, budget_splats, browser or Browser()
+    )
     return run.arrivals(trace.seconds + _MAX_WAIT_SECONDS if until is None else until)
 
 
@@ -175,6 +180,7 @@ class _Run:
         self,
         units: Units,
         splats: Sequence[int],
+        contribution: F64,
         ratios: ClientRatios,
         trace: Trace,
         link: Link,
@@ -183,6 +189,7 @@ class _Run:
     ) -> None:
         self._units, self._splats, self._ratios_at = units, splats, ratios
         self._trace, self._link, self._browser = trace, link, browser
+        self._contribution: list[float] = contribution.tolist()
         self._budget = budget_splats
         self._sizes: list[int] = units.size_bytes.tolist()
         self._state = _State()
@@ -297,7 +304,7 @@ class _Run:
         """Return a scheduler of the units that the root and the pages read list."""
         self._listed, rows = scheduled_units(self._units, self._state.present)
         self._number = {unit: number for number, unit in enumerate(self._listed)}
-        return Scheduler(rows, self._splats)
+        return Scheduler(rows, self._splats, self._contribution)
 
     def _decision(self, scheduler: Scheduler, ratios: F64, now: float) -> Decision:
         """Return the scheduler's decision, for the units of the file."""

@@ -85,7 +85,7 @@ test("the scheduler decides as the reference does in every state", () => {
       ratiosOf(scene, state.rule),
       predictPath(poseOf(state.now), poseOf(state.before), state.elapsed),
     );
-    const { stop, evict, fetch } = new Scheduler(units, scene.splats).decide(ratios, {
+    const { stop, evict, fetch } = new Scheduler(units, scene.splats, scene.contribution).decide(ratios, {
       arrived: new Set(state.there),
       inFlight: new Set(state.under_way),
       received: new Map(state.received),

@@ -216,39 +216,37 @@ test("pages nest three deep", () => {
   assert.throws(() => new SceneFile(treeFile(flat, chain(5, 4)), kernels()), refusedWith("root-value"));
 });
 
-test("a head and a page gain their contributions, and what follows a head the less the further", () => {
-  const flat = vectorBytes("valid", "compensation-cells");
-  const bytes = treeFile(flat, { chunks: 3, pages: [{ chunks: 4 }] });
-  const index = SceneIndex.open(bytes);
-  const units = new SegmentUnits(index, 3, true);
-  units.enter();
-  const [page] = index.pages as [Page];
-  assert.equal(units.units[units.of(-1)]!.gain, page.contribution);
-  index.addPage(page, bytes.slice(page.offset, page.offset + page.length));
-  units.enter();
-  const { owner, length } = index.segments;
-  let others = 0;
-  for (const { firstSegment, segmentCount, firstChunk, contribution, start } of index.indexes) {
-    const endOf = (segment: number): number => index.range(segment).offset + length[segment]! - start;
-    const own = units.units.filter(({ segment }) => segment >= firstSegment && segment < firstSegment + segmentCount);
-    for (const [i, { segment, gain, row, isHead }] of own.entries()) {
-      const chunk = owner[segment]!;
-      if (isHead) {
-        assert.equal(gain, contribution[chunk - firstChunk]!);
-        continue;
+test("what the root lists gains the less the further behind, and what a page lists by its chunk's contribution", () => {
+  for (const name of ["pages", "pages-tree", "attributes-pages", "compensation-cells-pages"]) {
+    const { index } = new SceneFile(vectorBytes("valid", name), kernels());
+    const units = new SegmentUnits(index, 3, true);
+    units.enter();
+    const { owner, length } = index.segments;
+    const [root, ...pages] = index.indexes as [Index, ...Index[]];
+    const ownOf = ({ firstSegment, segmentCount }: Index): typeof units.units =>
+      units.units.filter(({ segment }) => segment >= firstSegment && segment < firstSegment + segmentCount);
+    const picture = root.contribution.reduce((sum, value) => sum + value, 0) || 1;
+    const begin = index.range(0).offset;
+    for (const { segment, gain } of ownOf(root)) {
+      const { offset, length: bytes } = index.range(segment);
+      assert.equal(gain, picture * (begin / (offset + bytes)) * (bytes / (offset + bytes)));
+    }
+    for (const page of pages) {
+      assert.equal(
+        units.units[units.of(-1 - page.page!.number)]!.gain,
+        Math.max(page.page!.contribution, 1e-12 * picture),
+      );
+      const endOf = (segment: number): number => index.range(segment).offset + length[segment]! - page.start;
+      for (const { segment, gain, row, isHead } of ownOf(page)) {
+        if (row < 0) continue;
+        const { head } = index.chunkSegments(owner[segment]!);
+        const whole = Math.max(page.contribution[owner[segment]! - page.firstChunk]!, 1e-12 * picture);
+        const share = (length[segment]! / length[head]!) * (endOf(head) / endOf(segment)) ** 2;
+        assert.ok(Math.abs(gain - whole * share) <= 1e-12 * gain, `segment ${segment} of ${name}`);
+        assert.ok(!isHead || share === 1);
       }
-      others++;
-      const before = own
-        .slice(0, i)
-        .reverse()
-        .find((unit) => unit.isHead)?.segment;
-      const head = row < 0 ? before : index.chunkSegments(chunk).head;
-      const gainOfHead = own.find((unit) => unit.segment === head)?.gain ?? 0;
-      const share = head === undefined ? 0 : (length[segment]! / length[head]!) * (endOf(head) / endOf(segment)) ** 2;
-      assert.ok(Math.abs(gain - gainOfHead * share) <= 1e-12 * gain);
     }
   }
-  assert.ok(others > 0);
 });
 
 test("an unread page is a unit behind the head of its parent, and its rows replace it", () => {

@@ -54,7 +54,7 @@ function smallIndex(): UnitIndex {
     segments: {
       kind: Uint8Array.from([1, 1, 1, 7, 7, 7]),
       owner: Uint32Array.from([0, 1, 2, 0, 1, 2]),
-      offset: Float64Array.from([0, 100, 200, 300, 400, 500]),
+      offset: Float64Array.from([100, 200, 300, 400, 500, 600]),
       length: new Uint32Array(6).fill(100),
     },
     chunks: { until: Uint32Array.from([0, 0, 0]) },
@@ -70,10 +70,10 @@ function unitsOf(index: UnitIndex): SegmentUnits {
 
 /** Return the segments of an index in the order that a pose requests. */
 function order(index: UnitIndex, pose: Pose): number[] {
-  const { units, splats } = unitsOf(index);
+  const { units, splats, contribution } = unitsOf(index);
   const ratios = sumAlongPath(new IndexRatios(index.indexes).of, predictPath(pose, pose, 0));
   const nothing = { arrived: new Set<number>(), inFlight: new Set<number>(), received: new Map<number, number>() };
-  const { fetch } = new Scheduler(units, splats).decide(ratios, {
+  const { fetch } = new Scheduler(units, splats, contribution).decide(ratios, {
     ...nothing,
     budgetSplats: 0,
     evictedWorths: new Map(),
@@ -84,8 +84,8 @@ function order(index: UnitIndex, pose: Pose): number[] {
 }
 
 test("what the pose shows comes first, behind its parents", () => {
-  // What lies around the eye shows most, then what is ahead, before details of both; what is behind comes last.
-  assert.deepEqual(order(smallIndex(), looking()), [0, 1, 3, 4, 2, 5]);
+  // What lies around the eye shows most, then all of what is ahead; every head stands behind its parent's.
+  assert.deepEqual(order(smallIndex(), looking()), [0, 3, 1, 4, 2, 5]);
   const turned = order(smallIndex(), looking(true));
   assert.ok(turned.indexOf(2) < turned.indexOf(1));
   assert.ok(turned.indexOf(5) < turned.indexOf(4));

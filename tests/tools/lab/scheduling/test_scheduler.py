@@ -26,6 +26,8 @@ UNITS = [
     unit_at(700, 2, False, (3,)),
 ]
 SPLATS = [10, 10, 10, 10]
+# As gains per byte fall, so do contributions.
+CONTRIBUTION = [1.0, 0.5, 0.25, 0.125]
 EQUAL = np.ones(4)
 
 
@@ -44,7 +46,7 @@ def client(
 
 
 def decide(ratios, **state):
-    return Scheduler(UNITS, SPLATS).decide(np.array(ratios), client(**state))
+    return Scheduler(UNITS, SPLATS, CONTRIBUTION).decide(np.array(ratios), client(**state))
 
 
 def test_the_stored_vectors_match_the_generator():
@@ -84,7 +86,7 @@ def test_a_chain_is_requested_one_unit_at_a_time():
 def test_the_value_of_a_chain_is_the_mean_over_its_bytes():
     units = [unit_at(100, 0, True, ()), *(unit_at(200, k, True, (k - 1,)) for k in (1, 2, 3))]
     units.append(unit_at(200, 4, True, (0,)))
-    scheduler = Scheduler(units, [10] * 5)
+    scheduler = Scheduler(units, [10] * 5, [1.0] * 5)
     state = client(present=[0], rate=1.0)
     # Unit 3 alone has a higher urgency than 4, but 1 and 2 have to be fetched with it.
     assert scheduler.decide(np.array([1.0, 0.0, 0.0, 2.9, 1.0]), state).fetch == [4]
@@ -129,7 +131,7 @@ def test_a_budget_is_kept_by_evicting_the_least_valuable_chunks():
 
 def test_an_evicted_chunk_is_fetched_again_once_it_is_worth_more():
     gone = decide([1.0, 1.0, 9.0, 0.001], present=[0, 1], budget=20).evict
-    assert gone == {1: pytest.approx(2 * 1.0 / 200**2 * 100 / 10)}
+    assert gone == {1: 2 * 0.5 / 10}
     # The pose turns back: without the eviction the chunk would be fetched at once.
     back = [1.0, 1.9, 0.001, 0.001]
     assert 1 in decide(back, present=[0, 3], budget=20).fetch
@@ -148,7 +150,7 @@ def test_a_lowered_budget_is_kept_by_evicting_the_least_valuable_chunks():
 
 def test_nothing_is_evicted_for_a_chunk_that_still_would_not_fit():
     units = [*UNITS[:2], unit_at(400, 2, True, (0,))]
-    scheduler = Scheduler(units, [10, 10, 50])
+    scheduler = Scheduler(units, [10, 10, 50], [1.0, 0.5, 0.5])
     decision = scheduler.decide(np.array([1.0, 0.001, 9.0]), client(present=[0, 1], budget=40))
     assert list(decision.evict) == []
     assert decision.fetch == []
@@ -159,7 +161,7 @@ def test_nothing_is_evicted_for_a_chunk_that_still_would_not_fit():
 def test_fetching_at_a_fixed_pose_ends_under_any_budget(number, rate):
     scene = VECTORS["scenes"][number]
     units = [Unit(c, bool(head), gain, size, tuple(a)) for c, head, gain, size, a in scene["units"]]
-    scheduler = Scheduler(units, scene["splats"])
+    scheduler = Scheduler(units, scene["splats"], scene["contribution"])
     rng = np.random.default_rng(number)
     for share in (0.3, 0.5, 0.7, 0.9):
         ratios = np.exp(rng.normal(0.0, 2.0, len(scene["splats"])))
@@ -181,7 +183,7 @@ def test_fetching_at_a_fixed_pose_ends_under_any_budget(number, rate):
 def test_fetching_at_a_fixed_pose_ends_though_requests_wait(number):
     scene = VECTORS["scenes"][number]
     units = [Unit(c, bool(head), gain, size, tuple(a)) for c, head, gain, size, a in scene["units"]]
-    scheduler = Scheduler(units, scene["splats"])
+    scheduler = Scheduler(units, scene["splats"], scene["contribution"])
     rng = np.random.default_rng(number)
     for share in np.linspace(0.2, 0.9, 15):
         ratios = np.exp(rng.normal(0.0, 2.0, len(scene["splats"])))

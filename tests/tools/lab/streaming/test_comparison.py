@@ -115,10 +115,11 @@ def test_visit_uses_boxes_for_files_without_a_view_table(
     assert not house_file.view_table_rows
     trace, link = recorded_trace(rooms_walk(4)[::20], 1.0), Link(80_000.0, 0.05)
     boxes = house_file.chunks.box.astype(np.float64)
-    ratios = ratios_from_boxes(boxes, house_file.chunks.contribution.astype(np.float64))
+    contribution = house_file.chunks.contribution.astype(np.float64)
+    ratios = ratios_from_boxes(boxes, contribution)
     splats = house_file.chunks.splats.astype(np.int64).tolist()
     expected = simulate_visit(
-        units_of(house_file), splats, lambda pose, _: ratios(pose), trace, link
+        units_of(house_file), splats, contribution, lambda pose, _: ratios(pose), trace, link
     )
     assert simulation.arrivals("visit", simulation.client("visit"), trace, link).units == (
         expected.units

@@ -34,13 +34,13 @@ def run_visit(
 ) -> tuple[Units, Arrivals]:
     units = units_of(file)
     chunks = file.chunks
-    ratios = ratios_from_boxes(
-        chunks.box.astype(np.float64), chunks.contribution.astype(np.float64)
-    )
+    contribution = chunks.contribution.astype(np.float64)
+    ratios = ratios_from_boxes(chunks.box.astype(np.float64), contribution)
     splats = chunks.splats.astype(np.int64).tolist()
     return units, simulate_visit(
         units,
         splats,
+        contribution,
         lambda pose, _: ratios(pose),
         trace,
         link,

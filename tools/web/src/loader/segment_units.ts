@@ -25,6 +25,8 @@ export class SegmentUnits {
   readonly units: SegmentUnit[] = [];
   /** Splats of each row; an unread page counts as much as a chunk below it on average. */
   readonly splats: number[] = [];
+  /** Contribution of each row. */
+  readonly contribution: number[] = [];
   private readonly unitOf = new Map<number, number>();
   /** Units of each row. */
   private readonly ofRows: number[][] = [];
@@ -93,7 +95,7 @@ export class SegmentUnits {
       this.unitOf.set(segment, this.units.length + i);
       if (kind[segment] === SegmentKind.head) this.heads.set(rowOf(segment), this.units.length + i);
     }
-    const gains = this.gainsOf(index);
+    const gains = this.gainsOf(index, numbers);
     for (const segment of wanted) {
       const row = rowOf(segment);
       const isHead = kind[segment] === SegmentKind.head;
@@ -104,35 +106,32 @@ export class SegmentUnits {
       this.push({ segment, row, isHead, gain, size: length[segment]!, dependencies });
     }
     for (let i = 0; i < index.chunkCount; i++) this.splats.push(rows.splats[index.firstRow + i]!);
+    this.contribution.push(...index.contribution);
   }
 
   /** Return the gain of each segment of an index, in the unit of contributions (docs/streaming.md, 7). */
-  private gainsOf(index: Index): Float64Array {
+  private gainsOf(index: Index, numbers: readonly number[]): number[] {
     const { kind, owner, offset, length } = this.index.segments;
-    const { firstSegment, segmentCount, firstChunk, contribution, start } = index;
+    const { firstChunk, contribution, start, page } = index;
     const endOf = (segment: number): number => offset[segment]! - start + length[segment]!;
-    const headOf: number[] = [];
+    const begin = offset[index.firstSegment]! - start;
+    const headOf = new Map<number, number>();
+    for (const segment of numbers) if (kind[segment] === SegmentKind.head) headOf.set(owner[segment]!, segment);
     let last: number | undefined;
-    const gains = new Float64Array(segmentCount);
-    for (let segment = firstSegment; segment < firstSegment + segmentCount; segment++) {
-      if (kind[segment] === SegmentKind.head) headOf[owner[segment]! - firstChunk] = segment;
-    }
-    for (let segment = firstSegment; segment < firstSegment + segmentCount; segment++) {
+    return numbers.map((segment) => {
       const of = kind[segment]!;
-      if (of === SegmentKind.viewTable) {
-        // It decides the order of all others, so it counts as the whole picture.
-        gains[segment - firstSegment] = this.picture;
-        continue;
-      }
       if (of === SegmentKind.head) last = segment;
+      // It decides the order of all others, so it counts as the whole picture.
+      if (of === SegmentKind.viewTable) return this.picture;
+      const end = endOf(segment);
+      if (page === undefined) return this.picture * (begin / end) * (length[segment]! / end);
       // Segments of no chunk count like the chunk whose head precedes them.
-      const head = OF_CHUNKS.includes(of) ? headOf[owner[segment]! - firstChunk] : last;
-      if (head === undefined) continue;
-      const closeness = endOf(head) / endOf(segment);
+      const head = OF_CHUNKS.includes(of) ? headOf.get(owner[segment]!) : last;
+      if (head === undefined) return 0;
+      const closeness = endOf(head) / end;
       const share = this.gained(contribution[owner[head]! - firstChunk]!);
-      gains[segment - firstSegment] = share * (length[segment]! / length[head]!) * (closeness * closeness);
-    }
-    return gains;
+      return share * (length[segment]! / length[head]!) * (closeness * closeness);
+    });
   }
 
   /** Return a contribution above 0. */

@@ -132,7 +132,7 @@ export class Visit extends SceneFetch<VisitChange> {
 
   protected override onPage(): void {
     for (const unit of this.units.enter()) this.arrived.add(unit);
-    this.scheduler = new Scheduler(this.units.units, this.units.splats);
+    this.scheduler = new Scheduler(this.units.units, this.units.splats, this.units.contribution);
     this.pathRatios = undefined;
   }
 

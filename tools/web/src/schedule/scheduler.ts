@@ -57,6 +57,7 @@ export class Scheduler {
   constructor(
     private readonly units: readonly Unit[],
     private readonly splats: ArrayLike<number>,
+    private readonly contribution: ArrayLike<number>,
   ) {
     this.links = new UnitLinks(units);
     this.byWorth = [...this.links.rows];
@@ -75,7 +76,8 @@ export class Scheduler {
 
   decide(ratios: Float64Array, holdings: Holdings): Decision {
     const { urgency, order } = this.ordered(ratios);
-    const round = new Round(this.units, this.splats, this.links, ratios, urgency, order, this.byWorth, holdings);
+    const shares = Float64Array.from(this.contribution, (value, row) => ratios[row]! * value);
+    const round = new Round(this.units, this.splats, this.links, shares, urgency, order, this.byWorth, holdings);
     round.makeRoom(0);
     round.stopLessUrgent();
     while (!round.isFull) {
@@ -130,7 +132,8 @@ class Round {
     private readonly units: readonly Unit[],
     private readonly splats: ArrayLike<number>,
     private readonly links: UnitLinks,
-    private readonly ratios: Float64Array,
+    /** By row: its share of the picture, in the unit of contributions. */
+    private readonly shares: Float64Array,
     private readonly urgency: Float64Array,
     private readonly order: readonly number[],
     byWorth: number[],
@@ -156,8 +159,7 @@ class Round {
     for (const row of rows) {
       const head = headOf[row]!;
       if (this.held[head]) this.heldSplats += splats[row]!;
-      const gain = this.ratios[row]! * this.units[head]!.gain;
-      worths[row] = (gain / Math.max(splats[row]!, 1)) * (this.held[head] ? HELD_FACTOR : 1);
+      worths[row] = (this.shares[row]! / Math.max(splats[row]!, 1)) * (this.held[head] ? HELD_FACTOR : 1);
     }
     for (let i = rows.length - 1; i >= 0; i--) {
       const parent = parentOf[rows[i]!]!;
