@@ -49,9 +49,14 @@ export class Scheduler {
   private readonly links: UnitLinks;
   /** Rows of the chunks by falling worth in the last decision; nearly sorted for the next. */
   private readonly byWorth: number[];
-  /** Urgencies and order for the ratios of the last decision. */
+  /** Shares, urgencies and order for the ratios of the last decision. */
   private last:
-    | { readonly ratios: Float64Array; readonly urgency: Float64Array; readonly order: readonly number[] }
+    | {
+        readonly ratios: Float64Array;
+        readonly shares: Float64Array;
+        readonly urgency: Float64Array;
+        readonly order: readonly number[];
+      }
     | undefined;
 
   constructor(
@@ -75,8 +80,7 @@ export class Scheduler {
   }
 
   decide(ratios: Float64Array, holdings: Holdings): Decision {
-    const { urgency, order } = this.ordered(ratios);
-    const shares = Float64Array.from(this.contribution, (value, row) => ratios[row]! * value);
+    const { shares, urgency, order } = this.ordered(ratios);
     const round = new Round(this.units, this.splats, this.links, shares, urgency, order, this.byWorth, holdings);
     round.makeRoom(0);
     round.stopLessUrgent();
@@ -88,12 +92,13 @@ export class Scheduler {
     return { stop: round.stopped, evict: round.evicted, fetch: round.chosen };
   }
 
-  /** Return the urgency and the order of the units, cached for the ratios of the last call. */
-  private ordered(ratios: Float64Array): { readonly urgency: Float64Array; readonly order: readonly number[] } {
+  /** Return the shares of rows, and the urgency and the order of units, cached for the ratios of the last call. */
+  private ordered(ratios: Float64Array): NonNullable<typeof this.last> {
     if (this.last?.ratios === ratios) return this.last;
+    const shares = ratios.map((ratio, row) => ratio * this.contribution[row]!);
     const urgency = this.urgency(ratios);
     const order = this.units.map((_, unit) => unit).sort((a, b) => urgency[b]! - urgency[a]! || a - b);
-    this.last = { ratios, urgency, order };
+    this.last = { ratios, shares, urgency, order };
     return this.last;
   }
 }
