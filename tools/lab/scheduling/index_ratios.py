@@ -130,7 +130,7 @@ class IndexRatios:
 
 
 def unit_gains(indices: Sequence[Index]) -> tuple[F64, F64]:
-    """Return what all segments and pages add to a picture where ratios are 1 (section 7).
+    """Return the gain of each segment and of each page (docs/streaming.md, 7).
 
     Parameters
     ----------
@@ -144,8 +144,8 @@ def unit_gains(indices: Sequence[Index]) -> tuple[F64, F64]:
         contributions.
     """
     root = indices[0].tables
-    picture = ordered_sum(np.concatenate([root.chunks.contribution, root.pages.contribution]))
-    picture = picture or 1.0
+    contributions = np.concatenate([root.chunks.contribution, root.pages.contribution])
+    picture = ordered_sum(contributions) or 1.0
     segments = [_segment_gains(index, picture) for index in indices]
     pages = [
         np.maximum(index.tables.pages.contribution, MIN_AVERAGE_SHARE * picture)

@@ -37,7 +37,7 @@ class Unit:
     is_head : bool
         Whether it is the head of the chunk, or the page.
     gain : float
-        What it adds to a picture where the ratio of the row is 1 (docs/streaming.md, 7).
+        Gain for an average picture (docs/streaming.md, 7), in the unit of contributions.
     size_bytes : int
         Length of the segment.
     dependencies : tuple of int
@@ -272,7 +272,7 @@ class Scheduler:
     ) -> None:
         self._units = units
         self._splats = splats
-        self._contribution = contribution
+        self._contribution = np.array(contribution, np.float64)
         self._links = _Links(units)
         self._row = np.array([unit.row for unit in units], np.int64)
         gains = [unit.gain / float(unit.size_bytes) for unit in units]
@@ -288,7 +288,7 @@ class Scheduler:
         state : ClientState
         """
         urgency = urgencies(ratios, self._row, self._gain_per_byte)
-        shares: list[float] = (ratios * np.array(self._contribution, np.float64)).tolist()
+        shares: list[float] = (ratios * self._contribution).tolist()
         round_ = _Round(self._units, self._splats, self._links, self._row, shares, urgency, state)
         round_.make_room(0)
         round_.abort_outranked()

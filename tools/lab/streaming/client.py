@@ -57,8 +57,8 @@ class Units:
     index_bytes : int
         Size of preamble and root, which are fetched before any unit.
     gains : (u,) float64, optional
-        What each unit adds to a picture where ratios are 1 (docs/streaming.md, 7); by default 0,
-        for clients that do not use it.
+        Gain of each unit (docs/streaming.md, 7), in the unit of contributions; by default 0, for
+        clients that do not use it.
     page_of : (u,) int64, optional
         Unit of the page that lists each unit, -1 for the root; by default the root lists all.
     """
@@ -88,8 +88,13 @@ class Units:
 
     @property
     def gain(self) -> F64:
-        """What each unit adds to a picture, (u,) float64."""
+        """Gain of each unit, (u,) float64."""
         return np.zeros(len(self)) if self.gains is None else self.gains
+
+    @property
+    def is_head(self) -> NDArray[np.bool_]:
+        """Mask of the heads of chunks and the pages, (u,) bool."""
+        return np.isin(self.kind, [SegmentKind.HEAD, PAGE])
 
     def __len__(self) -> int:
         return len(self.kind)

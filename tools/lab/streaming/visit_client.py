@@ -12,7 +12,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.tools.lab.scheduling.chunk_ratios import weighted_ratios
 from cogsplat.tools.lab.scheduling.poses import Pose, predicted_poses
 from cogsplat.tools.lab.scheduling.scheduler import (
@@ -76,8 +75,9 @@ class _State:
     """Units and requests of a client.
 
     Units within the first bytes of the file are read from that buffer, again after an eviction.
-    `first_request` fetches the buffer, `buffered` are its units received, and `awaited` those
-    chosen before they were received: from the beginning, all that the budget has room for.
+    `first_request` fetches the buffer, and `buffered` are its units received. `awaited` are units
+    chosen before they were received; at first, these are the root's units in the buffer, as far as
+    the budget has room for their splats.
     `evicted` has the time and the worth of the last eviction of each chunk.
     """
 
@@ -162,8 +162,7 @@ def scheduled_units(units: Units, present: Collection[int]) -> tuple[list[int], 
     is_read = (units.kind == PAGE) & np.isin(np.arange(len(units)), list(present))
     listed = np.flatnonzero(units.listed(present) & ~is_read).tolist()
     number = {unit: k for k, unit in enumerate(listed)}
-    is_head = np.isin(units.kind, [SegmentKind.HEAD, PAGE])
-    columns = (units.row, is_head, units.gain, units.size_bytes)
+    columns = (units.row, units.is_head, units.gain, units.size_bytes)
     rows = [
         Unit(row, head, gain, size, tuple(number[other] for other in units.dependencies[unit]))
         for unit, row, head, gain, size in zip(
@@ -262,7 +261,7 @@ class _Run:
             # The index precedes the first unit.
             self._state.first_request = _Request(buffered.tolist(), index_at)
         room = float(self._budget or np.inf)
-        is_head = np.isin(units.kind, [SegmentKind.HEAD, PAGE])
+        is_head = units.is_head
         for unit in buffered[units.listed(())[buffered]].tolist():
             splats = self._splats[units.row[unit]] if is_head[unit] else 0
             if splats <= room and self._state.awaited.issuperset(units.dependencies[unit]):

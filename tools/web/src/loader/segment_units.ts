@@ -105,8 +105,10 @@ export class SegmentUnits {
       const gain = gains[segment - index.firstSegment]!;
       this.push({ segment, row, isHead, gain, size: length[segment]!, dependencies });
     }
-    for (let i = 0; i < index.chunkCount; i++) this.splats.push(rows.splats[index.firstRow + i]!);
-    this.contribution.push(...index.contribution);
+    for (let i = 0; i < index.chunkCount; i++) {
+      this.splats.push(rows.splats[index.firstRow + i]!);
+      this.contribution.push(index.contribution[i]!);
+    }
   }
 
   /** Return the gain of each segment of an index, in the unit of contributions (docs/streaming.md, 7). */
@@ -153,6 +155,7 @@ export class SegmentUnits {
       dependencies: parent === undefined ? [] : [parent],
     });
     this.splats.push(Math.ceil(page.splats / Math.max(page.chunks, 1)));
+    this.contribution.push(page.contribution);
   }
 
   private push(unit: SegmentUnit): void {

@@ -4,7 +4,7 @@ export interface Unit {
   readonly row: number;
   /** Whether it is the head of the chunk, or the page. */
   readonly isHead: boolean;
-  /** What it adds to a picture where the ratio of the row is 1 (docs/streaming.md, 7). */
+  /** Gain for an average picture (docs/streaming.md, 7), in the unit of contributions. */
   readonly gain: number;
   readonly size: number;
   /** Units without which this one is useless: codebooks, and for a head that of the parent chunk. */
