@@ -40,8 +40,8 @@ from .config import EncodeConfig
 _CELL_DIVISOR: Final = 8
 
 # Splats that a split into regions saves a view at least, in smallest chunks: a split adds about
-# two chunks.
-_LEAST_SAVING_CHUNKS: Final = 2
+# two chunks. With 2, a house of six rooms takes 5 % more bytes than without cells, with 3, 2 %.
+_LEAST_SAVING_CHUNKS: Final = 3
 
 # Most splats that decide on the box of surroundings, sampled evenly.
 _BOX_SPLATS: Final = 1 << 16

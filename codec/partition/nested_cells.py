@@ -85,6 +85,13 @@ class Region:
     def __post_init__(self) -> None:
         require_finite(self)
 
+    @property
+    def is_told_apart(self) -> bool:
+        """Whether views tell parts of the region apart: a plane splits it, or a region within."""
+        if self.halves is None:
+            return False
+        return self.box is None or any(half.is_told_apart for half in self.halves)
+
     def in_second_half(self, means: NDArray[np.floating], places: I64) -> NDArray[np.bool_]:
         """Return a mask, (p,) bool, of the rows `places` of (n, 3) means beyond plane or box.
 

@@ -43,10 +43,10 @@ def test_a_scene_that_every_view_sees_is_one_region() -> None:
 
 def test_parts_that_hardly_show_are_hardly_fetched() -> None:
     centres, splats, shares = rooms(2)
-    # Each view sees a trace of the other room.
-    traces = np.where(shares > 0.0, shares, 1e-6)
-    assert leaves(split_regions(centres, splats, traces, smallest=100, saving=100)) == 2
-    assert split_regions(centres, splats, shares + 0.01, smallest=100, saving=100) is WHOLE_SCENE
+    # Each view sees a trace of the other room, or a glimpse through a door, or much of it.
+    for share, count in ((1e-6, 2), (0.005, 2), (0.03, 1)):
+        seen = np.where(shares > 0.0, shares, share)
+        assert leaves(split_regions(centres, splats, seen, smallest=200, saving=400)) == count
 
 
 def test_small_regions_are_not_split() -> None:
