@@ -114,7 +114,8 @@ class EncodeConfig:
         Chunks of `partition.nested_cells.DEFAULT_CELL_SPLATS` splats cost hardly more bytes than
         chunks without cells.
     view_table : bool
-        Store a table of each chunk's contribution to some viewpoints (SPEC 5.12); needs `cells`.
+        Store what is seen of each chunk all around some viewpoints (SPEC 5.12), where views tell
+        regions apart; needs `cells`.
     morton : bool
         Sort the splats of each chunk by Morton code.
     refine : bool

@@ -109,7 +109,8 @@ def encode(
         progress=timed,
     )
     timed("order", 1, 1)
-    with_table = request.config.cells and request.config.view_table
+    # Where all views see all of a scene, the order of the file says more than a view table.
+    with_table = request.config.view_table and prepared.regions.is_told_apart
     finisher = Finisher(
         prepared,
         splats,

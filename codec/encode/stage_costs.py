@@ -22,7 +22,7 @@ from cogsplat.codec.views.view_sets import TEST_VIEWS
 
 from .presets import DEFAULT_PRESET, PRESETS, Preset
 from .request import EncodeRequest
-from .view_table_builder import MOST_CAMERAS
+from .view_table_builder import MOST_VIEWPOINTS
 
 # Pixels of a planned view of the usual width, and ratio of planned views to the number in a preset,
 # as they were measured.
@@ -39,9 +39,10 @@ _WITHOUT_JITTER: Final = 1 / 3
 # Costs with the preset `balanced`: fixed, and for each splat.
 _GAIN: Final = (5.5, 6e-5)
 _COMPENSATE: Final = (1.35, 3.7e-5)
-# Cost per view, for each pixel and for each splat: of a view table, and of regions where scores are
-# given.
-_VIEW_TABLE: Final = (1.4e-7, 4e-7)
+# Cost per view, for each pixel and for each splat, of regions where scores are given; the panorama
+# of a viewpoint takes twice that.
+_REGIONS: Final = (1.4e-7, 4e-7)
+_PANORAMA: Final = 2.0
 # The first prefix of the order by marginal gain, as a share of the scene. All splats are taken as
 # effective here.
 _FIRST_PREFIX: Final = 1 / 8000
@@ -98,7 +99,7 @@ def stage_costs(splats: int, request: EncodeRequest, *, scored: bool = False) ->
     prediction = _of_view(_PREDICT, pixels, splats)
     costs = [StageCost("plan views", _PLAN)] if planned else []
     if scored and cameras and config.cells:
-        costs.append(StageCost("regions", _of_view(_VIEW_TABLE, MAX_PIXELS, splats), views))
+        costs.append(StageCost("regions", _of_view(_REGIONS, MAX_PIXELS, splats), views))
     if not scored:
         costs.append(_scoring(splats, views, pixels, preset, jitter=jitter))
     if seen and (fits or order == "gain"):
@@ -121,8 +122,8 @@ def stage_costs(splats: int, request: EncodeRequest, *, scored: bool = False) ->
         trials = _NOMINAL_TRIALS if target is None else _TRIALS
         costs.append(StageCost("search", trial * trials, inner="chunks"))
     if seen and config.cells and config.view_table:
-        drawn = min(views, MOST_CAMERAS)
-        costs.append(StageCost("view table", _of_view(_VIEW_TABLE, MAX_PIXELS, splats), drawn))
+        panorama = _PANORAMA * _of_view(_REGIONS, MAX_PIXELS, splats)
+        costs.append(StageCost("view table", panorama, min(views, MOST_VIEWPOINTS)))
     if seen and fits and config.preview is not None:
         costs.append(StageCost("preview", _PREVIEW * preset.reference_share))
     if seen and fits:

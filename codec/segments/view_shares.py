@@ -1,4 +1,4 @@
-"""View table: each chunk's share of the images from sampled viewpoints (SPEC 5.12).
+"""View table: each chunk's share of what is seen all around some viewpoints (SPEC 5.12).
 
 A client finds in it the chunks visible near a viewpoint. Unlike bounding boxes, the table accounts
 for occlusion by walls.
@@ -24,9 +24,6 @@ MAX_VIEWS: Final = 64
 MAX_CODES: Final = MAX_PLANE_BYTES
 """Codes of a table at most: the limit of the one plane that stores them (SPEC 6.3)."""
 
-DIRECTION_UNIT: Final = 127
-"""Approximate length of a stored direction (SPEC 5.12)."""
-
 _WORD: Final = np.dtype("<u4")
 
 # SPEC 5.12: code 2e + m means a share of (2 + m) · 2^(e - 128), code 0 means 0.
@@ -39,28 +36,26 @@ _BETWEEN: Final = 0.5 * (_SHARES[1:] + _SHARES[:-1])
 
 @dataclass(frozen=True, eq=False)
 class ViewTable:
-    """Shares of all chunks in the images from sampled viewpoints.
+    """Shares of all chunks in the panoramas of some viewpoints.
 
-    The share of a chunk is the sum of its splats' blending weights over an image, divided by the
-    number of pixels.
+    A panorama is the six pictures of a cube around the viewpoint (`views.panorama`). The share of a
+    chunk is the sum of its splats' blending weights over the six, divided by their number of
+    pixels.
 
     Parameters
     ----------
     positions : (V, 3) float32
         Positions of the viewpoints in the space of the means; V is 1 to `MAX_VIEWS`.
-    directions : (V, 3) int8
-        View directions: unit vectors times `DIRECTION_UNIT`, rounded; not (0, 0, 0).
     codes : (V, c) uint8
-        Code of each chunk's share in the image of each viewpoint, from `encode_shares`.
+        Code of each chunk's share in the panorama of each viewpoint, from `encode_shares`.
     """
 
     positions: NDArray[np.float32]
-    directions: NDArray[np.int8]
     codes: U8
 
     @property
     def shares(self) -> F64:
-        """Share of each chunk in the image of each viewpoint, (V, c) float64, 0 to 1."""
+        """Share of each chunk in the panorama of each viewpoint, (V, c) float64, 0 to 1."""
         return _SHARES[self.codes]
 
 
@@ -76,11 +71,6 @@ def encode_shares(shares: F64) -> U8:
     """
     codes: U8 = np.searchsorted(_BETWEEN, shares, side="right").astype(np.uint8)
     return codes
-
-
-def quantise_directions(directions: F64) -> NDArray[np.int8]:
-    """Return unit vectors, (V, 3), quantised to int8 for a view table."""
-    return np.rint(DIRECTION_UNIT * directions).astype(np.int8)
 
 
 def pack_codes(codes: U8) -> bytes:

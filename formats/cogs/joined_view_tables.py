@@ -8,11 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cogsplat.codec.cameras import Camera
 from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.segments.view_shares import MAX_VIEWS, ViewTable, encode_shares
 from cogsplat.codec.splats import concatenate
-from cogsplat.codec.views.pose import Lens, Pose
 from cogsplat.codec.views.view_sets import sample_evenly
 
 from .reader import CogsFile
@@ -23,40 +21,27 @@ I64 = NDArray[np.int64]
 # Splats drawn at most; more if the first chunk of each part has more. With 83,000, a walk through a
 # city of ten million splats shows 2 dB less after two seconds at 5 Mbit/s.
 _DRAWN_SPLATS: Final = 500_000
-# The angle of view of viewpoints is not stored; 90 degrees, as docs/streaming.md, 4 takes it.
-_LENS: Final = Lens(128, 128, 1.0)
 
 
 def part_view_table(file: CogsFile) -> ViewTable | None:
     """Return the view table of a part, with all chunks of its file as columns.
 
-    It is None where the root has no table, or a page has viewpoints that the root has not: such a
-    file was joined itself, and what its viewpoints see of all chunks is not known.
+    It is None where the root has no table, or a page has other viewpoints than the root: then the
+    part was joined itself, and what its viewpoints see of all chunks is not known.
     """
     of_root = file.view_table()
     if of_root is None:
         return None
-    rows_of = {viewpoint: row for row, viewpoint in enumerate(_viewpoints(of_root))}
     codes = np.zeros((len(of_root.positions), file.num_chunks), np.uint8)
     for index in file.indices:
         table = file.view_table(index.path)
         if table is None:
             continue
-        found = _viewpoints(table)
-        if not rows_of.keys() >= set(found):
+        if not np.array_equal(table.positions, of_root.positions):
             return None
-        rows = [rows_of[viewpoint] for viewpoint in found]
         count = len(index.tables.chunks)
-        codes[rows, index.first_chunk : index.first_chunk + count] = table.codes[:, :count]
-    return ViewTable(of_root.positions, of_root.directions, codes)
-
-
-def _viewpoints(table: ViewTable) -> list[bytes]:
-    """Return the bytes of each viewpoint, by which it is found again in the tables of pages."""
-    return [
-        position.tobytes() + direction.tobytes()
-        for position, direction in zip(table.positions, table.directions, strict=True)
-    ]
+        codes[:, index.first_chunk : index.first_chunk + count] = table.codes[:, :count]
+    return ViewTable(of_root.positions, codes)
 
 
 def measure_joined_table(
@@ -69,7 +54,7 @@ def measure_joined_table(
 ) -> ViewTable | None:
     """Measure what viewpoints of all parts see of each part.
 
-    The first chunks of all parts are drawn together. A part's share of a picture is shared out
+    The first chunks of all parts are drawn together. A part's share of a panorama is shared out
     among its chunks in proportion to their contributions.
 
     Parameters
@@ -83,7 +68,7 @@ def measure_joined_table(
     contribution : (c,) float64
         Contribution of each chunk, at least 0.
     progress : Progress
-        Called with ``("view table", views done, views)``.
+        Called with ``("view table", pictures done, pictures)``.
 
     Returns
     -------
@@ -91,32 +76,27 @@ def measure_joined_table(
         Table with all chunks of the joined file as columns; None if no part has a table.
     """
     found = {
-        viewpoint: (table.positions[row], table.directions[row])
+        position.tobytes(): position
         for table in tables
         if table is not None
-        for row, viewpoint in enumerate(_viewpoints(table))
+        for position in table.positions
     }
     if not found:
         return None
     # Imported late: commands that only decode need no compiler.
-    from cogsplat.codec.scoring.chunk_contributions import chunk_contributions
+    from cogsplat.codec.scoring.panorama_shares import panorama_shares
 
-    taken = sample_evenly(list(found.values()), MAX_VIEWS)
+    positions = np.array(sample_evenly(list(found.values()), MAX_VIEWS))
     share = _DRAWN_SPLATS / max(sum(int(file.root.splats) for file in files), 1)
     drawn = [
         file.decode(range(_first_chunks(file, share)), sh_degree=0, extras=False, compensate=True)
         for file in files
     ]
     owners = np.repeat(np.arange(len(files)), [len(splats) for splats in drawn])
-    cameras = [_camera(position, direction) for position, direction in taken]
-    shares = chunk_contributions(concatenate(drawn), owners, len(files), cameras, progress=progress)
+    shares = panorama_shares(concatenate(drawn), owners, len(files), positions, progress=progress)
     sums = np.bincount(parts, contribution, minlength=len(files))
     of_chunk = contribution / np.where(sums > 0.0, sums, 1.0)[parts]
-    return ViewTable(
-        np.array([position for position, _ in taken]),
-        np.array([direction for _, direction in taken]),
-        encode_shares(shares[:, parts] * of_chunk),
-    )
+    return ViewTable(positions, encode_shares(shares[:, parts] * of_chunk))
 
 
 def _first_chunks(file: CogsFile, share: float) -> int:
@@ -128,10 +108,3 @@ def _first_chunks(file: CogsFile, share: float) -> int:
     ends = np.cumsum(file.chunks.splats[: len(file.indices[0].tables.chunks)], dtype=np.int64)
     count = int(np.searchsorted(ends, share * float(file.root.splats), side="right"))
     return min(max(count, 1), len(ends))
-
-
-def _camera(position: NDArray[np.float32], direction: NDArray[np.int8]) -> Camera:
-    """Return the camera of a viewpoint; its roll is arbitrary."""
-    forward = direction.astype(np.float64)
-    forward /= np.linalg.norm(forward)
-    return Pose(position.astype(np.float64), forward, 1.0).camera(_LENS, np.zeros(3))

@@ -332,7 +332,7 @@ def _add_view_tables(joint: _Joint, plan: IndexPlan, progress: Progress) -> list
     """Add a view table to each index, where the parts below it have any; return the tables.
 
     An index with a single part below has the viewpoints of that part, others have viewpoints of all
-    parts. Viewpoints that see nothing of an index are left out, except in the root.
+    parts.
     """
     tables = [part_view_table(file) for file in joint.files]
     below = [(index, np.unique(joint.parts[index.chunks_below()])) for index in plan.every()]
@@ -355,7 +355,7 @@ def _add_view_tables(joint: _Joint, plan: IndexPlan, progress: Progress) -> list
         index.rows.insert(0, len(joint.table) + len(segments))
         columns = in_part if is_single else every
         pages = [columns[page.chunks_below()] for page in index.pages]
-        own = table_of_index(table, columns[index.chunks], pages, every_viewpoint=index is plan)
+        own = table_of_index(table, columns[index.chunks], pages)
         segments.append(Segment(SegmentKind.VIEW_TABLE, 0, pack_view_table(own)))
     return segments
 

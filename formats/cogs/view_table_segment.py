@@ -19,7 +19,6 @@ def pack_view_table(table: ViewTable) -> bytes:
     """Encode a view table as the payload of its segment."""
     value: dict[str, canonical_msgpack.Value] = {
         "position": table.positions.astype("<f4").tobytes(),
-        "direction": table.directions.astype("i1").tobytes(),
         "codes": pack_codes(table.codes),
     }
     return canonical_msgpack.pack(value)
@@ -52,7 +51,6 @@ def unpack_view_table(payload: bytes, where: str, chunks: int, allowed_bytes: in
     table = CheckedMap(canonical_msgpack.unpack(payload, where), where, "5.12")
     positions = table.column("position", "<f4", None, 3).astype(np.float32)
     views = len(positions)
-    directions = table.column("direction", "i1", views, 3).astype(np.int8)
     packed = table.pop("codes", bytes)
     stored = int.from_bytes(packed[:_WORD_BYTES], "little") & LENGTH_MASK
     if len(packed) != _WORD_BYTES + stored:
@@ -67,12 +65,10 @@ def unpack_view_table(payload: bytes, where: str, chunks: int, allowed_bytes: in
         raise table.error("position", f"{views} views, expected 1 to {MAX_VIEWS}")
     if not np.isfinite(positions).all():
         raise table.error("position", "NaN or infinity, expected finite numbers")
-    if not directions.any(axis=1).all():
-        raise table.error("direction", "0, 0, 0, expected a direction")
     if views * chunks > allowed_bytes:
         raise LimitError(
             "decoded-size",
             f"{where}: {views * chunks} codes of a byte each, expected at most {allowed_bytes} "
             "(SPEC 9.2)",
         )
-    return ViewTable(positions, directions, unpack_codes(packed, views, chunks, where))
+    return ViewTable(positions, unpack_codes(packed, views, chunks, where))

@@ -371,8 +371,7 @@ def split_view_table(payload: bytes, plan: IndexPlan, chunks: int) -> list[Segme
     Returns
     -------
     list of Segment
-        Tables in file order. The share of a page is the sum of the shares of its chunks. A page has
-        the viewpoints that see a part of it, the root all.
+        Tables in file order. The share of a page is the sum of the shares of its chunks.
     """
     table = unpack_view_table(payload, "view table", chunks, layout.MAX_FILE_BYTES)
     columns = np.arange(chunks)
@@ -381,19 +380,15 @@ def split_view_table(payload: bytes, plan: IndexPlan, chunks: int) -> list[Segme
         if index is not plan and index.chunks.start == index.chunks.stop:
             continue
         pages = [columns[page.chunks_below()] for page in index.pages]
-        own = table_of_index(table, columns[index.chunks], pages, every_viewpoint=index is plan)
+        own = table_of_index(table, columns[index.chunks], pages)
         found.append(Segment(SegmentKind.VIEW_TABLE, 0, pack_view_table(own)))
     return found
 
 
 def table_of_index(
-    table: ViewTable,
-    chunks: NDArray[np.int64],
-    pages: Sequence[NDArray[np.int64]],
-    *,
-    every_viewpoint: bool,
+    table: ViewTable, chunks: NDArray[np.int64], pages: Sequence[NDArray[np.int64]]
 ) -> ViewTable:
-    """Return the view table of an index.
+    """Return the view table of an index, with all viewpoints: that one sees nothing tells as much.
 
     Parameters
     ----------
@@ -403,18 +398,13 @@ def table_of_index(
         Columns of the chunks that the index lists.
     pages : sequence of (k,) int64
         Columns of the chunks below each page that it lists. Their shares are added up.
-    every_viewpoint : bool
-        Keep viewpoints that see none of these chunks; they are kept as well where all see none.
     """
     views = len(table.positions)
     below = [table.shares[:, own].sum(axis=1) for own in pages]
     codes = np.concatenate(
         [table.codes[:, chunks], encode_shares(np.reshape(below, (-1, views)).T)], axis=1
     )
-    seeing = np.flatnonzero(codes.any(axis=1))
-    if every_viewpoint or not len(seeing):
-        seeing = np.arange(views)
-    return ViewTable(table.positions[seeing], table.directions[seeing], codes[seeing])
+    return ViewTable(table.positions, codes)
 
 
 def segment_table(segments: Sequence[Segment]) -> SegmentTable:

@@ -203,8 +203,8 @@ _GROUPS: Final = {
 @click.option(
     "--no-view-table",
     is_flag=True,
-    help="With --cells: store no view table. It holds the contribution of each chunk to up to 64 "
-    "viewpoints, which shows clients what walls hide.",
+    help="With --cells: store no view table. It holds the share of each chunk in what is seen "
+    "all around up to 32 viewpoints, which shows clients what walls hide.",
 )
 @click.option(
     "--no-morton",

@@ -43,7 +43,6 @@ class Scene(TypedDict):
     splats: list[int]
     units: list[tuple[int, int, float, int, list[int]]]
     positions: list[list[float]]
-    directions: list[list[int]]
     codes: list[list[int]]
 
 
@@ -78,11 +77,7 @@ def ratios_of(scene: Scene, rule: str) -> chunk_ratios.PoseValues:
         return chunk_ratios.sgss_priorities(boxes, np.array(scene["splats"], np.float64))
     if rule == "boxes":
         return chunk_ratios.ratios_from_boxes(boxes, contribution)
-    table = ViewTable(
-        np.array(scene["positions"], np.float32),
-        np.array(scene["directions"], np.int8),
-        np.array(scene["codes"], np.uint8),
-    )
+    table = ViewTable(np.array(scene["positions"], np.float32), np.array(scene["codes"], np.uint8))
     return chunk_ratios.ratios_from_view_table(table, boxes, contribution)
 
 
@@ -147,15 +142,12 @@ def _scene(rng: np.random.Generator) -> Scene:
     shares = _rounded(rng.uniform(0.0, 9.0, chunks) * (rng.random(chunks) > 0.1), 2)
     views = int(rng.integers(1, 6))
     codes = rng.integers(225, 255, (views, chunks)) * (rng.random((views, chunks)) > 0.3)
-    directions = rng.integers(-127, 128, (views, 3))
-    directions[~directions.any(axis=1)] = 1
     return {
         "boxes": [_rounded(box, 2) for box in boxes],
         "contribution": shares,
         "splats": rng.integers(10, 400, chunks).tolist(),
         "units": _units(rng, above.tolist(), shares),
         "positions": [_rounded(position, 2) for position in rng.uniform(-6.0, 6.0, (views, 3))],
-        "directions": directions.tolist(),
         "codes": codes.tolist(),
     }
 

@@ -227,7 +227,7 @@ def _valid_entry(vector: Valid) -> tuple[dict[str, Json], bytes]:
         entry["cameras"] = cameras
     if scene.view_tables:
         entry["view_tables"] = [
-            [list(path), [[list(at), list(to), list(shares)] for at, to, shares in table]]
+            [list(path), [[list(position), list(shares)] for position, shares in table]]
             for path, table in scene.view_tables
         ]
     if scene.parents:

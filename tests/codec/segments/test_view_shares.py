@@ -8,14 +8,12 @@ from cogsplat.codec.segments.view_shares import (
     ViewTable,
     encode_shares,
     pack_codes,
-    quantise_directions,
     unpack_codes,
 )
 
 
 def table_of(codes):
-    views = len(codes)
-    return ViewTable(np.zeros((views, 3), np.float32), np.ones((views, 3), np.int8), codes)
+    return ViewTable(np.zeros((len(codes), 3), np.float32), codes)
 
 
 def test_codes_stand_for_half_octaves_exactly():
@@ -53,12 +51,3 @@ def test_codes_come_back(views):
     with pytest.raises(FormatError) as caught:
         unpack_codes(packed, views, 18, "here")
     assert caught.value.code in ("plane-length", "zstd-size")
-
-
-def test_directions_keep_within_a_degree():
-    rng = np.random.default_rng(4)
-    directions = rng.normal(size=(500, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    stored = quantise_directions(directions).astype(np.float64)
-    stored /= np.linalg.norm(stored, axis=1, keepdims=True)
-    assert (stored * directions).sum(axis=1).min() > np.cos(np.radians(1.0))

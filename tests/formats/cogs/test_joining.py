@@ -10,9 +10,8 @@ import cogsplat
 from cogsplat.codec.encode.config import EncodeConfig
 from cogsplat.codec.encode.request import EncodeRequest
 from cogsplat.codec.errors import DataError, StorageError
-from cogsplat.codec.scoring.chunk_contributions import chunk_contributions
 from cogsplat.codec.scoring.contribution import zero_scores
-from cogsplat.codec.views.pose import Lens, Pose
+from cogsplat.codec.scoring.panorama_shares import panorama_shares
 from cogsplat.formats.cogs import joined_view_tables
 from cogsplat.formats.cogs.segment_rows import CHUNK_KINDS
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
@@ -127,10 +126,7 @@ def test_first_layers_shift_the_chunks_of_each_part_as_before(parts, joined):
 
 
 def viewpoints(table):
-    return {
-        place.tobytes() + direction.tobytes()
-        for place, direction in zip(table.positions, table.directions, strict=True)
-    }
+    return {position.tobytes() for position in table.positions}
 
 
 def test_an_index_has_viewpoints_of_its_part_and_one_with_several_parts_of_all(parts, joined):
@@ -165,18 +161,12 @@ def test_the_root_knows_what_parts_hide_of_each_other(parts, joined):
         owners = np.repeat(part_of, whole.chunks.splats)
         pages = [node.first_chunk for node in whole.indices if len(node.path) == 1]
         columns = part_of[[*range(len(root.tables.chunks)), *pages]]
-    cameras = [
-        Pose(place.astype(float), direction / np.linalg.norm(direction.astype(float)), 1.0).camera(
-            Lens(96, 96, 1.0), np.zeros(3)
-        )
-        for place, direction in zip(table.positions, table.directions, strict=True)
-    ]
-    true = chunk_contributions(splats, owners, len(parts), cameras)
+    true = panorama_shares(splats, owners, len(parts), table.positions)
     found = np.stack(
         [table.shares[:, columns == part].sum(axis=1) for part in range(len(parts))], axis=1
     )
     # Only the first chunks are drawn, and codes are coarse.
-    assert np.abs(found - true).max() < 0.06
+    assert (np.abs(found - true) < 0.02 + 0.1 * true).all()
     assert true.std(axis=0).min() > 0.06, "what the viewpoints see differs"
 
 

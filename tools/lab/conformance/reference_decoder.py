@@ -42,8 +42,8 @@ _NAMES: Final = ("means", "scales", "quats", "opacities", "sh0", "shN")
 Rows = dict[str, list[Row]]
 """Decoded splats: rows of values of each array, by array name."""
 Camera = dict[str, str | int | float | list[float]]
-Viewpoint = tuple[list[float], list[int], list[float]]
-"""Position, direction, and share of each chunk."""
+Viewpoint = tuple[list[float], list[float]]
+"""Position, and share of each chunk."""
 Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 Picture = tuple[tuple[str, int, int], bytes]
 """Media type, width and height in the header of a picture; and its bytes."""
@@ -93,8 +93,8 @@ class Scene:
         number.
     cameras : list of dict
         Cameras with the keys of `first_view` and ``name``.
-    view_tables : list of (path, list of (list of float, list of int, list of float))
-        Position, direction and shares of each viewpoint of the table of each index that has one,
+    view_tables : list of (path, list of (list of float, list of float))
+        Position and shares of each viewpoint of the table of each index that has one,
         with the path of the index: the rows of pages from the root on.
     parents : list of (int or None)
         Parent of each chunk; empty in a scene that is not cut into cells.
@@ -290,8 +290,7 @@ def _view_table(file: File, segment: Segment, chunks: int) -> list[Viewpoint]:
             exponent, low = divmod(codes[chunk], 2)
             shares.append((2 + low) * 2.0 ** (exponent - 128) if codes[chunk] else 0.0)
         position = list(struct.unpack_from("<3f", table["position"], 12 * view))
-        direction = list(struct.unpack_from("<3b", table["direction"], 3 * view))
-        out.append((position, direction, shares))
+        out.append((position, shares))
     return out
 
 

@@ -30,10 +30,8 @@ def _stored_plane(differences: bytes) -> bytes:
 def _table(views: int, codes: bytes) -> dict[str, Value]:
     """Return the msgpack map of a view table (SPEC 5.12)."""
     positions = [k / 4 - 1.0 for k in range(3 * views)]
-    directions = [(0, 0, 127), (127, 0, 0), (-90, 1, -90), (0, -128, 0)]
     return {
         "position": struct.pack(f"<{3 * views}f", *positions),
-        "direction": b"".join(struct.pack("3b", *directions[v % 4]) for v in range(views)),
         "codes": codes,
     }
 
@@ -124,8 +122,6 @@ def invalid() -> list[Invalid]:
         body("view-table-must-understand", pack(_THREE | {"walls!": 1}), "root-must-understand",
              "a key with !", "4.3"),
         changed("view-table-text", "root-type", "positions in a text", position="here"),
-        changed("view-table-directions", "root-columns", "two directions of three",
-                direction=bytes([1] * 6)),
         changed("view-table-position-odd", "root-columns", "positions of 13 bytes",
                 position=bytes(13)),
         changed("view-table-word", "root-columns", "codes of three bytes", codes=bytes(3)),
@@ -133,7 +129,6 @@ def invalid() -> list[Invalid]:
                 codes=_stored_plane(plane) + b"\0"),
         changed("view-table-position-infinite", "root-value", "a position that is not finite",
                 position=infinite),
-        changed("view-table-direction-0", "root-value", "a direction of zeros", direction=bytes(9)),
         changed("view-table-short", "plane-length", "a code missing", "6.3",
                 codes=_stored_plane(plane[:-1])),
         changed("view-table-frame", "zstd-frame", "a plane that is no frame", "6.3", codes=broken),

@@ -71,6 +71,40 @@ def screen_coverage(boxes: F64, pose: Pose) -> F64:
     return share
 
 
+def panorama_coverage(boxes: F64, position: F64) -> F64:
+    """Return the mean of the coverages of boxes in the six pictures of a panorama.
+
+    It is the mean of `screen_coverage` of poses at the position that look along each axis in both
+    directions with tangents of 1; boxes and pictures have the same axes, which saves the corners.
+
+    Parameters
+    ----------
+    boxes : (c, 6) float64
+        Minimum then maximum corner, scene units.
+    position : (3,) float64
+
+    Returns
+    -------
+    (c,) float64
+        0 to 1.
+    """
+    low, high = boxes[:, :3] - position, boxes[:, 3:] - position
+    total = np.zeros(len(boxes))
+    for axis in range(3):
+        for near, far in ((low[:, axis], high[:, axis]), (-high[:, axis], -low[:, axis])):
+            is_ahead = far > _NEAR
+            nearest, furthest = np.maximum(near, _NEAR), np.where(is_ahead, far, 1.0)
+            share = np.where(is_ahead, 1.0, 0.0)
+            for across in (axis - 2, axis - 1):
+                start, end = low[:, across], high[:, across]
+                least = start / np.where(start < 0.0, nearest, furthest)
+                largest = end / np.where(end > 0.0, nearest, furthest)
+                width = np.minimum(largest, 1.0) - np.maximum(least, -1.0)
+                share *= np.maximum(width / 2.0, 0.0)
+            total += share
+    return total / 6.0
+
+
 def centres(boxes: F64) -> F64:
     """Return the centre of each box, (c, 3) float64."""
     return 0.5 * (boxes[:, :3] + boxes[:, 3:])

@@ -17,10 +17,11 @@ from .box_projections import (
     centre_depths,
     centres,
     intersects_frustum,
+    panorama_coverage,
     screen_coverage,
     squared_radii,
 )
-from .poses import Pose, cross, dot
+from .poses import Pose
 
 F64 = NDArray[np.float64]
 
@@ -30,12 +31,10 @@ MIN_RATIO: Final = 1.0 / 512.0
 MIN_AVERAGE_SHARE: Final = 1e-12
 """Lower bound of a chunk's share of the total contribution; avoids division by 0."""
 
-# Tangent of the half field of view that is assumed for viewpoints of the table, both axes.
-_VIEWPOINT_TANGENT: Final = 1.0
-# Weight of rotation: half a turn counts 0.6, a viewpoint opposite the pose up to 1.
-_ROTATION_WEIGHT: Final = 0.3
 # Added to the difference of a viewpoint, so that its weight stays finite.
 _LEAST_DIFFERENCE: Final = 0.01
+# Weight of the average of the scored views: that of a viewpoint whose difference is 0.5.
+_AVERAGE_WEIGHT: Final = 8.0
 # Lower bound of half the diagonal of a box, scene units.
 _MIN_RADIUS: Final = 1e-9
 # Lower bound of depths, the near plane of 3DGS, scene units.
@@ -145,8 +144,9 @@ def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) ->
     """Return the visibility function that interpolates a view table (docs/streaming.md, 4).
 
     Visibility is an estimated share of the picture. A viewpoint counts the more, the nearer it is
-    to the pose as seen from the chunk (their distance ÷ the sum of their distances from it), and
-    the more alike they look.
+    to the pose as seen from the chunk: their distance ÷ the sum of their distances from it.
+    One more viewpoint has the average of the scored views, for chunks that no viewpoint near the
+    pose sees.
 
     Parameters
     ----------
@@ -156,41 +156,36 @@ def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) ->
     contribution : (c,) float64
         Stored contribution of each chunk.
     """
-    viewpoints = _viewpoints(table)
+    positions = table.positions.astype(np.float64)
     shares = table.shares.astype(np.float64)
-    # A box covers at least the share that a viewpoint shows, whatever its field of view was.
-    coverages = np.maximum([screen_coverage(boxes, view) for view in viewpoints], shares)
+    # A box covers at least the share that its chunk has.
+    coverages = np.maximum([panorama_coverage(boxes, position) for position in positions], shares)
+    seen = ordered_sum(np.array([ordered_sum(row) for row in shares])) / len(positions)
+    average = contribution * (seen / (ordered_sum(contribution) or 1.0))
+    covered = np.maximum(np.cumsum(coverages, axis=0)[-1] / len(positions), average)
+    shares, coverages = np.vstack([shares, average]), np.vstack([coverages, covered])
     # Their roots: a viewpoint at the box would otherwise outweigh those that see it from the side
     # of the pose.
     extents = np.sqrt(coverages)
     shown = shares / np.where(extents > 0.0, extents, 1.0)
-    positions = np.stack([view.position for view in viewpoints])
-    forwards = np.stack([view.rotation[2] for view in viewpoints])
     middles = centres(boxes)
     radii = np.maximum(np.sqrt(squared_radii(boxes)), _MIN_RADIUS)
     reach = np.stack([_distances(position, middles) + radii for position in positions])
-    average = contribution / (ordered_sum(contribution) or 1.0)
 
     def visibility(pose: Pose) -> F64:
         found = screen_coverage(boxes, pose)
         # The visibility of the others is 0.
         chunks = np.flatnonzero(found > 0.0)
         moved = _distances(pose.position, positions)[:, None]
-        turned = 1.0 - _dots(pose.rotation[2:], forwards)[:, None]
         away = _distances(pose.position, middles[chunks])
-        closeness = 1.0 / (
-            moved / (away + reach[:, chunks]) + _ROTATION_WEIGHT * turned + _LEAST_DIFFERENCE
-        )
+        closeness = 1.0 / (moved / (away + reach[:, chunks]) + _LEAST_DIFFERENCE)
         weights = closeness * closeness * closeness
+        weights = np.vstack([weights, np.full(len(chunks), _AVERAGE_WEIGHT)])
         # Sums over the viewpoints from the first to the last (docs/streaming.md, 1).
         visible, covered = (
             np.cumsum(of[:, chunks] * weights, axis=0)[-1] for of in (shown, extents)
         )
-        # Chunks outside the frustum of every viewpoint fall back to their average contribution.
-        filled = np.where(
-            covered > 0.0, visible / np.where(covered > 0.0, covered, 1.0), average[chunks]
-        )
-        found[chunks] = found[chunks] * filled
+        found[chunks] = found[chunks] * (visible / np.where(covered > 0.0, covered, 1.0))
         return found
 
     return visibility
@@ -231,38 +226,16 @@ def visible_splat_counts(splats: NDArray[np.int64], ratios: F64) -> NDArray[np.i
     Returns
     -------
     (c,) int64
-        From 1 to the chunk's splat count; reduced where the ratio is below 1.
+        Up to the chunk's splat count; reduced where the ratio is below 1, to 0 for chunks that
+        hardly show.
     """
-    counts: NDArray[np.int64] = np.floor(splats * np.minimum(ratios, 1.0)).astype(np.int64)
-    return np.maximum(counts, 1)
-
-
-def _viewpoints(table: ViewTable) -> list[Pose]:
-    """Convert the viewpoints of a view table to poses; their roll is arbitrary."""
-    poses = []
-    for position, direction in zip(table.positions, table.directions, strict=True):
-        forward = direction.astype(np.float64)
-        forward = forward / np.sqrt(dot(forward, forward))
-        # The axis most perpendicular to the view direction; the first of several.
-        axis = np.zeros(3)
-        axis[int(np.argmin(np.abs(forward)))] = 1.0
-        right = cross(axis, forward)
-        right = right / np.sqrt(dot(right, right))
-        rotation = np.stack([right, cross(forward, right), forward])
-        poses.append(
-            Pose(position.astype(np.float64), rotation, _VIEWPOINT_TANGENT, _VIEWPOINT_TANGENT)
-        )
-    return poses
+    counts: NDArray[np.int64] = np.floor(splats * np.minimum(ratios * ratios, 1.0)).astype(np.int64)
+    return counts
 
 
 def _distances(point: F64, points: F64) -> F64:
     """Return the distances of (v, 3) points from one, (v,)."""
     away = point - points
-    return np.sqrt(_dots(away, away))
-
-
-def _dots(one: F64, other: F64) -> F64:
-    """Return the dot products of (v, 3) vectors; each adds its terms from left to right."""
-    terms = one * other
-    dots: F64 = terms[:, 0] + terms[:, 1] + terms[:, 2]
-    return dots
+    squares = away * away
+    distances: F64 = np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2])
+    return distances

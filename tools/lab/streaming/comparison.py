@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cogsplat.codec.cameras import Camera
 from cogsplat.codec.metrics import psnr, ssim
 from cogsplat.codec.progress import Progress, silent
-from cogsplat.codec.segments.view_shares import ViewTable
+from cogsplat.codec.segments.view_shares import MAX_VIEWS, ViewTable, encode_shares
 from cogsplat.codec.splats import Splats
 from cogsplat.codec.views.view_sets import sample_evenly
 from cogsplat.formats.cogs.layout import SegmentKind
@@ -39,7 +39,6 @@ from .policies import (
     by_true_contribution,
     by_urgency,
     file_order,
-    measured_view_table,
     nearest_chunks,
     sgss_chunks,
 )
@@ -80,9 +79,6 @@ PEER: Final = "streamed-sog"
 
 SHARES: Final = (0.2, 0.3, 0.5, 0.7)
 """Shares of the bytes at which pictures from fixed poses are compared."""
-
-TABLE_VIEWS: Final = 64
-"""Viewpoints at most in a view table that is measured for a file without one."""
 
 PictureCallback = Callable[[str, float, F32], None]
 """Receives the policy (empty for the reference), the time in the trace, s, and a picture."""
@@ -188,8 +184,8 @@ class Simulation:
     ----------
     file : CogsFile
     known : sequence of Camera
-        Views from which a view table is measured if the file has none; at most `TABLE_VIEWS`,
-        sampled evenly.
+        Cameras at whose positions a view table is measured if the file has none; at most
+        `MAX_VIEWS`, sampled evenly.
     threads : int
         Threads for rendering and scoring.
     compensate : bool
@@ -216,7 +212,7 @@ class Simulation:
         self.units: Units = units_of(file)
         self._source, self._peer = source, peer
         self._renderer = PartialRenderer(file, threads, compensate=compensate)
-        self._known = sample_evenly(known, TABLE_VIEWS)
+        self._known = sample_evenly(known, MAX_VIEWS)
         self._rows = scene_rows(file.indices, file.parents())
         stored = _stored_tables(file)
         # `visit` uses only information in the file, never a measured table.
@@ -259,19 +255,24 @@ class Simulation:
 
     def _measured_tables(self) -> dict[tuple[int, ...], ViewTable]:
         """Measure the view tables of all indices from the known views."""
-        count, progress = len(self._known), self._progress
-        shares = []
-        for number, camera in enumerate(self._known):
-            progress("table", number, count)
-            shares.append(self._rows.with_sums(self._renderer.chunk_contributions(camera)))
-        progress("table", count, count)
-        columns = np.stack(shares)
+        # Imported late: commands that only decode need no compiler.
+        from cogsplat.codec.scoring.panorama_shares import panorama_shares
+
+        positions = np.stack([camera.position for camera in self._known]).astype(np.float32)
+        of_chunks = panorama_shares(
+            self._renderer.splats,
+            self._renderer.chunk_of_rows(),
+            self.chunks,
+            positions,
+            progress=lambda _, done, pictures: self._progress("table", done, pictures),
+        )
+        columns = np.stack([self._rows.with_sums(shares) for shares in of_chunks])
         tables = {}
         page = self._rows.chunks
         for node in self._file.indices:
             end, pages = node.first_chunk + len(node.tables.chunks), len(node.tables.pages)
             of_node = [*range(node.first_chunk, end), *range(page, page + pages)]
-            tables[node.path] = measured_view_table(self._known, columns[:, of_node])
+            tables[node.path] = ViewTable(positions, encode_shares(columns[:, of_node]))
             page += pages
         return tables
 

@@ -70,6 +70,10 @@ class PartialRenderer:
         """Return the rows of a chunk in `splats`."""
         return self._runs[chunk]
 
+    def chunk_of_rows(self) -> I64:
+        """Return the chunk of each row of `splats`, (N,) int64."""
+        return np.repeat(np.arange(self.chunks), [run.stop - run.start for run in self._runs])
+
     def splat_contributions(self, camera: Camera, splats: Splats | None = None) -> F64:
         """Return the contribution of each splat to a view, (N,); by default of the full scene."""
         # Imported late: commands that only decode need no compiler.

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
-from cogsplat.codec.segments.view_shares import ViewTable, encode_shares, quantise_directions
 from cogsplat.tools.lab.scheduling.chunk_ratios import (
     MIN_RATIO,
     sgss_priorities,
@@ -65,24 +64,6 @@ def by_urgency(units: Units, ratios: ClientRatios) -> Priorities:
         )
 
     return priorities
-
-
-def measured_view_table(cameras: Sequence[Camera], contributions: F64) -> ViewTable:
-    """Build a view table from measured contributions, for a file without one.
-
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        Viewpoints, at most 64.
-    contributions : (V, c) float64
-        Contribution of each chunk to each view, px.
-    """
-    pixels = np.array([camera.width * camera.height for camera in cameras], np.float64)
-    return ViewTable(
-        np.stack([camera.position for camera in cameras]).astype(np.float32),
-        quantise_directions(np.stack([camera.rotation[2] for camera in cameras])),
-        encode_shares(contributions / pixels[:, None]),
-    )
 
 
 def by_true_contribution(

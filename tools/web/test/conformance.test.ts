@@ -111,7 +111,6 @@ function pathOf({ page }: Index): number[] {
 function viewpointsOf(table: ViewTable): number[][][] {
   return Array.from({ length: table.views }, (_, view) => [
     Array.from(table.positions.subarray(3 * view, 3 * view + 3)),
-    Array.from(table.directions.subarray(3 * view, 3 * view + 3)),
     Array.from(table.shares.subarray(table.chunks * view, table.chunks * (view + 1))),
   ]);
 }

@@ -22,7 +22,6 @@ interface Scene {
   readonly splats: readonly number[];
   readonly units: readonly (readonly [number, number, number, number, readonly number[]])[];
   readonly positions: readonly (readonly number[])[];
-  readonly directions: readonly (readonly number[])[];
   readonly codes: readonly (readonly number[])[];
 }
 interface State {
@@ -52,13 +51,12 @@ function poseOf(numbers: readonly number[]): Pose {
   return { position: numbers.slice(0, 3), rotation: numbers.slice(3, 12), tanX: numbers[12]!, tanY: numbers[13]! };
 }
 
-function tableOf({ positions, directions, codes, splats }: Scene): ViewTable {
+function tableOf({ positions, codes, splats }: Scene): ViewTable {
   const share = (code: number): number => (code === 0 ? 0 : (2 + (code & 1)) * 2 ** ((code >> 1) - 128));
   return {
     views: positions.length,
     chunks: splats.length,
     positions: Float32Array.from(positions.flat()),
-    directions: Int8Array.from(directions.flat()),
     shares: Float64Array.from(codes.flat(), share),
   };
 }
@@ -101,5 +99,5 @@ test("the scheduler decides as the reference does in every state", () => {
 
 test("chunks count by what a pose shows of them, and never for more than they have", () => {
   const ratios = Float64Array.of(2, 0.5, 1 / 512, 1 / 512);
-  assert.deepEqual(effectiveSplats([8192, 1000, 100, 1], ratios), [8192, 500, 1, 1]);
+  assert.deepEqual(effectiveSplats([8192, 1000, 100, 1], ratios), [8192, 250, 0, 0]);
 });

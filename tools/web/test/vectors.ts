@@ -27,10 +27,10 @@ export interface ValidVector {
   readonly description?: Readonly<Record<string, unknown>>;
   /** Media type, width, height and SHA-256 of each picture, by name. */
   readonly pictures?: Readonly<Partial<Record<"poster" | "sky", readonly [string, number, number, string]>>>;
-  /** Page rows on the way to each index with a view table, and position, direction and shares of each of its viewpoints. */
+  /** Page rows on the way to each index with a view table, and position and shares of each of its viewpoints. */
   readonly view_tables?: readonly (readonly [
     readonly number[],
-    readonly (readonly [readonly number[], readonly number[], readonly number[]])[],
+    readonly (readonly [readonly number[], readonly number[]])[],
   ])[];
 }
 

@@ -73,7 +73,7 @@ test("what the pose shows little of is not made up for", () => {
   for (const [ratios, ofFirst] of [
     [undefined, 2],
     [new Float64Array(6).fill(3), 2],
-    [unseen, 4],
+    [unseen, 5],
   ] as const) {
     const { visited, prefixes, take } = watched(80, () => ratios);
     take(0, 1, 3, 4);
@@ -99,7 +99,7 @@ test("where a visitor stands still, chunks are changed for what is seen from the
   assert.equal(prefixes.get(0), 2);
   visited.poseChanged();
   while (visited.work(Infinity)) await new Promise((resolve) => setTimeout(resolve, 10));
-  assert.equal(prefixes.get(0), 4);
+  assert.equal(prefixes.get(0), 5);
 });
 
 test("chunks take the rows of those that went, and bring what they add with them", () => {

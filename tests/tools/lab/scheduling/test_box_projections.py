@@ -2,9 +2,11 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.geometry.rotations import matrices
+from cogsplat.codec.views.panorama import FACE_ROTATIONS
 from cogsplat.tools.lab.scheduling.box_projections import (
     centre_depths,
     intersects_frustum,
+    panorama_coverage,
     screen_coverage,
 )
 from cogsplat.tools.lab.scheduling.poses import Pose
@@ -84,3 +86,21 @@ def test_boxes_with_visible_points_pass_both_tests(seed):
     # Both tests are conservative and still reject many invisible boxes.
     assert intersects_frustum(boxes, pose)[~seen].mean() < 0.6
     assert (screen_coverage(boxes, pose)[~seen] > 0.0).mean() < 0.6
+
+
+def test_coverage_of_a_panorama_is_the_mean_of_its_pictures_to_the_bit() -> None:
+    rng = np.random.default_rng(8)
+    low = rng.uniform(-4.0, 3.0, (4000, 3)).astype(np.float32).astype(np.float64)
+    boxes = np.concatenate([low, low + rng.choice([0.0, 0.1, 1.0, 3.0], (4000, 3))], axis=1)
+    for position in (np.zeros(3), np.array([0.3, -1.0, 2.0])):
+        total = np.zeros(len(boxes))
+        for rotation in FACE_ROTATIONS:
+            total += screen_coverage(boxes, Pose(position, rotation, 1.0, 1.0))
+        found = panorama_coverage(boxes, position)
+        np.testing.assert_array_equal(found, total / 6.0)
+        assert (found > 0.0).mean() > 0.9
+
+
+def test_a_box_around_a_viewpoint_covers_its_panorama() -> None:
+    boxes = np.array([[-1.0, -1.0, -1.0, 1.0, 1.0, 1.0], [1.0, -1.0, -1.0, 2.0, 1.0, 1.0]])
+    np.testing.assert_allclose(panorama_coverage(boxes, np.zeros(3)), [1.0, 1.0 / 6.0])

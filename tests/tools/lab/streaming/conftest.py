@@ -15,7 +15,9 @@ from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, synth_rooms
 @pytest.fixture(scope="session")
 def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("house") / "house.cogs"
-    config = EncodeConfig(cells=True, chunk_splats=128, order="contribution", compensate=False)
+    config = EncodeConfig(
+        cells=True, chunk_splats=128, order="contribution", view_table=False, compensate=False
+    )
     cameras = rooms_cameras(4, views=2)
     cogsplat.encode(synth_rooms(4, 5000, sh_degree=1), path, cameras=cameras, config=config)
     return path

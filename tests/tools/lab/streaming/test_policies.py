@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.segments.view_shares import ViewTable, encode_shares
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.tools.lab.scheduling.chunk_ratios import (
     PoseValues,
@@ -19,7 +20,6 @@ from cogsplat.tools.lab.streaming.policies import (
     by_true_contribution,
     by_urgency,
     file_order,
-    measured_view_table,
     nearest_chunks,
     sgss_chunks,
 )
@@ -115,10 +115,12 @@ def test_chunks_outside_the_frustum_come_last() -> None:
 
 
 def test_the_view_table_orders_chunks_by_pose() -> None:
-    shown = np.array([[0.0, 3000.0, 0.0], [1000.0, 0.0, 5000.0]])
-    table = measured_view_table([FORWARD, BACKWARD], shown)
+    # The second viewpoint, far behind the first, sees another chunk.
+    places = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -40.0]], np.float32)
+    table = ViewTable(places, encode_shares(np.array([[0.0, 0.0, 0.03], [0.0, 0.003, 0.0]])))
     priorities = by_urgency(UNITS, of_client(ratios_from_view_table(table, BOXES, EQUAL)))
-    assert order(priorities(FORWARD, []))[0] == 1
+    far = replace(FORWARD, translation=np.array([0.0, 0.0, 40.0]))
+    assert order(priorities(far, []))[0] == 1
     assert order(priorities(BACKWARD, []))[0] == 2
 
 

@@ -9,16 +9,14 @@ const MAX_VIEWS = 64;
 /** Bytes of the plane word before the codes. */
 const WORD_BYTES = 4;
 
-/** Shares of the chunks of an index, and of the pages that it lists, in the pictures of some viewpoints (SPEC 5.12). */
+/** Shares of the chunks of an index, and of the pages that it lists, in what is seen all around some viewpoints (SPEC 5.12). */
 export interface ViewTable {
   readonly views: number;
   /** Chunks and pages of the index. */
   readonly chunks: number;
   /** Position of each viewpoint, three numbers, in the space of the means. */
   readonly positions: Float32Array;
-  /** Viewing direction of each viewpoint, three numbers, with a length of about 127. */
-  readonly directions: Int8Array;
-  /** Share of each chunk, then of each page, in the picture of each viewpoint, viewpoint by viewpoint. */
+  /** Share of each chunk, then of each page, in the panorama of each viewpoint, viewpoint by viewpoint. */
   readonly shares: Float64Array;
 }
 
@@ -39,7 +37,6 @@ export function readViewTable(k: Kernels, payload: Uint8Array, chunks: number, a
   const fields = new Fields(parseMap(payload), "view table");
   const position = fields.column("position", 12);
   const views = position.byteLength / 12;
-  const direction = fields.column("direction", 3, views);
   const packed = fields.binary("codes");
   const word = packed.length < WORD_BYTES ? 0 : new DataView(packed.buffer, packed.byteOffset).getUint32(0, true);
   if (packed.length !== WORD_BYTES + storedBytes(word)) {
@@ -52,13 +49,8 @@ export function readViewTable(k: Kernels, payload: Uint8Array, chunks: number, a
   if (views < 1 || views > MAX_VIEWS) throw fields.outOfRange("position", `${views} viewpoints`);
   const positions = Float32Array.from({ length: 3 * views }, (_, i) => position.getFloat32(4 * i, true));
   if (!positions.every(Number.isFinite)) throw fields.outOfRange("position", "a number that is not finite");
-  const directions = Int8Array.from({ length: 3 * views }, (_, i) => direction.getInt8(i));
-  for (let view = 0; view < views; view++) {
-    if (directions.subarray(3 * view, 3 * view + 3).every((x) => x === 0))
-      throw fields.outOfRange("direction", "zeros");
-  }
   if (views * chunks > allowedBytes) throw new CogsplatError("decoded-size", `${views * chunks} codes of a view table`);
-  return { views, chunks, positions, directions, shares: readShares(k, packed, word, views, chunks) };
+  return { views, chunks, positions, shares: readShares(k, packed, word, views, chunks) };
 }
 
 function readShares(k: Kernels, packed: Uint8Array, word: number, views: number, chunks: number): Float64Array {

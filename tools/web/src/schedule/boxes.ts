@@ -73,6 +73,37 @@ export function pictureShare(boxes: Boxes, box: number, { position, rotation, ta
   return wide * high;
 }
 
+/**
+ * Return the mean of `pictureShare` over the six pictures of a panorama: from a position along each axis, in both
+ * directions, with tangents of 1. Boxes and pictures have the same axes, which saves the corners.
+ */
+export function panoramaShare(boxes: Boxes, box: number, position: ArrayLike<number>): number {
+  const at = 6 * box;
+  let sum = 0;
+  for (let axis = 0; axis < 3; axis++) {
+    const low = boxes[at + axis]! - position[axis]!;
+    const high = boxes[at + 3 + axis]! - position[axis]!;
+    for (const [near, far] of [
+      [low, high],
+      [-high, -low],
+    ] as const) {
+      if (!(far > NEAR)) continue;
+      const nearest = Math.max(near, NEAR);
+      let share = 1;
+      for (let other = 1; other < 3; other++) {
+        const across = (axis + other) % 3;
+        const start = boxes[at + across]! - position[across]!;
+        const end = boxes[at + 3 + across]! - position[across]!;
+        const least = start / (start < 0 ? nearest : far);
+        const largest = end / (end > 0 ? nearest : far);
+        share *= Math.max((Math.min(largest, 1) - Math.max(least, -1)) / 2, 0);
+      }
+      sum += share;
+    }
+  }
+  return sum / 6;
+}
+
 /** Return the centre of a box. */
 export function centre(boxes: Boxes, box: number): [number, number, number] {
   const at = 6 * box;

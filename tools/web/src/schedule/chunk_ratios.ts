@@ -1,15 +1,13 @@
 import type { ViewTable } from "../container/view_table.js";
-import { type Boxes, centre, inPyramid, middleDepth, pictureShare, squaredRadius } from "./boxes.js";
-import { cross, dot, type Pose, type WeightedPose } from "./poses.js";
+import { type Boxes, centre, inPyramid, middleDepth, panoramaShare, pictureShare, squaredRadius } from "./boxes.js";
+import type { Pose, WeightedPose } from "./poses.js";
 
 /** Smallest ratio of a chunk; a chunk that the pose does not show follows the chunks that it shows. */
 export const LEAST_RATIO = 1 / 512;
-/** Tangent of half the angle of view assumed for viewpoints, in both directions. */
-const TABLE_TANGENT = 1;
-/** Weight of the viewing direction: half a turn counts 0.6, a viewpoint opposite the pose up to 1. */
-const TURN = 0.3;
 /** Added to the difference of a viewpoint, so that its weight stays finite. */
 const LEAST_DIFFERENCE = 0.01;
+/** Weight of the average of the scored views: that of a viewpoint whose difference is 0.5. */
+const AVERAGE_WEIGHT = 8;
 /** Smallest half diagonal of a box, scene units. */
 const LEAST_RADIUS = 1e-9;
 /** Smallest share of contribution, which keeps ratios finite and gains above 0. */
@@ -74,46 +72,54 @@ export function visibleInBoxes(boxes: Boxes, contribution: Float64Array): PoseRa
 /**
  * Estimate visibility from the viewpoints of a view table, as shares of the picture.
  *
- * A viewpoint counts the more, the nearer it is to the pose as seen from the chunk (their distance ÷ the sum of their
- * distances from it), and the more alike they look.
+ * A viewpoint counts the more, the nearer it is to the pose as seen from the chunk: their distance ÷ the sum of their
+ * distances from it. One more viewpoint has the average of the scored views, for chunks that no viewpoint near the pose
+ * sees.
  */
 export function visibleInTable(table: ViewTable, boxes: Boxes, contribution: Float64Array): PoseRatios {
-  const { chunks, shares } = table;
-  const viewpoints = viewpointsOf(table);
-  // A box covers at least the share that a viewpoint shows of its chunk, whatever its angle of view was. Roots: a
-  // viewpoint at the box would otherwise outweigh those that see it from the side of the pose.
-  const extents = shares.map((share, i) =>
-    Math.sqrt(Math.max(pictureShare(boxes, i % chunks, viewpoints[Math.floor(i / chunks)]!), share)),
+  const { views, chunks, positions } = table;
+  const viewpoints = Array.from({ length: views }, (_, view) => Array.from(positions.subarray(3 * view, 3 * view + 3)));
+  // A box covers at least the share that its chunk has. Roots: a viewpoint at the box would otherwise outweigh those
+  // that see it from the side of the pose.
+  const coverages = table.shares.map((share, i) =>
+    Math.max(panoramaShare(boxes, i % chunks, viewpoints[Math.floor(i / chunks)]!), share),
   );
+  const seen = total(
+    Float64Array.from(viewpoints, (_, view) => total(table.shares.subarray(view * chunks, (view + 1) * chunks))),
+  );
+  const usual = seen / views / (total(contribution) || 1);
+  const average = contribution.map((value) => value * usual);
+  const covers = average.map((share, chunk) =>
+    Math.max(total(Float64Array.from(viewpoints, (_, view) => coverages[view * chunks + chunk]!)) / views, share),
+  );
+  const shares = joined(table.shares, average);
+  const extents = joined(coverages, covers).map(Math.sqrt);
   const shown = shares.map((share, i) => (extents[i]! > 0 ? share / extents[i]! : 0));
   const centres = Array.from({ length: chunks }, (_, chunk) => centre(boxes, chunk));
   const radii = centres.map((_, chunk) => Math.max(Math.sqrt(squaredRadius(boxes, chunk)), LEAST_RADIUS));
-  const reach = Float64Array.from(
-    viewpoints.flatMap((view) => centres.map((at, i) => distance(view.position, at) + radii[i]!)),
-  );
-  const whole = total(contribution);
+  const reach = Float64Array.from(viewpoints.flatMap((view) => centres.map((at, i) => distance(view, at) + radii[i]!)));
   return (pose) => {
-    const found = contribution.map((_, chunk) => pictureShare(boxes, chunk, pose));
+    const found = Float64Array.from({ length: chunks }, (_, chunk) => pictureShare(boxes, chunk, pose));
     // The visibility of the others is 0.
     const inPicture = Array.from(found.keys()).filter((chunk) => found[chunk]! > 0);
     const away = inPicture.map((chunk) => distance(pose.position, centres[chunk]!));
     const visible = new Float64Array(inPicture.length);
     const covered = new Float64Array(inPicture.length);
+    const add = (row: number, i: number, weight: number): void => {
+      visible[row]! += shown[i]! * weight;
+      covered[row]! += extents[i]! * weight;
+    };
     viewpoints.forEach((view, at) => {
-      const moved = distance(pose.position, view.position);
-      const turned = TURN * (1 - dot(pose.rotation.slice(6), view.rotation.slice(6)));
+      const moved = distance(pose.position, view);
       inPicture.forEach((chunk, row) => {
         const i = at * chunks + chunk;
-        const near = 1 / (moved / (away[row]! + reach[i]!) + turned + LEAST_DIFFERENCE);
-        const weight = near * near * near;
-        visible[row]! += shown[i]! * weight;
-        covered[row]! += extents[i]! * weight;
+        const near = 1 / (moved / (away[row]! + reach[i]!) + LEAST_DIFFERENCE);
+        add(row, i, near * near * near);
       });
     });
+    inPicture.forEach((chunk, row) => add(row, views * chunks + chunk, AVERAGE_WEIGHT));
     inPicture.forEach((chunk, row) => {
-      const most = covered[row]!;
-      // Chunks outside the view of all viewpoints count by their average contribution.
-      found[chunk]! *= most > 0 ? visible[row]! / most : contribution[chunk]! / (whole || 1);
+      found[chunk]! *= visible[row]! / (covered[row]! > 0 ? covered[row]! : 1);
     });
     return found;
   };
@@ -153,31 +159,14 @@ export function overUsual(
 
 /** Return the effective number of splats of each chunk when the picture is compensated (docs/streaming.md, 10). */
 export function effectiveSplats(splats: ArrayLike<number>, ratios: Float64Array): number[] {
-  return Array.from(ratios, (ratio, chunk) => Math.max(Math.floor(splats[chunk]! * Math.min(ratio, 1)), 1));
+  return Array.from(ratios, (ratio, chunk) => Math.floor(splats[chunk]! * Math.min(ratio * ratio, 1)));
 }
 
-/** Convert the viewpoints of a table to poses; their roll is arbitrary. */
-function viewpointsOf({ views, positions, directions }: ViewTable): Pose[] {
-  return Array.from({ length: views }, (_, view) => {
-    const stored = Array.from(directions.subarray(3 * view, 3 * view + 3));
-    const length = Math.sqrt(dot(stored, stored));
-    const forward = stored.map((x) => x / length);
-    const sizes = forward.map(Math.abs);
-    // The axis most perpendicular to the direction, the first of several.
-    const across = sizes.indexOf(Math.min(...sizes));
-    const sideways = cross(
-      [0, 1, 2].map((axis) => (axis === across ? 1 : 0)),
-      forward,
-    );
-    const width = Math.sqrt(dot(sideways, sideways));
-    const right = sideways.map((x) => x / width);
-    return {
-      position: Array.from(positions.subarray(3 * view, 3 * view + 3)),
-      rotation: [...right, ...cross(forward, right), ...forward],
-      tanX: TABLE_TANGENT,
-      tanY: TABLE_TANGENT,
-    };
-  });
+function joined(first: Float64Array, second: Float64Array): Float64Array {
+  const both = new Float64Array(first.length + second.length);
+  both.set(first);
+  both.set(second, first.length);
+  return both;
 }
 
 /** Return the distance of two points, rounded alike on all machines, which `Math.hypot` is not. */
