@@ -23,9 +23,9 @@ from .encoded import EncodedScene
 F64 = NDArray[np.float64]
 
 _LARGEST_SHARE: Final = 1 / 200
-"""Largest size of a view table, as a share of the chunks' bytes."""
+"""Largest size of a view table, as a share of the bytes of all heads, refinements and tails."""
 
-# Least viewpoints of a table; fewer do not cover the places of visitors.
+# Least viewpoints that there must be room and cameras for; fewer do not cover where visitors are.
 _LEAST_VIEWPOINTS: Final = 4
 
 
@@ -39,7 +39,7 @@ _SAMPLED_MEANS: Final = 10_000
 
 MOST_VIEWPOINTS: Final = 32
 """Viewpoints of a table at most: of a city of a million splats, 42 take 14 % of the time of an
-encode and show no more than 32."""
+encode and give pictures no better than 32 do."""
 
 
 def count_viewpoints(encoded: EncodedScene, cameras: int) -> int:
@@ -54,8 +54,8 @@ def count_viewpoints(encoded: EncodedScene, cameras: int) -> int:
 
     Notes
     -----
-    The table fits into `_LARGEST_SHARE` of the scene's bytes even if its codes do not compress, so
-    that a search for a size knows an upper bound.
+    The table fits into `_LARGEST_SHARE` even if its codes do not compress; a search for a size
+    reserves that much.
     """
     size = sum(
         sum(len(part or b"") for part in (p.head, p.refinement, p.tail))
@@ -82,8 +82,9 @@ def add_view_table(
     encoded : EncodedScene
         Scene with its chunks.
     cameras : sequence of Camera
-        Cameras in the frame of the means. Viewpoints are different positions of them, spread over
-        all: each is the farthest from those chosen before it in the unit ball around the scene.
+        Cameras in the frame of the means. Viewpoints are some of their positions, all different:
+        the first camera's, then always the one farthest from the nearest chosen one, in the unit
+        ball of `into_unit_ball`.
     workspace : Workspace
         Allocator of long arrays.
     executor : Executor, optional

@@ -87,7 +87,10 @@ class Region:
 
     @property
     def is_told_apart(self) -> bool:
-        """Whether views tell parts of the region apart: a plane splits it, or a region within."""
+        """Whether views tell parts of it apart: a plane splits this region or one inside it.
+
+        A box does not count: it separates surroundings, whatever views see.
+        """
         if self.halves is None:
             return False
         return self.box is None or any(half.is_told_apart for half in self.halves)

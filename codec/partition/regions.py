@@ -17,9 +17,9 @@ from .nested_cells import WHOLE_SCENE, Region
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-# Share of a picture from which a view is assumed to fetch a whole region; smaller shares count in
-# proportion. With 0.002, a glimpse through a door counts as much as a room, and planes cut rooms in
-# halves: a house of six rooms then shows 8 to 10 dB less after a fifth and a third of its bytes.
+# A view of which a region fills this share or more counts as fetching all of the region, a smaller
+# share in proportion. With 0.002, a glimpse through a door counts as much as a room, and planes cut
+# rooms in halves: a house of six rooms then shows 9 dB less after a fifth of its bytes.
 _SEEN_SHARE: Final = 0.2
 
 # Least share of a region that a split must save a view that fetches the region. The best plane

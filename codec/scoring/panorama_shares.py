@@ -20,7 +20,7 @@ F64 = NDArray[np.float64]
 FACE_SIDE: Final = 64
 """Side of each picture of a panorama, px.
 
-With 128, shares of a city of a million splats move by 3 %, and measuring takes a tenth longer.
+128 changes the shares of a city of a million splats by 3 %, and measuring takes a tenth longer.
 """
 
 
@@ -57,7 +57,7 @@ def panorama_shares(
     -------
     (V, count) float64
         Shares, 0 to 1: the sum of the blending weights T·alpha of the chunk's splats over the six
-        pictures of the panorama, divided by their number of pixels. Independent of the number of
+        pictures of the panorama, divided by the pixels of all six. Independent of the number of
         threads.
 
     Examples

@@ -75,7 +75,8 @@ def panorama_coverage(boxes: F64, position: F64) -> F64:
     """Return the mean of the coverages of boxes in the six pictures of a panorama.
 
     It is the mean of `screen_coverage` of poses at the position that look along each axis in both
-    directions with tangents of 1; boxes and pictures have the same axes, which saves the corners.
+    directions with tangents of 1, to the bit. Boxes are parallel to these pictures, so that no
+    corner needs to be transformed.
 
     Parameters
     ----------

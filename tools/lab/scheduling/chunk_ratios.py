@@ -81,7 +81,7 @@ def visibility_ratios(visibility: F64, contribution: F64) -> F64:
     visibility : (c,) float64
         Visibility of each chunk in one picture, any unit, at least 0.
     contribution : (c,) float64
-        Stored contribution of each chunk (mean over the training views).
+        Stored contribution of each chunk; only proportions matter.
 
     Returns
     -------
@@ -143,10 +143,9 @@ def visibility_of_boxes(boxes: F64, contribution: F64) -> PoseValues:
 def visibility_of_view_table(table: ViewTable, boxes: F64, contribution: F64) -> PoseValues:
     """Return the visibility function that interpolates a view table (docs/streaming.md, 4).
 
-    Visibility is an estimated share of the picture. A viewpoint counts the more, the nearer it is
-    to the pose as seen from the chunk: their distance ÷ the sum of their distances from it.
-    One more viewpoint has the average of the scored views, for chunks that no viewpoint near the
-    pose sees.
+    Visibility is an estimated share of the picture. A viewpoint counts the more, the less it
+    differs from the pose: by their distance ÷ the sum of their distances from the box. One more
+    viewpoint has the average of the scored views, for chunks that no viewpoint near the pose sees.
 
     Parameters
     ----------
@@ -214,7 +213,7 @@ def sgss_priorities(boxes: F64, splats: F64) -> PoseValues:
 
 
 def visible_splat_counts(splats: NDArray[np.int64], ratios: F64) -> NDArray[np.int64]:
-    """Scale the splat counts of chunks by their visibility, for compensation (section 10).
+    """Reduce the splat counts of chunks that show little, for compensation (section 10).
 
     Parameters
     ----------

@@ -75,7 +75,7 @@ export function pictureShare(boxes: Boxes, box: number, { position, rotation, ta
 
 /**
  * Return the mean of `pictureShare` over the six pictures of a panorama: from a position along each axis, in both
- * directions, with tangents of 1. Boxes and pictures have the same axes, which saves the corners.
+ * directions, with tangents of 1. Boxes are parallel to these pictures, so that no corner needs to be transformed.
  */
 export function panoramaShare(boxes: Boxes, box: number, position: ArrayLike<number>): number {
   const at = 6 * box;

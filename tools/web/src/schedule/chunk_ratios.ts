@@ -72,9 +72,8 @@ export function visibleInBoxes(boxes: Boxes, contribution: Float64Array): PoseRa
 /**
  * Estimate visibility from the viewpoints of a view table, as shares of the picture.
  *
- * A viewpoint counts the more, the nearer it is to the pose as seen from the chunk: their distance ÷ the sum of their
- * distances from it. One more viewpoint has the average of the scored views, for chunks that no viewpoint near the pose
- * sees.
+ * A viewpoint counts the more, the less it differs from the pose: by their distance ÷ the sum of their distances from
+ * the box. One more viewpoint has the average of the scored views, for chunks that no viewpoint near the pose sees.
  */
 export function visibleInTable(table: ViewTable, boxes: Boxes, contribution: Float64Array): PoseRatios {
   const { views, chunks, positions } = table;
@@ -117,7 +116,9 @@ export function visibleInTable(table: ViewTable, boxes: Boxes, contribution: Flo
         add(row, i, near * near * near);
       });
     });
-    inPicture.forEach((chunk, row) => add(row, views * chunks + chunk, AVERAGE_WEIGHT));
+    inPicture.forEach((chunk, row) => {
+      add(row, views * chunks + chunk, AVERAGE_WEIGHT);
+    });
     inPicture.forEach((chunk, row) => {
       found[chunk]! *= visible[row]! / (covered[row]! > 0 ? covered[row]! : 1);
     });
