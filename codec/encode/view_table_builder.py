@@ -20,14 +20,11 @@ from cogsplat.codec.workspace import IN_MEMORY, Workspace
 
 from .encoded import EncodedScene
 
-F64 = NDArray[np.float64]
-
 _LARGEST_SHARE: Final = 1 / 200
 """Largest size of a view table, as a share of the bytes of all heads, refinements and tails."""
 
 # Least viewpoints that there must be room and cameras for; fewer do not cover where visitors are.
 _LEAST_VIEWPOINTS: Final = 4
-
 
 # Bytes of a viewpoint's position, three float32, and of the map with the names of its columns.
 _VIEW_BYTES: Final = 12
@@ -35,7 +32,6 @@ _MAP_BYTES: Final = 32
 
 # Centres from which the middle and the extent of a scene follow, about.
 _SAMPLED_MEANS: Final = 10_000
-
 
 MOST_VIEWPOINTS: Final = 32
 """Viewpoints of a table at most: of a city of a million splats, 42 take 14 % of the time of an

@@ -55,7 +55,7 @@ class ViewTable:
 
     @property
     def shares(self) -> F64:
-        """Share of each chunk in the panorama of each viewpoint, (V, c) float64, 0 to 1."""
+        """Share of each chunk in the panorama of each viewpoint, (V, c) float64, as stored."""
         return _SHARES[self.codes]
 
 

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
 
-F64 = NDArray[np.float64]
-
 _X, _Y, _Z = np.eye(3)
 
 FACE_ROTATIONS: Final = np.array(

@@ -255,16 +255,9 @@ class Simulation:
 
     def _measured_tables(self) -> dict[tuple[int, ...], ViewTable]:
         """Measure the view tables of all indices from the known views."""
-        # Imported late: commands that only decode need no compiler.
-        from cogsplat.codec.scoring.panorama_shares import panorama_shares
-
         positions = np.stack([camera.position for camera in self._known]).astype(np.float32)
-        of_chunks = panorama_shares(
-            self._renderer.splats,
-            self._renderer.chunk_of_rows(),
-            self.chunks,
-            positions,
-            progress=lambda _, done, pictures: self._progress("table", done, pictures),
+        of_chunks = self._renderer.panorama_shares(
+            positions, lambda _, done, pictures: self._progress("table", done, pictures)
         )
         columns = np.stack([self._rows.with_sums(shares) for shares in of_chunks])
         tables = {}

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cogsplat.codec.cameras import Camera
+from cogsplat.codec.executor import LocalThreads
+from cogsplat.codec.progress import Progress, silent
 from cogsplat.codec.segments.chunk_sets import (
     descendant_parts,
     equivalent_prefixes,
@@ -70,10 +72,6 @@ class PartialRenderer:
         """Return the rows of a chunk in `splats`."""
         return self._runs[chunk]
 
-    def chunk_of_rows(self) -> I64:
-        """Return the chunk of each row of `splats`, (N,) int64."""
-        return np.repeat(np.arange(self.chunks), [run.stop - run.start for run in self._runs])
-
     def splat_contributions(self, camera: Camera, splats: Splats | None = None) -> F64:
         """Return the contribution of each splat to a view, (N,); by default of the full scene."""
         # Imported late: commands that only decode need no compiler.
@@ -88,6 +86,25 @@ class PartialRenderer:
         by_splat = self.splat_contributions(camera)
         starts = [run.start for run in self._runs]
         return np.add.reduceat(by_splat, starts) if starts else np.zeros(0)
+
+    def panorama_shares(self, positions: NDArray[np.floating], progress: Progress = silent) -> F64:
+        """Return each chunk's share of the panoramas of viewpoints, (V, c) float64.
+
+        Parameters
+        ----------
+        positions : (V, 3)
+            Viewpoints, scene units.
+        progress : Progress
+            See `scoring.panorama_shares`.
+        """
+        # Imported late: commands that only decode need no compiler.
+        from cogsplat.codec.scoring.panorama_shares import panorama_shares
+
+        chunk_of_rows = np.repeat(np.arange(self.chunks), [r.stop - r.start for r in self._runs])
+        executor = LocalThreads(self._threads)
+        return panorama_shares(
+            self.splats, chunk_of_rows, self.chunks, positions, executor=executor, progress=progress
+        )
 
     def picture(self, camera: Camera, splats: Splats | None = None) -> F32:
         """Render splats, by default the full scene, to an (H, W, 3) picture of values 0 to 1."""

@@ -118,8 +118,6 @@ export function visibleInTable(table: ViewTable, boxes: Boxes, contribution: Flo
     });
     inPicture.forEach((chunk, row) => {
       add(row, views * chunks + chunk, AVERAGE_WEIGHT);
-    });
-    inPicture.forEach((chunk, row) => {
       found[chunk]! *= visible[row]! / (covered[row]! > 0 ? covered[row]! : 1);
     });
     return found;

@@ -54,11 +54,11 @@ function orthonormal(turned: readonly number[]): number[] | undefined {
   return right && [...right, ...cross(forward, right), ...forward];
 }
 
-export function dot(a: readonly number[], b: readonly number[]): number {
+function dot(a: readonly number[], b: readonly number[]): number {
   return a[0]! * b[0]! + a[1]! * b[1]! + a[2]! * b[2]!;
 }
 
-export function cross(a: readonly number[], b: readonly number[]): number[] {
+function cross(a: readonly number[], b: readonly number[]): number[] {
   return [a[1]! * b[2]! - a[2]! * b[1]!, a[2]! * b[0]! - a[0]! * b[2]!, a[0]! * b[1]! - a[1]! * b[0]!];
 }
 
