@@ -1,9 +1,10 @@
 import { type Unit, UnitLinks } from "./unit_links.js";
 
 /**
- * Bytes in flight beyond one round trip, as seconds of the connection: requests never run dry, and few are made early.
+ * Bytes in flight beyond one round trip, as seconds of the connection: requests never run dry, and few are made before
+ * pages and view tables arrive that would choose better.
  */
-const AHEAD_SECONDS = 0.25;
+const AHEAD_SECONDS = 0.1;
 /** Factor on the worth of chunks held. Without it, two chunks of similar worth would evict each other in turn. */
 const HELD_FACTOR = 2;
 /** Least ratio between the urgency of the best missing unit and of a unit stopped for it. */
