@@ -17,10 +17,12 @@ from .chunk_contributions import chunk_contributions
 
 F64 = NDArray[np.float64]
 
-FACE_SIDE: Final = 64
+FACE_SIDE: Final = 128
 """Side of each picture of a panorama, px.
 
-128 changes the shares of a city of a million splats by 3 %, and measuring takes a tenth longer.
+In smaller pictures, near splats are blurred over distant ones, whose shares are too small. A walk
+through a city of a million, within 0.2 million splats, shows 44.0, 45.2 and 45.9 dB by pictures of
+64, 128 and 256 px; measuring those of 128 px takes 5 % longer than of 64, those of 256 px 40 %.
 """
 
 
