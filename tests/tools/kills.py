@@ -18,6 +18,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NoReturn
@@ -30,6 +31,7 @@ from click.testing import CliRunner  # noqa: E402
 from s3_server import s3_server  # noqa: E402
 
 import cogsplat  # noqa: E402
+from cogsplat.codec.fit import tune_config  # noqa: E402
 from cogsplat.formats.cameras.inria import write_cameras_json  # noqa: E402
 from cogsplat.formats.storage import atomic, scratch_folder  # noqa: E402
 from cogsplat.tools import child_command  # noqa: E402
@@ -60,6 +62,11 @@ class Command:
     outputs: tuple[str, ...]
     others: tuple[str, ...] = ()
 
+
+# As few steps as pass every phase of tuning several times; the usual ones take 17 s a run.
+tune_config.TuneConfig = partial(  # type: ignore[misc,assignment]
+    tune_config.TuneConfig, recovery_steps=150, quantised_steps=120
+)
 
 VIEWS = ["--cameras", "cameras.json"]
 COMMANDS = {

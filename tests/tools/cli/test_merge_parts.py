@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 from running import Run
 
 import cogsplat
@@ -10,7 +11,10 @@ from cogsplat.codec.metrics import psnr
 from cogsplat.tools.lab.synthetic.terrace import synth, synth_cameras
 
 
-def encoded_parts(run: Run, folder: Path) -> list[Path]:
+@pytest.fixture(scope="module")
+def parts(run: Run, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """The encoded parts of a scene, each beside its PLY."""
+    folder = tmp_path_factory.mktemp("parts")
     scene = folder / "scene.ply"
     cogsplat.write(synth(1200, sh_degree=1), scene)
     told = run("split", scene, folder / "parts", "--splats", 400, "--quiet")
@@ -22,8 +26,8 @@ def encoded_parts(run: Run, folder: Path) -> list[Path]:
     return sorted((folder / "parts").glob("*.cogs"))
 
 
-def test_a_scene_comes_back_from_its_parts(run: Run, tmp_path: Path) -> None:
-    parts, out = encoded_parts(run, tmp_path), tmp_path / "all.cogs"
+def test_a_scene_comes_back_from_its_parts(run: Run, parts: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "all.cogs"
     assert len(parts) >= 3
     told = run("merge", *parts, out, "--parts", "--json")
     assert (told.code, told.err) == (0, "")
@@ -46,12 +50,14 @@ def test_a_scene_comes_back_from_its_parts(run: Run, tmp_path: Path) -> None:
     assert f"parts       {len(parts)}" in told.out
 
 
-def test_parts_with_codebooks_of_their_own_are_refused(run: Run, tmp_path: Path) -> None:
-    parts, out = encoded_parts(run, tmp_path), tmp_path / "all.cogs"
-    scene = tmp_path / "parts" / "001.ply"
-    told = run("encode", scene, parts[1], "--cells", "--preset", "fast", "--force", "--quiet")
+def test_parts_with_codebooks_of_their_own_are_refused(
+    run: Run, parts: list[Path], tmp_path: Path
+) -> None:
+    own, out = tmp_path / "001.cogs", tmp_path / "all.cogs"
+    scene = parts[1].with_suffix(".ply")
+    told = run("encode", scene, own, "--cells", "--preset", "fast", "--quiet")
     assert told.code == 0
-    told = run("merge", *parts, out, "--parts")
+    told = run("merge", parts[0], own, *parts[2:], out, "--parts")
     assert told.code == 3
     assert "other codebooks" in told.err
     assert "--basis-of" in told.err
