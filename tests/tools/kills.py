@@ -63,7 +63,7 @@ class Command:
     others: tuple[str, ...] = ()
 
 
-# As few steps as pass every phase of tuning several times; the usual ones take 17 s a run.
+# Enough steps for all phases of tuning and for checkpoints; the usual number takes 17 s a run.
 tune_config.TuneConfig = partial(  # type: ignore[misc,assignment]
     tune_config.TuneConfig, recovery_steps=150, quantised_steps=120
 )

@@ -215,7 +215,7 @@ def _state(rng: np.random.Generator, number: int, scene: Scene, rule: str) -> St
         "under_way": under_way,
         "received": received,
         "budget_splats": budget,
-        "bytes_per_second": float(rng.integers(2000, 40000)),
+        "bytes_per_second": float(rng.integers(4000, 80000)),
         "latency": round(float(rng.uniform(0.0, 0.2)), 3),
         "evicted": evicted,
         "decision": [],

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-# Data in flight beyond the bandwidth-delay product. More is chosen before pages and view tables
-# have arrived that would choose better; less would let the connection run idle. With 0.25 s, the
-# first second in a city shows up to 9 dB less, and houses 1 to 2 dB less on the way.
+# Data in flight beyond bandwidth x latency. More would be chosen before the pages and view tables
+# have arrived that tell what is visible; less would let the connection run idle. 0.25 s shows 1 to
+# 2 dB less in the first second in a city and on paths through a house (docs/ablations.md).
 _MARGIN_SECONDS: Final = 0.1
 
 # Hysteresis: an evicted chunk or aborted unit must be worth less than its replacement by this

@@ -103,8 +103,9 @@ test("chunks that end are no units", () => {
 test("a connection is judged by what has come lately, pauses left aside", () => {
   const link = new LinkEstimate();
   assert.equal(link.bytesPerSecond, 250_000);
-  link.recordLatency(0.3);
   assert.equal(link.latency, 0.1);
+  link.recordLatency(0.3);
+  assert.equal(link.latency, 0.3);
   link.recordLatency(0.02);
   assert.equal(link.latency, 0.02);
   for (let i = 0; i <= 100; i++) link.recordBytes(10_000, 5 + 0.01 * i);

@@ -21,7 +21,7 @@ export class LinkEstimate {
    * answers.
    */
   get latency(): number {
-    return Math.min(this.shortest, FIRST_LATENCY);
+    return Number.isFinite(this.shortest) ? this.shortest : FIRST_LATENCY;
   }
 
   /** Record the latency of an answer, seconds. */

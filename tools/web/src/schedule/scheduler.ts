@@ -1,8 +1,8 @@
 import { type Unit, UnitLinks } from "./unit_links.js";
 
 /**
- * Bytes in flight beyond one round trip, as seconds of the connection: requests never run dry, and few are made before
- * pages and view tables arrive that would choose better.
+ * Bytes in flight beyond bandwidth times latency, as seconds of the connection. More would be chosen before the pages
+ * and view tables have arrived that tell what is visible; less would let the connection run idle.
  */
 const AHEAD_SECONDS = 0.1;
 /** Factor on the worth of chunks held. Without it, two chunks of similar worth would evict each other in turn. */
