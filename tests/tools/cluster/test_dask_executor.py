@@ -149,7 +149,7 @@ def once_at(stage: str, step: int, act: Callable[[], object]) -> Progress:
     return report
 
 
-@pytest.mark.parametrize("workers", [1, 3])
+@pytest.mark.parametrize("workers", [1, 2, 4])
 def test_bytes_are_those_of_a_local_encode(
     scene: tuple[Splats, list[Camera]], expected: bytes, tmp_path: Path, workers: int
 ) -> None:

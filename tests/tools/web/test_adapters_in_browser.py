@@ -211,8 +211,8 @@ def test_a_renderer_that_follows_the_specification_draws_our_pictures(
     page: Page, site: str, small: SmallScene, renderer: str
 ) -> None:
     open_page(page, site, renderer)
-    assert_our_pictures(page, small, camera(30))
-    # Training was in pictures of 64x48, as the file says: that one is larger, this one is smaller.
+    assert_our_pictures(page, small, camera(8), camera(30))
+    # Training was in pictures of 64x48, as the file says: those are larger, this one is smaller.
     page.set_viewport_size({"width": 40, "height": 30})
     view = synth_cameras(48, 40, 30)[8]
     assert_our_pictures(page, small, view)
