@@ -10,7 +10,8 @@ from cogsplat.codec.order.orders import split_name
 from .config import EncodeConfig
 
 # Kernels that share inner kernels are adjacent; see the notes of `needed_kernels`.
-_BLENDING: Final = ("render.sensitivities", "render.blend_weights", "render.rasteriser")
+_LOSSY: Final = ("rate.sparse_codes", "render.sensitivities")
+_BLENDING: Final = ("render.blend_weights", "render.rasteriser")
 _GAIN: Final = ("render.marginal_gains",)
 _FIT: Final = ("render.gradients", "encode.shift_kernels")
 _OTHERS: Final = (
@@ -40,10 +41,10 @@ def needed_kernels(config: EncodeConfig) -> list[DeclaredKernel]:
     Kernels that share inner kernels are adjacent, so that one process compiles the inner kernels
     for all of them.
     """
-    near_lossless = config.profile == "near-lossless"
     modules = [
         *(_GAIN if split_name(config.order)[0] == "gain" else ()),
-        *(_BLENDING[1:] if near_lossless else _BLENDING),
+        *(() if config.profile == "near-lossless" else _LOSSY),
+        *_BLENDING,
         *(_FIT if config.compensates else ()),
         *_OTHERS,
     ]

@@ -7,6 +7,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.compiling import called_with
+from cogsplat.codec.render.jit import inner_kernel, kernel
 from cogsplat.codec.streams.shn_transform import coordinate_groups
 
 F64 = NDArray[np.float64]
@@ -65,35 +67,78 @@ def choose_codes(positions: F64, costs: F64, bit_price: float, shrink: float, ro
     groups = coordinate_groups(width)
     group_of = np.repeat(np.arange(len(groups)), [len(group) for group in groups])
     inner_bits, last_bits, end_bits = _bits(rounded, group_of)
-    size, negative = np.abs(positions), positions < 0
-    nearest = np.rint(size).astype(np.int64)
-    candidates = [np.zeros_like(nearest), np.maximum(nearest - 1, 0), nearest]
-    inner, last = [], []
-    for magnitudes in candidates:
-        missed = size - np.where(magnitudes > 0, magnitudes - shrink, 0.0)
-        error = costs[:, None] * np.square(missed)
-        symbols = _symbols(magnitudes, negative)
-        inner.append(error + price * inner_bits[group_of, symbols])
-        # The last code is not zero.
-        ending = error + price * last_bits[group_of, symbols]
-        last.append(np.where(magnitudes > 0, ending, np.inf))
-    # Totals by the number of coordinates up to the last that is not zero.
-    totals = np.tile(price * end_bits, (count, 1))
-    totals[:, 2:] += np.cumsum(np.min(inner, axis=0), axis=1)[:, :-1]
-    totals[:, 1:] += np.min(last, axis=0)
-    dropped = costs[:, None] * np.square(size)
-    totals[:, :-1] += np.cumsum(dropped[:, ::-1], axis=1)[:, ::-1]
-    ends = totals.argmin(axis=1)[:, None]
-    place = np.arange(1, width + 1)
-    choice = np.where(place == ends, np.argmin(last, axis=0), np.argmin(inner, axis=0))
-    codes = np.choose(choice, candidates) * np.where(negative, -1, 1)
-    return np.where(place <= ends, codes, 0)
+    codes = np.zeros((count, width), np.int64)
+    _choose(
+        np.ascontiguousarray(positions, np.float64),
+        costs,
+        shrink,
+        group_of,
+        price * inner_bits,
+        price * last_bits,
+        price * end_bits,
+        codes,
+    )
+    return codes
 
 
-def _symbols(magnitudes: I64, negative: NDArray[np.bool_]) -> I64:
-    """Return the numbers that stand for signed codes (SPEC 6.14), limited to `_LAST_SYMBOL`."""
-    symbols = np.where((magnitudes > 0) & ~negative, 2 * magnitudes - 1, 2 * magnitudes)
-    return np.minimum(symbols, _LAST_SYMBOL)
+@called_with(
+    "float64[:, ::1], float64[::1], float64, int64[::1], float64[:, ::1], float64[:, ::1], "
+    "float64[::1], int64[:, ::1]"
+)
+@kernel
+def _choose(
+    positions: F64,
+    costs: F64,
+    shrink: float,
+    group_of: I64,
+    inner_prices: F64,
+    last_prices: F64,
+    end_prices: F64,
+    codes: I64,
+) -> None:
+    """Write the codes of least cost to `codes`, (n, W) zeros; see `choose_codes` and `_bits`."""
+    count, width = positions.shape
+    inner = np.empty(width, np.int64)
+    last = np.empty(width, np.int64)
+    # Error of the coordinates from each one on, where zeros are decoded for them.
+    dropped = np.zeros(width + 1, np.float64)
+    for i in range(count):
+        cost = costs[i]
+        for j in range(width - 1, -1, -1):
+            dropped[j] = dropped[j + 1] + cost * positions[i, j] * positions[i, j]
+        least, end = end_prices[0] + dropped[0], 0
+        before = 0.0
+        for j in range(width):
+            size, group = abs(positions[i, j]), group_of[j]
+            nearest = int(np.rint(size))
+            least_inner, least_last = np.inf, np.inf
+            last[j] = 0
+            for magnitude in (0, max(nearest - 1, 0), nearest):
+                missed = size - magnitude + (shrink if magnitude > 0 else 0.0)
+                symbol = _symbol(magnitude, positions[i, j] < 0.0)
+                total = cost * missed * missed + inner_prices[group, symbol]
+                if total < least_inner:
+                    least_inner, inner[j] = total, magnitude
+                total = cost * missed * missed + last_prices[group, symbol]
+                # The last code is not zero.
+                if magnitude > 0 and total < least_last:
+                    least_last, last[j] = total, magnitude
+            total = before + least_last + end_prices[j + 1] + dropped[j + 1]
+            if total < least:
+                least, end = total, j + 1
+            before += least_inner
+        for j in range(end):
+            chosen = inner[j] if j + 1 < end else last[j]
+            codes[i, j] = -chosen if positions[i, j] < 0.0 else chosen
+
+
+@inner_kernel
+def _symbol(magnitude: int, negative: bool) -> int:
+    """Return the number that stands for a signed code (SPEC 6.14), limited to `_LAST_SYMBOL`."""
+    symbol = 2 * magnitude
+    if magnitude > 0 and not negative:
+        symbol -= 1
+    return min(symbol, _LAST_SYMBOL)
 
 
 def _bits(codes: I64, group_of: I64) -> tuple[F64, F64, F64]:
@@ -113,17 +158,26 @@ def _bits(codes: I64, group_of: I64) -> tuple[F64, F64, F64]:
     ends : (W + 1,) float64
         Bits of each number of coordinates up to the last that is not zero.
     """
-    width = codes.shape[1]
-    place = np.arange(1, width + 1)
-    ends = ((codes != 0) * place).max(axis=1)
     shape = int(group_of[-1]) + 1, _LAST_SYMBOL + 1
-    at = _symbols(np.abs(codes), codes < 0) + group_of * shape[1]
-    inner, last = (
-        np.bincount(at[chosen], minlength=shape[0] * shape[1]).reshape(shape)
-        for chosen in (place < ends[:, None], place == ends[:, None])
-    )
-    by_end = np.bincount(ends, minlength=width + 1)[None]
-    return _bits_of_counts(inner), _bits_of_counts(last), _bits_of_counts(by_end)[0]
+    inner, last = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
+    ends = np.zeros((1, codes.shape[1] + 1), np.int64)
+    _count(np.ascontiguousarray(codes), group_of, inner, last, ends[0])
+    return _bits_of_counts(inner), _bits_of_counts(last), _bits_of_counts(ends)[0]
+
+
+@called_with("int64[:, ::1], int64[::1], int64[:, ::1], int64[:, ::1], int64[::1]")
+@kernel
+def _count(codes: I64, group_of: I64, inner: I64, last: I64, ends: I64) -> None:
+    """Add the frequencies of codes to three arrays of the shapes of `_bits`."""
+    count, width = codes.shape
+    for i in range(count):
+        end = width
+        while end > 0 and codes[i, end - 1] == 0:
+            end -= 1
+        ends[end] += 1
+        for j in range(end):
+            counts = inner if j + 1 < end else last
+            counts[group_of[j], _symbol(abs(codes[i, j]), codes[i, j] < 0)] += 1
 
 
 def _bits_of_counts(counts: I64) -> F64:
