@@ -1,4 +1,4 @@
-"""Generate the scheduler's test vectors: random client states with the expected decisions.
+"""Generate the test vectors of docs/streaming.md: decisions, and what makes splats grow.
 
 Run ``python -m cogsplat.tools.lab.make_decisions`` after every change of docs/streaming.md, and
 commit the file it writes. The Python and TypeScript implementations are both tested against it.
@@ -16,6 +16,7 @@ from cogsplat.codec.geometry.rotations import matrices
 from cogsplat.codec.partition.nested_cells import parents
 from cogsplat.codec.segments.view_shares import ViewTable
 from cogsplat.tools.lab.scheduling import chunk_ratios
+from cogsplat.tools.lab.scheduling.growth import growth, missing_splats
 from cogsplat.tools.lab.scheduling.poses import Pose, predicted_poses
 from cogsplat.tools.lab.scheduling.scheduler import ClientState, Decision, Scheduler, Unit
 
@@ -30,6 +31,7 @@ DECISIONS: Final = (
 RULES: Final = ("views", "boxes", "sgss")
 _SCENES: Final = 30
 _STATES: Final = 40
+_TREES: Final = 30
 
 
 class Scene(TypedDict):
@@ -69,6 +71,21 @@ class State(TypedDict):
     worths: list[float]
 
 
+class Tree(TypedDict):
+    """Rows held of a tree, what is missing at each row, and the growth of splats of row 0.
+
+    `boxes` are those of the children of row 0.
+    """
+
+    held: list[int]
+    parents: list[int]
+    splats: list[int]
+    missing: list[int]
+    boxes: list[list[float]]
+    means: list[list[float]]
+    growth: list[float]
+
+
 def ratios_of(scene: Scene, rule: str) -> chunk_ratios.PoseValues:
     """Return the ratio function of a scene for a rule of `RULES`."""
     boxes = np.array(scene["boxes"], np.float64)
@@ -98,8 +115,18 @@ def decide(scene: Scene, state: State) -> Decision:
     return Scheduler(units, scene["splats"], scene["contribution"]).decide(ratios, client)
 
 
-def generate() -> tuple[list[Scene], list[State]]:
-    """Generate scenes and states from a fixed seed."""
+def grow(tree: Tree) -> tuple[list[int], list[float]]:
+    """Return what is missing at each row of a tree, and the growth of the splats of row 0."""
+    above = np.array(tree["parents"], np.int64)
+    is_held = np.isin(np.arange(len(above)), tree["held"])
+    missing = missing_splats(is_held, above, np.array(tree["splats"], np.int64))
+    means = np.array(tree["means"], np.float32)
+    boxes = np.array(tree["boxes"], np.float32).astype(np.float64)
+    return missing.tolist(), growth(means, boxes, missing[above == 0]).tolist()
+
+
+def generate() -> tuple[list[Scene], list[State], list[Tree]]:
+    """Generate scenes, states and trees from a fixed seed."""
     rng = np.random.default_rng(16)
     scenes = [_scene(rng) for _ in range(_SCENES)]
     states = []
@@ -110,14 +137,21 @@ def generate() -> tuple[list[Scene], list[State]]:
             state["decision"] = [decision.abort, list(decision.evict), decision.fetch]
             state["worths"] = list(decision.evict.values())
             states.append(state)
-    return scenes, states
+    trees = [_tree(rng) for _ in range(_TREES)]
+    for tree in trees:
+        tree["missing"], tree["growth"] = grow(tree)
+    return scenes, states, trees
 
 
 def text() -> str:
-    """Return the test vectors as JSON, one scene or state per line."""
+    """Return the test vectors as JSON, one scene, state or tree per line."""
     parts = []
-    scenes, states = generate()
-    named: dict[str, list[Scene] | list[State]] = {"scenes": scenes, "states": states}
+    scenes, states, trees = generate()
+    named: dict[str, list[Scene] | list[State] | list[Tree]] = {
+        "scenes": scenes,
+        "states": states,
+        "trees": trees,
+    }
     for name, entries in named.items():
         lines = ",\n".join(json.dumps(entry, separators=(",", ":")) for entry in entries)
         parts.append(f'"{name}": [\n{lines}\n]')
@@ -220,6 +254,24 @@ def _state(rng: np.random.Generator, number: int, scene: Scene, rule: str) -> St
         "evicted": evicted,
         "decision": [],
         "worths": [],
+    }
+
+
+def _tree(rng: np.random.Generator) -> Tree:
+    rows = int(rng.integers(3, 9))
+    above = [-1, 0, *(int(rng.integers(0, row)) for row in range(2, rows))]
+    held = [0]
+    held += [row for row in range(1, rows) if above[row] in held and rng.random() < 0.4]
+    low = rng.uniform(-4.0, 2.0, (above.count(0), 3))
+    high = low + rng.uniform(1.0, 6.0, low.shape)
+    return {
+        "held": held,
+        "parents": above,
+        "splats": (rng.integers(0, 3000, rows) * (rng.random(rows) > 0.2)).tolist(),
+        "missing": [],
+        "boxes": [_rounded(box, 2) for box in np.concatenate([low, high], axis=1)],
+        "means": [_rounded(mean, 2) for mean in rng.uniform(-4.0, 6.0, (12, 3))],
+        "growth": [],
     }
 
 

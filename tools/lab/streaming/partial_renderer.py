@@ -22,6 +22,7 @@ from cogsplat.codec.splats import Splats, concatenate
 from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.tools.lab.scheduling.chunk_ratios import visible_splat_counts
+from cogsplat.tools.lab.scheduling.growth import growth, missing_splats
 from cogsplat.tools.lab.scheduling.scene_rows import scene_rows
 
 from .client import CHUNK_KINDS, Units
@@ -181,4 +182,35 @@ class PartialRenderer:
         last = int(np.searchsorted(first_chunks, compensation.last_chunks))
         prefixes = first_chunks[equivalent_prefixes(held, parents, counts)]
         parts = descendant_parts(held, parents, counts, last)
-        return compensation.apply_per_chunk(splats, chunks, prefixes, parts)
+        shifted = compensation.apply_per_chunk(splats, chunks, prefixes, parts)
+        is_held = np.isin(np.arange(len(known)), held)
+        missing = missing_splats(is_held, parents, counts)
+        return self._grow(shifted, chunks[chunks >= compensation.last_chunks], known, missing)
+
+    def _grow(self, splats: Splats, chunks: I64, known: I64, missing: I64) -> Splats:
+        """Return splats that end with those of `chunks`, these grown for their missing children.
+
+        Parameters
+        ----------
+        splats : Splats
+            Splats of all chunks held.
+        chunks : (k,) int64
+            Chunks behind the last layer of compensation, ascending.
+        known : (r,) int64
+            Rows that the client knows, in the order of the file.
+        missing : (r,) int64
+            Missing splats at each of these rows.
+        """
+        children: dict[int, list[int]] = {}
+        for place in np.flatnonzero(np.isin(self._rows.parent[known], chunks)).tolist():
+            children.setdefault(int(self._rows.parent[known[place]]), []).append(place)
+        scales = splats.scales.copy()
+        end = len(splats)
+        for chunk in chunks[::-1].tolist():
+            start = end - int(self._rows.splats[chunk])
+            below = children.get(chunk, [])
+            if missing[below].any():
+                boxes = self._rows.box[known[below]]
+                scales[start:end] += growth(splats.means[start:end], boxes, missing[below])[:, None]
+            end = start
+        return replace(splats, scales=scales)

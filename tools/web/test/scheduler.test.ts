@@ -2,6 +2,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { join } from "node:path";
 import { test } from "node:test";
+import type { SceneRows } from "../src/container/scene_rows.js";
 import type { ViewTable } from "../src/container/view_table.js";
 import {
   byBoxes,
@@ -11,6 +12,7 @@ import {
   type PoseRatios,
   sumAlongPath,
 } from "../src/schedule/chunk_ratios.js";
+import { childrenOf, growth } from "../src/schedule/growth.js";
 import { type Pose, predictPath } from "../src/schedule/poses.js";
 import { Scheduler } from "../src/schedule/scheduler.js";
 import type { Unit } from "../src/schedule/unit_links.js";
@@ -41,10 +43,21 @@ interface State {
   readonly worths: readonly number[];
 }
 
+interface Tree {
+  readonly held: readonly number[];
+  readonly parents: readonly number[];
+  readonly splats: readonly number[];
+  readonly missing: readonly number[];
+  readonly boxes: readonly (readonly number[])[];
+  readonly means: readonly (readonly number[])[];
+  readonly growth: readonly number[];
+}
+
 const FILE = join(process.cwd(), "..", "..", "tests", "tools", "lab", "scheduling", "decisions.json");
-const { scenes, states } = JSON.parse(readFileSync(FILE, "utf8")) as {
+const { scenes, states, trees } = JSON.parse(readFileSync(FILE, "utf8")) as {
   scenes: readonly Scene[];
   states: readonly State[];
+  trees: readonly Tree[];
 };
 
 function poseOf(numbers: readonly number[]): Pose {
@@ -100,4 +113,24 @@ test("the scheduler decides as the reference does in every state", () => {
 test("chunks count by what a pose shows of them, and never for more than they have", () => {
   const ratios = Float64Array.of(2, 0.5, 1 / 512, 1 / 512);
   assert.deepEqual(effectiveSplats([8192, 1000, 100, 1], ratios), [8192, 250, 0, 0]);
+});
+
+test("splats grow as in the reference for what is missing below them", () => {
+  assert.ok(trees.length >= 30 && trees.some((tree) => tree.growth.some((added) => added > 0)));
+  for (const [number, { held, parents, splats, missing, boxes, means, growth: expected }] of trees.entries()) {
+    const below = parents.flatMap((parent, row) => (parent === 0 ? [row] : []));
+    const rows = {
+      count: parents.length,
+      parents,
+      chunks: parents.map((_, row) => row),
+      inFileOrder: () => parents.keys(),
+      rowOf: (chunk: number) => chunk,
+      boxOf: (row: number) => Float32Array.from(boxes[below.indexOf(row)] ?? [0, 0, 0, 0, 0, 0]),
+    } as unknown as SceneRows;
+    const children = childrenOf(held, rows, splats).get(0);
+    const wanted = below.map((row) => missing[row]);
+    assert.deepEqual(children?.map((child) => child.missing) ?? below.map(() => 0), wanted, `tree ${number}`);
+    const found = growth(Float32Array.from(means.flat()), children ?? []);
+    assert.deepEqual([...found], expected, `tree ${number}`);
+  }
 });

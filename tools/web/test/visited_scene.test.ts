@@ -18,19 +18,23 @@ function packedOf(chunk: number): PackedSplats {
   return { words, count: SPLATS[chunk]!, sh: [] } as unknown as PackedSplats;
 }
 
+/** Boxes along x: all, its halves, the halves of the first half, and one within the second half. */
+const ENDS = [0, 8, 0, 4, 4, 8, 0, 2, 2, 4, 4, 6];
+
 /** Fakes of a scene and a layer that record calls and rows. */
-function watched(capacity: number, ratios: () => Float64Array | undefined) {
+function watched(capacity: number, ratios: () => Float64Array | undefined, layerChunks = 6) {
   const prefixes = new Map<number, number>();
   const rows = new Array<number>(capacity).fill(0);
   const shifts = new Array<number>(capacity).fill(0);
   const sceneRows = new SceneRows();
-  const root = { firstChunk: 0, chunkCount: 6, firstRow: 0, pages: [] } as unknown as Index;
+  const boxes = Float32Array.from(CELLS.flatMap((_, i) => [ENDS[2 * i]!, 0, 0, ENDS[2 * i + 1]!, 1, 1]));
+  const root = { firstChunk: 0, chunkCount: 6, firstRow: 0, pages: [], boxes } as unknown as Index;
   sceneRows.enter(root, { splats: Uint32Array.from(SPLATS), cell: Uint32Array.from(CELLS) }, []);
   const scene = {
     info: { splats: 80 },
     index: { totalChunkCount: 6, rows: sceneRows },
     compensation: {
-      layerChunks: 6,
+      layerChunks,
       shifts: (prefix: number, chunk: number) => {
         prefixes.set(chunk, prefix);
         if (prefix === 6) return undefined;
@@ -46,6 +50,10 @@ function watched(capacity: number, ratios: () => Float64Array | undefined) {
       for (let i = 0; i < count; i++) rows[first + i] = words[4 * i]!;
     },
     clear: (first: number, count: number) => rows.fill(0, first, first + count),
+    // Rows stand along x, by their place in the chunk.
+    readMeans: (first: number, means: Float32Array) => {
+      for (let i = 0; i < means.length; i += 3) means.set([(8 * (rows[first + i / 3]! % 1000)) / 10, 0, 0], i);
+    },
     shift: (first: number, count: number, added: { scales: Float32Array } | undefined) => {
       for (let i = 0; i < count; i++) shifts[first + i] = added?.scales[i] ?? 0;
     },
@@ -129,4 +137,19 @@ test("chunks take the rows of those that went, and bring what they add with them
   assert.deepEqual(drawn(), wanted(0, 2, 5));
   for (const [row, added] of shifts.entries())
     assert.ok(added === 0 || added === rows[row], `row ${row} is shifted by ${added}`);
+});
+
+test("behind the layers, splats grow where chunks below are missing", () => {
+  const { visited, shifts, take } = watched(80, () => undefined, 1);
+  take(0, 1, 2, 3);
+  visited.work(Infinity);
+  // Rows 3 to 5 of chunk 1 lie in the box of the missing chunk 4, which has 10 splats, of which 8 count.
+  const grown = Math.fround(0.25 * (1 + 11 / 3 / 2 - 1));
+  assert.deepEqual(shifts.slice(10, 20), [0, 0, 0, grown, grown, grown, 0, 0, 0, 0]);
+  // Chunk 3 has nothing below; of chunk 2, chunk 5 is missing.
+  assert.deepEqual(shifts.slice(50, 60), new Array<number>(10).fill(0));
+  assert.ok(shifts[20 + 5]! > 0);
+  take(4);
+  visited.work(Infinity);
+  assert.deepEqual(shifts.slice(10, 20), new Array<number>(10).fill(0));
 });

@@ -57,6 +57,7 @@ def test_the_stored_vectors_match_the_generator():
     assert len(states) >= 1000
     for action in range(3):
         assert sum(bool(state["decision"][action]) for state in states) >= 100
+    assert sum(bool(max(tree["growth"])) for tree in VECTORS["trees"]) >= 10
 
 
 def test_equal_ratios_give_the_order_of_the_file():

@@ -14,6 +14,7 @@ from cogsplat.formats.cogs.layout import SegmentKind
 from cogsplat.formats.cogs.reader import CogsFile
 from cogsplat.tools.lab.conformance import compensation_vectors
 from cogsplat.tools.lab.scheduling.chunk_ratios import MIN_RATIO
+from cogsplat.tools.lab.scheduling.growth import growth, missing_splats
 from cogsplat.tools.lab.streaming.client import PAGE, units_of
 from cogsplat.tools.lab.streaming.partial_renderer import PartialRenderer
 from cogsplat.tools.lab.synthetic.rooms import rooms_cameras, synth_rooms
@@ -47,7 +48,7 @@ def test_heads_alone_are_drawn_coarse_and_without_tails(
     assert psnr(found, whole) < PSNR_CAP_DB
 
 
-def test_missing_chunks_are_compensated(house: Path, tmp_path: Path) -> None:
+def test_missing_chunks_are_compensated(tmp_path: Path) -> None:
     path = tmp_path / "compensated.cogs"
     cameras = rooms_cameras(2, views=2)
     config = EncodeConfig(cells=True, chunk_splats=256, order="contribution")
@@ -78,12 +79,51 @@ def test_missing_chunks_are_compensated(house: Path, tmp_path: Path) -> None:
         np.testing.assert_array_equal(
             renderer.splats_of_units(units, alone).scales, file.decode(held[-1:]).scales
         )
-    with cogsplat.open(house) as file:
-        renderer = PartialRenderer(file, threads=1, compensate=True)
+
+
+def test_without_layers_all_splats_of_a_file_of_cells_may_grow(house_file: CogsFile) -> None:
+    renderer = PartialRenderer(house_file, threads=1, compensate=True)
+    units = units_of(house_file)
+    heads = np.flatnonzero(units.kind == SegmentKind.HEAD).tolist()[:1]
+    coarse = house_file.decode([0], sh_degree=0, refine=False)
+    assert not house_file.compensation().layers
+    grown = renderer.splats_of_units(units, heads).scales - coarse.scales
+    assert grown.min() >= 0.0
+    assert grown.max() > 0.25
+
+
+def test_behind_the_layers_splats_grow_where_chunks_below_are_missing(tmp_path: Path) -> None:
+    path = tmp_path / "grown.cogs"
+    config = EncodeConfig(cells=True, chunk_splats=64, order="contribution")
+    scene = synth_rooms(2, 12000, sh_degree=0)
+    cogsplat.encode(scene, path, cameras=rooms_cameras(2, views=2), config=config)
+    with cogsplat.open(path) as file:
+        above, last = file.parents(), file.compensation().last_chunks
+        chunk = int(above[above >= last].max())
+        held = [chunk]
+        while above[held[0]] >= 0:
+            held.insert(0, int(above[held[0]]))
         units = units_of(file)
-        heads = np.flatnonzero(units.kind == SegmentKind.HEAD).tolist()[:1]
-        coarse = file.decode([0], sh_degree=0, refine=False)
-        np.testing.assert_array_equal(renderer.splats_of_units(units, heads).scales, coarse.scales)
+        is_there = (units.kind == PAGE) | np.isin(units.row, held)
+        there = np.flatnonzero(is_there).tolist()
+        renderer = PartialRenderer(file, threads=1, compensate=True)
+        grown = renderer.splats_of_units(units, there)
+        expected = file.decode(held, compensate=True)
+        own = slice(-int(file.chunks.splats[chunk]), None)
+        is_held = np.isin(np.arange(file.num_chunks), held)
+        missing = missing_splats(is_held, above, file.chunks.splats)
+        below = np.flatnonzero(above == chunk)
+        added = growth(expected.means[own], file.chunks.box[below], missing[below])
+        assert added.max() >= 0.25
+        np.testing.assert_array_equal(grown.scales[own], expected.scales[own] + added[:, None])
+        in_layers = np.repeat(np.array(held) < last, file.chunks.splats[held])
+        assert in_layers.any()
+        np.testing.assert_array_equal(grown.scales[in_layers], expected.scales[in_layers])
+        np.testing.assert_array_equal(grown.opacities, expected.opacities)
+        # Nothing grows for what the pose does not show.
+        ratios = np.where(is_held, 1.0, MIN_RATIO)
+        hidden = renderer.splats_of_units(units, there, ratios)
+        np.testing.assert_array_equal(hidden.scales[own], file.decode(held).scales[own])
 
 
 @pytest.mark.parametrize("name", ["compensation-pages", "compensation-cells-pages"])
@@ -99,7 +139,10 @@ def test_layers_of_chunks_in_unread_pages_do_not_count(name: str) -> None:
             is_there = (units.kind == PAGE) & (units.end <= page.start)
             is_there |= (units.kind != PAGE) & (units.row < chunks)
             found = renderer.splats_of_units(units, np.flatnonzero(is_there).tolist())
-            np.testing.assert_array_equal(found.scales, expected.scales)
+            # Where no layer counts, all splats of a file of cells may grow.
+            is_in_layer = np.arange(chunks) < part.compensation().last_chunks
+            in_layers = np.repeat(is_in_layer, part.chunks.splats[:chunks])
+            np.testing.assert_array_equal(found.scales[in_layers], expected.scales[in_layers])
             np.testing.assert_array_equal(found.opacities, expected.opacities)
 
 

@@ -21,6 +21,8 @@ export class SceneRows {
   private readonly rowOfChunk = new Map<number, number>();
   /** First splat of each chunk and page, by the number of its first chunk. */
   private readonly starts = new Map<number, number>();
+  /** Index that lists each row. */
+  private readonly listing: Index[] = [];
   /** Last own chunk of each cell, for each index. */
   private readonly lastOfCell = new Map<Index, Map<number, number>>();
   private readonly indexes = new Map<Page, Index>();
@@ -64,6 +66,12 @@ export class SceneRows {
     return this.rowOfChunk.get(chunk);
   }
 
+  /** Return the bounding box of a row: minimum corner, then maximum corner. */
+  boxOf(row: number): Float32Array {
+    const { boxes, firstRow } = this.listing[row]!;
+    return boxes.subarray(6 * (row - firstRow), 6 * (row - firstRow + 1));
+  }
+
   /** Return the number of the parent of a known chunk; −1 for none. */
   parentOf(chunk: number): number {
     return this.chunks[this.parents[this.rowOfChunk.get(chunk)!]!] ?? -1;
@@ -87,6 +95,7 @@ export class SceneRows {
 
   private push(index: Index, chunk: number, splats: number, start: number, cell: number): number {
     this.chunks.push(chunk);
+    this.listing.push(index);
     this.starts.set(chunk, start);
     this.parents.push(this.parentRow(index, cell));
     return this.splats.push(splats) - 1;

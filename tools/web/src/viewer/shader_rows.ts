@@ -30,6 +30,12 @@ export function writeShaderRows(
   }
 }
 
+/** Read the means of splats from a row on, as many as `means` has room for. */
+export function readMeans({ splats }: ShaderRows, firstRow: number, means: Float32Array): void {
+  const floats = new Float32Array(splats.buffer, splats.byteOffset, splats.length);
+  for (let i = 0; i < means.length; i++) means[i] = floats[4 * (firstRow + Math.floor(i / 3)) + (i % 3)]!;
+}
+
 /** Camera of a picture in the uniforms of the shader, both in the space of the means. */
 export interface CameraUniforms {
   /** Position of the camera, rounded to float32. */

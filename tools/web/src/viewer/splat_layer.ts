@@ -4,7 +4,7 @@ import type { PackedSplats, PackRanges } from "../scene/packed_splats.js";
 import type { ViewPlane } from "./depth_order.js";
 import type { DepthSorter } from "./depth_sorter.js";
 import { RowOrder } from "./row_order.js";
-import type { ShaderRows } from "./shader_rows.js";
+import { readMeans, type ShaderRows } from "./shader_rows.js";
 import { TEXTURE_WIDTH } from "./shaders.js";
 import { SplatTextures } from "./splat_textures.js";
 
@@ -125,6 +125,11 @@ export class SplatLayer {
   writeLevels(words: Uint32Array, firstRow: number): void {
     if (firstRow + words.length > this.capacity) return;
     this.textures.writeLevels(words, firstRow);
+  }
+
+  /** Read the means of rows that were written, three numbers each. */
+  readMeans(firstRow: number, means: Float32Array): void {
+    if (firstRow + means.length / 3 <= this.capacity) readMeans(this.shaderRows, firstRow, means);
   }
 
   /** Write the compensation of rows. */

@@ -1,13 +1,22 @@
 import { isClosed, type SetState, setStates } from "../container/chunk_sets.js";
+import type { Shifts } from "../container/compensation.js";
 import type { StreamedScene } from "../loader/streamed_scene.js";
 import type { VisitChange } from "../loader/visit.js";
 import { type PackedSplats, SH_WORDS } from "../scene/packed_splats.js";
 import { effectiveSplats } from "../schedule/chunk_ratios.js";
+import { type Child, childrenOf, growth } from "../schedule/growth.js";
 import { type RowRun, RowSlots } from "./row_slots.js";
 import type { SplatLayer } from "./splat_layer.js";
 
 /** Time for which the camera rests before chunks are changed for its view, ms (docs/streaming.md, 10). */
 const STILL_MILLISECONDS = 250;
+
+/** What a chunk is compensated for: a state of the layers, or the children of a chunk behind them; neither for nothing. */
+interface Compensated {
+  readonly chunk: number;
+  readonly state?: SetState | undefined;
+  readonly children?: readonly Child[] | undefined;
+}
 
 /** Fills a layer with the chunks of a visit, and removes evicted ones. */
 export class VisitedScene {
@@ -17,9 +26,9 @@ export class VisitedScene {
   private readonly rows = new Map<number, readonly RowRun[]>();
   /** Allocator of rows; undefined where the layer has room for the scene, so that each chunk has its own rows. */
   private readonly slots: RowSlots | undefined;
-  /** State of each chunk's compensation, and chunks of the last layer known then, as text. */
+  /** What each chunk is compensated for, and chunks of the last layer known then, as text. */
   private readonly compensatedFor = new Map<number, string>();
-  private waiting: { readonly chunk: number; readonly state: SetState }[] = [];
+  private waiting: Compensated[] = [];
   private isStale = false;
   /** Time of the last change of the pose, from `performance.now`, until chunks were changed for it. */
   private movedAt: number | undefined;
@@ -59,6 +68,8 @@ export class VisitedScene {
     const isNew = !this.rows.has(chunk);
     const runs = this.rows.get(chunk) ?? this.slots?.allocate(count) ?? [{ first: firstRow, count }];
     this.rows.set(chunk, runs);
+    // A refinement moves means.
+    this.compensatedFor.delete(chunk);
     if (isNew) this.splats += count;
     if (runs.length === 1) {
       this.layer.write(packed!, runs[0]!.first);
@@ -87,8 +98,7 @@ export class VisitedScene {
     if (this.isStale) this.plan();
     while (this.waiting.length > 0) {
       if (performance.now() > end) return true;
-      const { chunk, state } = this.waiting.pop()!;
-      this.compensate(chunk, state);
+      this.compensate(this.waiting.pop()!);
     }
     return this.movedAt !== undefined;
   }
@@ -102,26 +112,46 @@ export class VisitedScene {
     const isPrefix = held.every((chunk, i) => chunk === i);
     const ratios = this.ratios();
     const counts = ratios === undefined ? rows.splats : effectiveSplats(rows.splats, ratios);
-    const states =
-      rows.isCut && isClosed(held, rows)
-        ? setStates(held, rows, compensation.layerChunks, counts)
-        : // A set that is neither is not compensated.
-          held.map(() => ({ prefix: isPrefix ? held.length : index.totalChunkCount, share: undefined }));
+    const { layerChunks } = compensation;
+    const isSet = rows.isCut && isClosed(held, rows);
+    const states = isSet ? setStates(held, rows, layerChunks, counts) : [];
+    const children = isSet ? childrenOf(held, rows, counts) : new Map<number, readonly Child[]>();
     this.waiting = [];
     for (const [i, chunk] of held.entries()) {
-      const state = states[i]!;
-      if (this.compensatedFor.get(chunk) !== this.textOf(state)) this.waiting.push({ chunk, state });
+      // A set that is neither cut nor a prefix is not compensated.
+      const state = states[i] ?? { prefix: isPrefix ? held.length : index.totalChunkCount, share: undefined };
+      const wanted = isSet && chunk >= layerChunks ? { chunk, children: children.get(chunk) } : { chunk, state };
+      if (this.compensatedFor.get(chunk) !== this.textOf(wanted)) this.waiting.push(wanted);
     }
   }
 
-  private textOf({ prefix, share }: SetState): string {
-    return `${prefix} ${share} ${this.scene.compensation.layerChunks}`;
+  private textOf({ state, children }: Compensated): string {
+    const missing = children?.map((child) => child.missing);
+    return `${state?.prefix} ${state?.share} ${missing} ${this.scene.compensation.layerChunks}`;
   }
 
-  private compensate(chunk: number, state: SetState): void {
-    const { compensation } = this.scene;
-    this.compensatedFor.set(chunk, this.textOf(state));
-    const shifts = compensation.shifts(state.prefix, chunk, state.share);
+  private shiftsFor({ chunk, state, children }: Compensated): Shifts | undefined {
+    if (state !== undefined) return this.scene.compensation.shifts(state.prefix, chunk, state.share);
+    if (children === undefined) return undefined;
+    const scales = growth(this.meansOf(chunk), children);
+    return { scales, opacities: new Float32Array(scales.length) };
+  }
+
+  private meansOf(chunk: number): Float32Array {
+    const runs = this.rows.get(chunk)!;
+    const means = new Float32Array(3 * runs.reduce((sum, { count }) => sum + count, 0));
+    let from = 0;
+    for (const { first, count } of runs) {
+      this.layer.readMeans(first, means.subarray(3 * from, 3 * (from + count)));
+      from += count;
+    }
+    return means;
+  }
+
+  private compensate(wanted: Compensated): void {
+    const { chunk } = wanted;
+    this.compensatedFor.set(chunk, this.textOf(wanted));
+    const shifts = this.shiftsFor(wanted);
     if (shifts === undefined && !this.shifted.has(chunk)) return;
     let from = 0;
     for (const { first, count } of this.rows.get(chunk)!) {

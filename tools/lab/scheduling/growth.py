@@ -1,0 +1,82 @@
+"""Growth: larger splats where chunks below theirs are missing (docs/streaming.md, 10)."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+# Addend of log scales for each doubling of the splats that a held one stands for, and the largest.
+# Covering the area of the missing splats would take ½ ln 2 = 0.35; they overlap, and show less.
+_PER_DOUBLING: Final = 0.25
+_MOST: Final = 2.0
+
+
+def missing_splats(is_held: NDArray[np.bool_], parents: I64, splats: I64) -> I64:
+    """Return the splats that are missing at each row that is not held, itself and its descendants.
+
+    Parameters
+    ----------
+    is_held : (r,) bool
+        Whether a client has each row. A row that is not held has no descendant that is.
+    parents : (r,) int64
+        Row of the parent of each row, an earlier one; -1 for none.
+    splats : (r,) int64
+        What each row counts (`chunk_ratios.visible_splat_counts`).
+
+    Returns
+    -------
+    (r,) int64
+        Sums, rounded down to powers of two so that they rarely change; 0 for rows that are held.
+    """
+    sums = splats.astype(np.int64)
+    for row in range(len(parents) - 1, 0, -1):
+        if parents[row] >= 0:
+            sums[parents[row]] += sums[row]
+    _, exponents = np.frexp(sums.astype(np.float64))
+    return np.where(is_held | (sums == 0), 0, 1 << np.maximum(exponents.astype(np.int64) - 1, 0))
+
+
+def growth(means: F32, boxes: F64, missing: I64) -> F32:
+    """Return the addends of the log scales of a chunk's splats.
+
+    A splat belongs to the first child whose box contains its mean, and grows if it is missing.
+
+    Parameters
+    ----------
+    means : (n, 3) float32
+        Decoded means of the chunk, scene units.
+    boxes : (k, 6) float64
+        Boxes of the chunk's children in the order of the file: minimum, maximum, scene units.
+    missing : (k,) int64
+        Missing splats at each child (`missing_splats`).
+
+    Returns
+    -------
+    (n,) float32
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cogsplat.tools.lab.scheduling.growth import growth
+    >>> means = np.array([[0.5, 0, 0], [2.5, 0, 0]], np.float32)
+    >>> boxes = np.array([[0, 0, 0, 1, 1, 1], [2, 0, 0, 3, 1, 1]], np.float64)
+    >>> growth(means, boxes, np.array([0, 8])).tolist()
+    [0.0, 0.78125]
+    """
+    belongs = np.full(len(means), -1)
+    for child in range(len(boxes) - 1, -1, -1):
+        low, high = boxes[child, :3], boxes[child, 3:]
+        belongs[((means >= low) & (means <= high)).all(axis=1)] = child
+    counts = np.bincount(belongs[belongs >= 0], minlength=len(boxes))
+    mantissas, exponents = np.frexp((counts + missing) / np.maximum(counts, 1))
+    # Nearly the logarithm to base 2, without one: 1 for 2, 2 for 4, straight lines in between.
+    doublings = exponents + 2.0 * mantissas - 2.0
+    added = np.where(missing > 0, np.minimum(_PER_DOUBLING * doublings, _MOST), 0.0)
+    result: F32 = np.append(added, 0.0)[belongs].astype(np.float32)
+    return result
