@@ -1,4 +1,7 @@
-"""Growth: larger splats where chunks below theirs are missing (docs/streaming.md, 10)."""
+"""Growth: larger splats in chunks of which a child is missing (docs/streaming.md, 10).
+
+Only chunks that come after those of the last compensation layer grow; SPEC 8.5 enlarges the others.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +14,15 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
-# Addend of log scales for each doubling of the splats that a held one stands for, and the largest.
-# Covering the area of the missing splats would take ½ ln 2 = 0.35; they overlap, and show less.
+# Added to log scales each time that the number of splats doubles for which a held one stands. The
+# full area of the missing splats would take ½ ln 2 = 0.35; it is less because they overlap.
 _PER_DOUBLING: Final = 0.25
+# The most that is added.
 _MOST: Final = 2.0
 
 
 def missing_splats(is_held: NDArray[np.bool_], parents: I64, splats: I64) -> I64:
-    """Return the splats that are missing at each row that is not held, itself and its descendants.
+    """Return how many splats are missing at each row: what it and its descendants count together.
 
     Parameters
     ----------
@@ -32,7 +36,8 @@ def missing_splats(is_held: NDArray[np.bool_], parents: I64, splats: I64) -> I64
     Returns
     -------
     (r,) int64
-        Sums, rounded down to powers of two so that they rarely change; 0 for rows that are held.
+        Sums, rounded down to powers of two so that they rarely change; 0 for a row that is held,
+        even if descendants are missing.
     """
     sums = splats.astype(np.int64)
     for row in range(len(parents) - 1, 0, -1):
@@ -43,9 +48,10 @@ def missing_splats(is_held: NDArray[np.bool_], parents: I64, splats: I64) -> I64
 
 
 def growth(means: F32, boxes: F64, missing: I64) -> F32:
-    """Return the addends of the log scales of a chunk's splats.
+    """Return what is added to the log scales of a chunk's splats.
 
-    A splat belongs to the first child whose box contains its mean, and grows if it is missing.
+    Each splat belongs to the first child whose box contains its mean, if any. It grows if splats
+    are missing at this child.
 
     Parameters
     ----------
@@ -54,7 +60,7 @@ def growth(means: F32, boxes: F64, missing: I64) -> F32:
     boxes : (k, 6) float64
         Boxes of the chunk's children in the order of the file: minimum, maximum, scene units.
     missing : (k,) int64
-        Missing splats at each child (`missing_splats`).
+        Number of missing splats at each child (`missing_splats`).
 
     Returns
     -------
@@ -69,14 +75,14 @@ def growth(means: F32, boxes: F64, missing: I64) -> F32:
     >>> growth(means, boxes, np.array([0, 8])).tolist()
     [0.0, 0.78125]
     """
-    belongs = np.full(len(means), -1)
+    child_of = np.full(len(means), -1)
     for child in range(len(boxes) - 1, -1, -1):
         low, high = boxes[child, :3], boxes[child, 3:]
-        belongs[((means >= low) & (means <= high)).all(axis=1)] = child
-    counts = np.bincount(belongs[belongs >= 0], minlength=len(boxes))
+        child_of[((means >= low) & (means <= high)).all(axis=1)] = child
+    counts = np.bincount(child_of[child_of >= 0], minlength=len(boxes))
     mantissas, exponents = np.frexp((counts + missing) / np.maximum(counts, 1))
     # Nearly the logarithm to base 2, without one: 1 for 2, 2 for 4, straight lines in between.
     doublings = exponents + 2.0 * mantissas - 2.0
     added = np.where(missing > 0, np.minimum(_PER_DOUBLING * doublings, _MOST), 0.0)
-    result: F32 = np.append(added, 0.0)[belongs].astype(np.float32)
+    result: F32 = np.append(added, 0.0)[child_of].astype(np.float32)
     return result

@@ -188,18 +188,18 @@ class PartialRenderer:
         return self._grow(shifted, chunks[chunks >= compensation.last_chunks], known, missing)
 
     def _grow(self, splats: Splats, chunks: I64, known: I64, missing: I64) -> Splats:
-        """Return splats that end with those of `chunks`, these grown for their missing children.
+        """Return the splats of the chunks held, larger in chunks of which a child is missing.
 
         Parameters
         ----------
         splats : Splats
-            Splats of all chunks held.
+            Splats of all chunks held; those of `chunks` are the last of them.
         chunks : (k,) int64
-            Chunks behind the last layer of compensation, ascending.
+            Chunks that come after those of the last compensation layer, ascending.
         known : (r,) int64
-            Rows that the client knows, in the order of the file.
+            Rows that the indices read list, held or not, in the order of the file.
         missing : (r,) int64
-            Missing splats at each of these rows.
+            Number of missing splats at each of these rows (`missing_splats`).
         """
         children: dict[int, list[int]] = {}
         for place in np.flatnonzero(np.isin(self._rows.parent[known], chunks)).tolist():

@@ -1,23 +1,27 @@
 import type { SceneRows } from "../container/scene_rows.js";
 
-/** Addend of log scales for each doubling of the splats that a present one stands for, and the largest. */
+/** Added to log scales each time that the number of splats doubles for which a held one stands. */
 const PER_DOUBLING = 0.25;
+/** The most that is added. */
 const MOST = 2;
 
 /** A chunk or unread page below a chunk. */
 export interface Child {
   /** Minimum corner, then maximum corner, scene units. */
   readonly box: ArrayLike<number>;
-  /** Splats that are missing here and below, rounded down to a power of two; 0 where the child is present. */
+  /**
+   * What the child and its descendants count, rounded down to a power of two; 0 for a child that is held, or where nothing
+   * counts.
+   */
   readonly missing: number;
 }
 
 /**
- * Return the children of each chunk of a set, in the order of the file, where any of them is missing
- * (docs/streaming.md, 10).
+ * Return the children, in the order of the file, of each chunk held that has a child at which splats are missing
+ * (docs/streaming.md, 10). Only chunks that come after those of the last compensation layer grow.
  *
- * @param held - Numbers of known chunks, each with its parent in the set.
- * @param splats - What each row counts.
+ * @param held - Numbers of the chunks held, each with its parent among them.
+ * @param splats - What each row counts, `effectiveSplats`.
  */
 export function childrenOf(
   held: readonly number[],
@@ -39,7 +43,7 @@ export function childrenOf(
     const parent = rows.parents[row]!;
     if (!heldRows.has(parent)) continue;
     const chunk = rows.chunks[parent]!;
-    const child = { box: rows.boxOf(row), missing: heldRows.has(row) ? 0 : powerBelow(sums[row]!) };
+    const child = { box: rows.boxOf(row), missing: heldRows.has(row) ? 0 : powerUpTo(sums[row]!) };
     found.set(chunk, [...(found.get(chunk) ?? []), child]);
   }
   for (const [chunk, children] of found) if (children.every(({ missing }) => missing === 0)) found.delete(chunk);
@@ -47,25 +51,25 @@ export function childrenOf(
 }
 
 /**
- * Return the addends of the log scales of a chunk's splats: each belongs to the first child whose box contains its mean,
- * and grows if that child is missing.
+ * Return what is added to the log scales of a chunk's splats. Each splat belongs to the first child whose box contains its
+ * mean, if any, and grows if splats are missing at this child.
  *
  * @param means - Means of the splats, three numbers each.
  */
 export function growth(means: Float32Array, children: readonly Child[]): Float32Array {
-  const belongs = Int32Array.from({ length: means.length / 3 }, (_, i) =>
+  const childOf = Int32Array.from({ length: means.length / 3 }, (_, i) =>
     children.findIndex(({ box }) =>
       [0, 1, 2].every((axis) => means[3 * i + axis]! >= box[axis]! && means[3 * i + axis]! <= box[axis + 3]!),
     ),
   );
   const counts = new Float64Array(children.length);
-  for (const child of belongs) if (child >= 0) counts[child]! += 1;
+  for (const child of childOf) if (child >= 0) counts[child]! += 1;
   const added = children.map(({ missing }, child) =>
     missing > 0 && counts[child]! > 0
       ? Math.min(PER_DOUBLING * doublings((counts[child]! + missing) / counts[child]!), MOST)
       : 0,
   );
-  return Float32Array.from(belongs, (child) => added[child] ?? 0);
+  return Float32Array.from(childOf, (child) => added[child] ?? 0);
 }
 
 /** Return nearly the logarithm to base 2 of a number of at least 1: straight lines between powers of two. */
@@ -77,7 +81,7 @@ function doublings(value: number): number {
 }
 
 /** Return the largest power of two that is not above a whole number; 0 for 0. */
-function powerBelow(value: number): number {
+function powerUpTo(value: number): number {
   let power = value > 0 ? 1 : 0;
   while (power > 0 && 2 * power <= value) power *= 2;
   return power;
