@@ -17,8 +17,8 @@ I64 = NDArray[np.int64]
 # Added to log scales each time that the number of splats doubles for which a held one stands. The
 # full area of the missing splats would take ½ ln 2 = 0.35; it is less because they overlap.
 _PER_DOUBLING: Final = 0.25
-# The most that is added.
-_MOST: Final = 2.0
+# The most that is added: a splat doubles its size. More hides what is near (docs/ablations.md).
+_MOST: Final = 0.7
 
 
 def missing_splats(is_held: NDArray[np.bool_], parents: I64, splats: I64) -> I64:
@@ -72,8 +72,8 @@ def growth(means: F32, boxes: F64, missing: I64) -> F32:
     >>> from cogsplat.tools.lab.scheduling.growth import growth
     >>> means = np.array([[0.5, 0, 0], [2.5, 0, 0]], np.float32)
     >>> boxes = np.array([[0, 0, 0, 1, 1, 1], [2, 0, 0, 3, 1, 1]], np.float64)
-    >>> growth(means, boxes, np.array([0, 8])).tolist()
-    [0.0, 0.78125]
+    >>> growth(means, boxes, np.array([0, 4])).tolist()
+    [0.0, 0.5625]
     """
     child_of = np.full(len(means), -1)
     for child in range(len(boxes) - 1, -1, -1):

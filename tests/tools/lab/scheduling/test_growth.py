@@ -37,7 +37,9 @@ def test_a_splat_grows_for_the_first_box_around_it_if_that_is_missing():
 
 def test_growth_is_near_a_quarter_of_the_logarithm_and_has_a_limit():
     boxes = np.array([[0.0] * 6])
-    for count in (1, 4, 16, 64, 200):
+    for count in (1, 2, 3, 5):
         found = float(growth(np.zeros((1, 3), np.float32), boxes, np.array([count]))[0])
         assert 0.0 <= 0.25 * np.log2(1 + count) - found <= 0.25 * 0.0861
-    assert growth(np.zeros((1, 3), np.float32), boxes, np.array([1 << 20])).tolist() == [2.0]
+    assert growth(np.zeros((1, 3), np.float32), boxes, np.array([1 << 20])).tolist() == [
+        float(np.float32(0.7))
+    ]

@@ -2,8 +2,8 @@ import type { SceneRows } from "../container/scene_rows.js";
 
 /** Added to log scales each time that the number of splats doubles for which a held one stands. */
 const PER_DOUBLING = 0.25;
-/** The most that is added. */
-const MOST = 2;
+/** The most that is added: a splat doubles its size. */
+const MOST = 0.7;
 
 /** A chunk or unread page below a chunk. */
 export interface Child {
