@@ -400,7 +400,8 @@ def table_of_index(
         Columns of the chunks below each page that it lists. Their shares are added up.
     """
     views = len(table.positions)
-    below = [table.shares[:, own].sum(axis=1) for own in pages]
+    # Only the columns of a page: all of a large file's, for each page, would take its square.
+    below = [ViewTable(table.positions, table.codes[:, own]).shares.sum(axis=1) for own in pages]
     codes = np.concatenate(
         [table.codes[:, chunks], encode_shares(np.reshape(below, (-1, views)).T)], axis=1
     )
