@@ -20,11 +20,10 @@ ROOT_CHUNKS: Final = 64
 _ROOT_PAGES: Final = 32
 """Pages that the root lists at most."""
 
-# Chunks and pages that a page lists at most: about 20 KB. Root and two levels of pages then list
-# 300,000 chunks, more than 10^9 splats have, so that three requests lead to each chunk. Pages of 64
-# chunks and 32 pages took a fourth request.
-_PAGE_CHUNKS: Final = 96
-_PAGE_PAGES: Final = 96
+# Chunks, and pages, that a page lists at most: about 20 KB. Root and two levels of pages then list
+# 298,000 chunks, so that three requests lead to each. Larger files have pages of 26 KB, which list
+# 528,000 chunks in this way: 10^9 splats of a city in parts have 470,000.
+_PAGE_ROWS: Final = (96, 128)
 
 # Levels of pages (SPEC 5.6).
 _DEPTH: Final = 3
@@ -79,29 +78,37 @@ def chunk_tree(cells: NDArray[np.integer], parts: NDArray[np.integer] | None = N
     """
     numbers = cells.astype(np.int64)
     of_parts = np.zeros(len(cells), np.int64) if parts is None else parts.astype(np.int64)
-    return _tree(np.arange(len(numbers)), numbers, of_parts, ROOT_CHUNKS, _ROOT_PAGES, _DEPTH)
-
-
-def _tree(chunks: I64, cells: I64, parts: I64, own: int, pages: int, depth: int) -> ChunkTree:
-    """Return the tree of some chunks; its index lists the first `own` chunks."""
-    if len(chunks) <= own or not depth:
-        return ChunkTree(chunks)
-    return ChunkTree(
-        chunks[:own],
-        tuple(
-            _tree(group, cells, parts, _PAGE_CHUNKS, _PAGE_PAGES, depth - 1)
-            for group in _groups(chunks[own:], cells, parts, pages)
+    rows = next(
+        (
+            each
+            for each in _PAGE_ROWS
+            if ROOT_CHUNKS + _ROOT_PAGES * each * (1 + each) >= len(cells)
         ),
+        _PAGE_ROWS[-1],
     )
 
+    def tree(chunks: I64, own: int, pages: int, depth: int) -> ChunkTree:
+        """Return the tree of some chunks; its index lists the first `own` chunks."""
+        if len(chunks) <= own or not depth:
+            return ChunkTree(chunks)
+        groups = _groups(chunks[own:], numbers, of_parts, pages, rows)
+        return ChunkTree(
+            chunks[:own], tuple(tree(group, rows, rows, depth - 1) for group in groups)
+        )
 
-def _groups(chunks: I64, cells: I64, parts: I64, most: int) -> list[I64]:
-    """Return the chunks in at most `most` groups, each inside one cell, depth first by cell."""
+    return tree(np.arange(len(numbers)), ROOT_CHUNKS, _ROOT_PAGES, _DEPTH)
+
+
+def _groups(chunks: I64, cells: I64, parts: I64, most: int, rows: int) -> list[I64]:
+    """Return the chunks in at most `most` groups, each inside one cell, depth first by cell.
+
+    Groups of more than `rows` chunks, or of several parts, are halved as long as there are fewer.
+    """
 
     def excess(group: I64) -> int:
         """Return the size of a group that is to be halved, else 0."""
         is_mixed = len(group) and (parts[group] != parts[group[0]]).any()
-        return len(group) if is_mixed or len(group) > _PAGE_CHUNKS else 0
+        return len(group) if is_mixed or len(group) > rows else 0
 
     groups = [chunks]
     sizes = [excess(chunks)]

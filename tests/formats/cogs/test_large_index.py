@@ -14,9 +14,10 @@ from cogsplat.formats.cogs.root import Root
 from cogsplat.formats.cogs.scene_index import read_root
 from cogsplat.formats.cogs.writer import lay_out_index, plan_index
 
-_SPLATS = 8192
+# As in cities in parts, whose chunks are smaller than those of other files.
+_SPLATS = 2048
 _CHUNKS = 10**9 // _SPLATS
-_LENGTHS = (40_000, 25_000, 15_000)
+_LENGTHS = (10_000, 6_000, 4_000)
 
 
 class IndexOnly:

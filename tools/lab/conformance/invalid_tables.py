@@ -265,11 +265,11 @@ def index_pages() -> list[Invalid]:
             "a byte behind a page's map",
         ),
         Invalid(
-            "segments-2-20",
-            build_edited(uniform_chunk(), key_setter("pages", claimed_pages(2, 1 << 19))),
+            "segments-2-21",
+            build_edited(uniform_chunk(), key_setter("pages", claimed_pages(2, 1 << 20))),
             "segment-count",
             "9.1",
-            "2^20 + 1 segments",
+            "2^21 + 1 segments",
         ),
         Invalid(
             "decoded-size",

@@ -5,6 +5,7 @@ import { type Pinhole, readPinhole } from "./pinhole.js";
 import {
   type ChunkTable,
   MAX_PAGES,
+  MAX_SEGMENTS,
   type PageTable,
   readChunkTable,
   readPageTable,
@@ -213,7 +214,7 @@ function readLevels(root: Fields): LevelEntry[] {
   let before: LevelEntry = { chunks: 0, scale: Infinity };
   const levels = root.maps("levels", 16, (fields) => {
     before = {
-      chunks: fields.integer("chunks", before.chunks + 1, 1_048_576),
+      chunks: fields.integer("chunks", before.chunks + 1, MAX_SEGMENTS),
       scale: fields.float("scale", (value) => value > 0 && value < before.scale, "above 0 and falling"),
     };
     fields.finish();

@@ -28,7 +28,7 @@ export const MAX_PAGES = 128;
 /** Bytes of a page at most (SPEC 9.1). */
 const MAX_PAGE_BYTES = 1_048_576;
 /** Segments of a file at most (SPEC 9.1). */
-export const MAX_SEGMENTS = 1_048_576;
+export const MAX_SEGMENTS = 2_097_152;
 
 /** Rows of one or more segment tables (SPEC 5.3). */
 export interface SegmentTable {
