@@ -20,10 +20,11 @@ ROOT_CHUNKS: Final = 64
 _ROOT_PAGES: Final = 32
 """Pages that the root lists at most."""
 
-# Chunks, and pages, that a page lists at most: about 20 KB. Root and two levels of pages then list
-# 298,000 chunks, so that three requests lead to each. Larger files have pages of 26 KB, which list
-# 528,000 chunks in this way: 10^9 splats of a city in parts have 470,000.
-_PAGE_ROWS: Final = (96, 128)
+# Chunks and pages that a page lists at most: about 20 KB. Root and two levels of pages then list
+# 298,000 chunks, so that three requests lead to each. Larger files have pages of 32 KB, which list
+# 659,000 chunks in this way: 10^9 splats of a city in parts have 470,000, in cells of uneven sizes.
+_PAGE: Final = (96, 96)
+_LARGE_PAGE: Final = (160, 128)
 
 # Levels of pages (SPEC 5.6).
 _DEPTH: Final = 3
@@ -78,45 +79,39 @@ def chunk_tree(cells: NDArray[np.integer], parts: NDArray[np.integer] | None = N
     """
     numbers = cells.astype(np.int64)
     of_parts = np.zeros(len(cells), np.int64) if parts is None else parts.astype(np.int64)
-    rows = next(
-        (
-            each
-            for each in _PAGE_ROWS
-            if ROOT_CHUNKS + _ROOT_PAGES * each * (1 + each) >= len(cells)
-        ),
-        _PAGE_ROWS[-1],
-    )
+    own, pages = _PAGE
+    if len(cells) > ROOT_CHUNKS + _ROOT_PAGES * own * (1 + pages):
+        own, pages = _LARGE_PAGE
 
-    def tree(chunks: I64, own: int, pages: int, depth: int) -> ChunkTree:
-        """Return the tree of some chunks; its index lists the first `own` chunks."""
-        if len(chunks) <= own or not depth:
+    def tree(chunks: I64, first: int, most_pages: int, depth: int) -> ChunkTree:
+        """Return the tree of some chunks; its index lists the first of them."""
+        if len(chunks) <= first or not depth:
             return ChunkTree(chunks)
-        groups = _groups(chunks[own:], numbers, of_parts, pages, rows)
-        return ChunkTree(
-            chunks[:own], tuple(tree(group, rows, rows, depth - 1) for group in groups)
-        )
+        groups = _groups(chunks[first:], numbers, of_parts, most_pages, own)
+        below = tuple(tree(group, own, pages, depth - 1) for group in groups)
+        return ChunkTree(chunks[:first], below)
 
     return tree(np.arange(len(numbers)), ROOT_CHUNKS, _ROOT_PAGES, _DEPTH)
 
 
-def _groups(chunks: I64, cells: I64, parts: I64, most: int, rows: int) -> list[I64]:
+def _groups(chunks: I64, cells: I64, parts: I64, most: int, largest: int) -> list[I64]:
     """Return the chunks in at most `most` groups, each inside one cell, depth first by cell.
 
-    Groups of more than `rows` chunks, or of several parts, are halved as long as there are fewer.
+    Groups of more than `largest` chunks, or of several parts, are halved while there are fewer.
     """
 
     def excess(group: I64) -> int:
         """Return the size of a group that is to be halved, else 0."""
         is_mixed = len(group) and (parts[group] != parts[group[0]]).any()
-        return len(group) if is_mixed or len(group) > rows else 0
+        return len(group) if is_mixed or len(group) > largest else 0
 
     groups = [chunks]
     sizes = [excess(chunks)]
     while len(groups) < most and max(sizes):
-        largest = sizes.index(max(sizes))
-        halves = _halves(groups[largest], cells)
-        groups[largest : largest + 1] = halves
-        sizes[largest : largest + 1] = map(excess, halves) if len(halves) == 2 else [0]
+        place = sizes.index(max(sizes))
+        halves = _halves(groups[place], cells)
+        groups[place : place + 1] = halves
+        sizes[place : place + 1] = map(excess, halves) if len(halves) == 2 else [0]
     return groups
 
 
