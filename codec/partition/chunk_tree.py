@@ -21,10 +21,10 @@ _ROOT_PAGES: Final = 32
 """Pages that the root lists at most."""
 
 # Chunks and pages that a page lists at most: about 20 KB. Root and two levels of pages then list
-# 298,000 chunks, so that three requests lead to each. Larger files have pages of 32 KB, which list
-# 659,000 chunks in this way: 10^9 splats of a city in parts have 470,000, in cells of uneven sizes.
+# 298,000 chunks, so that three requests lead to each. Larger files have pages of 37 KB, which list
+# 792,000 chunks in this way: 10^9 splats of a city in parts have 470,000, in cells of uneven sizes.
 _PAGE: Final = (96, 96)
-_LARGE_PAGE: Final = (160, 128)
+_LARGE_PAGE: Final = (192, 128)
 
 # Levels of pages (SPEC 5.6).
 _DEPTH: Final = 3

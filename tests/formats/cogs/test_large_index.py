@@ -86,7 +86,7 @@ def test_a_place_of_a_city_takes_three_requests():
     parts = lay_out_index(root, table, plan_index(root, table))
     source = IndexOnly(parts, table.length.astype(np.int64))
     assert source.size > 8 * 10**9
-    assert max(len(part.index) for part in parts[1:]) < 32_768
+    assert max(len(part.index) for part in parts[1:]) < 40_000
     for chunk in (0, 50_000, _CHUNKS - 1):
         source.asked.clear()
         index = LazyIndex(source, read_root(source, partial=False)).for_chunks([chunk])
