@@ -84,7 +84,7 @@ def chunk_tree(cells: NDArray[np.integer], parts: NDArray[np.integer] | None = N
         own, pages = _LARGE_PAGE
 
     def tree(chunks: I64, first: int, most_pages: int, depth: int) -> ChunkTree:
-        """Return the tree of some chunks; its index lists the first of them."""
+        """Return the tree of some chunks, whose index lists at most `first` of the chunks."""
         if len(chunks) <= first or not depth:
             return ChunkTree(chunks)
         groups = _groups(chunks[first:], numbers, of_parts, most_pages, own)

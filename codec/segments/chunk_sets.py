@@ -101,16 +101,35 @@ def descendant_parts(
     [0.5, 1.0, 1.0]
     """
     every = np.arange(len(parents))
-    held = _descendant_splats(np.isin(every, np.asarray(chunks, np.int64)), parents, chunk_splats)
-    before = _descendant_splats(every < first, parents, chunk_splats)
-    whole = _descendant_splats(every >= 0, parents, chunk_splats)
+    held = descendant_splats(np.isin(every, np.asarray(chunks, np.int64)), parents, chunk_splats)
+    before = descendant_splats(every < first, parents, chunk_splats)
+    whole = descendant_splats(every >= 0, parents, chunk_splats)
     parts = (held - before) / np.maximum(whole - before, 1)
     shares: NDArray[np.float64] = np.where(held == whole, 1.0, parts)
     return shares[np.asarray(chunks, np.int64)]
 
 
-def _descendant_splats(counts_in: NDArray[np.bool_], parents: I64, chunk_splats: I64) -> I64:
-    """Return the splats of each chunk's descendants, of those that count."""
+def descendant_splats(counts_in: NDArray[np.bool_], parents: I64, chunk_splats: I64) -> I64:
+    """Return the number of splats of each chunk and its descendants together.
+
+    Parameters
+    ----------
+    counts_in : (c,) bool
+        Whether each chunk counts; the splats of others are left out.
+    parents, chunk_splats
+        See `equivalent_prefixes`.
+
+    Returns
+    -------
+    (c,) int64
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from cogsplat.codec.segments.chunk_sets import descendant_splats
+    >>> descendant_splats(np.array([True, True, False]), np.array([-1, 0, 0]), np.full(3, 5))
+    array([10,  5,  0])
+    """
     sums = np.where(counts_in, chunk_splats, 0).astype(np.int64)
     for chunk in range(len(parents) - 1, 0, -1):
         if parents[chunk] >= 0:

@@ -400,7 +400,7 @@ def table_of_index(
         Columns of the chunks below each page that it lists. Their shares are added up.
     """
     views = len(table.positions)
-    # Only the columns of a page: all of a large file's, for each page, would take its square.
+    # Decodes the columns of one page. All columns for every page would take quadratic time.
     below = [ViewTable(table.positions, table.codes[:, own]).shares.sum(axis=1) for own in pages]
     codes = np.concatenate(
         [table.codes[:, chunks], encode_shares(np.reshape(below, (-1, views)).T)], axis=1

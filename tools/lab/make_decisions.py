@@ -116,7 +116,7 @@ def decide(scene: Scene, state: State) -> Decision:
 
 
 def grow(tree: Tree) -> tuple[list[int], list[float]]:
-    """Return what is missing at each row of a tree, and the growth of the splats of row 0."""
+    """Return the missing splats at each row of a tree, and the growth of the splats of row 0."""
     above = np.array(tree["parents"], np.int64)
     is_held = np.isin(np.arange(len(above)), tree["held"])
     missing = missing_splats(is_held, above, np.array(tree["splats"], np.int64))

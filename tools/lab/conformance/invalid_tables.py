@@ -284,7 +284,7 @@ def index_pages() -> list[Invalid]:
 
 
 def _shifted() -> list[Invalid]:
-    """Return the vectors of two pages whose rows state other numbers, though the sums are right."""
+    """Return the vectors in which the rows of two pages state wrong numbers with right sums."""
     whole = paged_chunks()
     first, second = whole.groups
     third = Group([Segment(200, 0, b"page"), Segment(201, 0, b"page")], [])

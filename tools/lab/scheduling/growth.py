@@ -10,6 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cogsplat.codec.segments.chunk_sets import descendant_splats
+
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -22,7 +24,7 @@ _MOST: Final = 0.7
 
 
 def missing_splats(is_held: NDArray[np.bool_], parents: I64, splats: I64) -> I64:
-    """Return how many splats are missing at each row: what it and its descendants count together.
+    """Return the number of missing splats of each row and its descendants together.
 
     Parameters
     ----------
@@ -31,7 +33,7 @@ def missing_splats(is_held: NDArray[np.bool_], parents: I64, splats: I64) -> I64
     parents : (r,) int64
         Row of the parent of each row, an earlier one; -1 for none.
     splats : (r,) int64
-        What each row counts (`chunk_ratios.visible_splat_counts`).
+        Number of splats of each row that count at the pose (`chunk_ratios.visible_splat_counts`).
 
     Returns
     -------
@@ -39,16 +41,13 @@ def missing_splats(is_held: NDArray[np.bool_], parents: I64, splats: I64) -> I64
         Sums, rounded down to powers of two so that they rarely change; 0 for a row that is held,
         even if descendants are missing.
     """
-    sums = splats.astype(np.int64)
-    for row in range(len(parents) - 1, 0, -1):
-        if parents[row] >= 0:
-            sums[parents[row]] += sums[row]
+    sums = descendant_splats(np.ones(len(parents), np.bool_), parents, splats)
     _, exponents = np.frexp(sums.astype(np.float64))
     return np.where(is_held | (sums == 0), 0, 1 << np.maximum(exponents.astype(np.int64) - 1, 0))
 
 
 def growth(means: F32, boxes: F64, missing: I64) -> F32:
-    """Return what is added to the log scales of a chunk's splats.
+    """Return the growth of each splat of a chunk, an addend of its three log scales.
 
     Each splat belongs to the first child whose box contains its mean, if any. It grows if splats
     are missing at this child.

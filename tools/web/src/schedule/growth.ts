@@ -7,6 +7,8 @@ const MOST = 0.7;
 
 /** A chunk or unread page below a chunk. */
 export interface Child {
+  /** Row in `SceneRows`. */
+  readonly row: number;
   /** Minimum corner, then maximum corner, scene units. */
   readonly box: ArrayLike<number>;
   /**
@@ -43,7 +45,7 @@ export function childrenOf(
     const parent = rows.parents[row]!;
     if (!heldRows.has(parent)) continue;
     const chunk = rows.chunks[parent]!;
-    const child = { box: rows.boxOf(row), missing: heldRows.has(row) ? 0 : powerUpTo(sums[row]!) };
+    const child = { row, box: rows.boxOf(row), missing: heldRows.has(row) ? 0 : powerUpTo(sums[row]!) };
     found.set(chunk, [...(found.get(chunk) ?? []), child]);
   }
   for (const [chunk, children] of found) if (children.every(({ missing }) => missing === 0)) found.delete(chunk);
@@ -51,7 +53,7 @@ export function childrenOf(
 }
 
 /**
- * Return what is added to the log scales of a chunk's splats. Each splat belongs to the first child whose box contains its
+ * Return the growth of each splat of a chunk, an addend of its three log scales. Each splat belongs to the first child whose box contains its
  * mean, if any, and grows if splats are missing at this child.
  *
  * @param means - Means of the splats, three numbers each.

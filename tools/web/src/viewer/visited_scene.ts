@@ -11,7 +11,10 @@ import type { SplatLayer } from "./splat_layer.js";
 /** Time for which the camera rests before chunks are changed for its view, ms (docs/streaming.md, 10). */
 const STILL_MILLISECONDS = 250;
 
-/** What a chunk is compensated for: a state of the layers, or the children of a chunk behind them; neither for nothing. */
+/**
+ * What a chunk is compensated for: a state of the layers, or, after the chunks of the last layer, its children; neither if
+ * nothing is to be changed.
+ */
 interface Compensated {
   readonly chunk: number;
   readonly state?: SetState | undefined;
@@ -126,7 +129,7 @@ export class VisitedScene {
   }
 
   private textOf({ state, children }: Compensated): string {
-    const missing = children?.map((child) => child.missing);
+    const missing = children?.map((child) => `${child.row}:${child.missing}`);
     return `${state?.prefix} ${state?.share} ${missing} ${this.scene.compensation.layerChunks}`;
   }
 
